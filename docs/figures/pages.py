@@ -267,6 +267,20 @@ def notebooks() -> Figure:
     return figure
 
 
+def components() -> Figure:
+    figure, axes = plt.subplots(2, 4, figsize=(14, 6.4))
+    estimator = mcs.Estimator("gaussian(width=0.3)", "linear(slope=-1)", dims=1)
+    estimator.plot(n=16, axes=axes[0, 0])
+    mcs.Estimator("step(at=0.36)", dims=1).plot("strata", n=8, axes=list(axes[0, 1:3]))
+    estimator.plot("estimates", sampler="random", axes=axes[0, 3])
+    terms = mcs.variance_terms("gaussian", "jittered", 64, half_width=8, realizations=200)
+    terms.mcspectra.plot("product", axes=list(axes[1, :3]))
+    curve = mcs.convergence("gaussian", ["random", "jittered"], [16, 64, 256], realizations=200)
+    theory = mcs.predict("gaussian", ["random", "jittered"], [16, 64, 256, 1024])
+    curve.mcspectra.plot(axes=axes[1, 3], overlay=theory)
+    return figure
+
+
 _CAUSES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "interior-jump": lambda t: np.where(t < 0.37, 0.4, 1.0) + 0.2 * t,
     "cusp": lambda t: np.sqrt(np.abs(t - 0.37)),
@@ -395,7 +409,7 @@ FIGURES = {
     function.__name__.replace("_", "-"): function
     for function in (
         *(conventions, theory, spectra, bases, evidence, scaling, studies, clusters, reproduce),
-        *(notebooks, causes, other_fields, add_a_sampler, add_a_density, add_an_integrand),
+        *(notebooks, components, causes, other_fields, add_a_sampler, add_a_density, add_an_integrand),
     )
 }
 

@@ -4,11 +4,14 @@ from dataclasses import replace
 from queue import SimpleQueue
 
 import pytest
+from bokeh.document import Document
 from bokeh.models import InlineStyleSheet
 
 from mcspectra.app.board import Board
 from mcspectra.app.figures import FIGURES
-from mcspectra.app.state import ExplorerSetup
+from mcspectra.app.page import Explorer
+from mcspectra.app.state import ExplorerSetup, ExplorerState
+from mcspectra.measure import convergence
 from mcspectra.plots.backend_bokeh import Drawn
 
 SMALL = ExplorerSetup(n=16, half_width=4, realizations=16)
@@ -101,3 +104,23 @@ def test_a_refused_entry_leaves_gray_figures_and_no_numbers(board, shown):
     board.refuse("n is -5; give another.")
     assert board.latest == {}
     assert all(is_gray(board, kind) for kind in board.cards)
+
+
+def test_the_curves_of_two_set_ups_share_a_plot():
+    setups = ExplorerState(a=SMALL, b=replace(SMALL, sampler="random"))
+    explorer = Explorer(Document(), setups.query())
+    for k, (board, sampler) in enumerate(
+        zip(explorer._boards.values(), ("jittered", "random"), strict=True)
+    ):
+        curve = convergence("gaussian", sampler, [4, 16], dims=2, realizations=20)
+        board.latest["convergence"] = curve
+        explorer._shown(False)
+        assert len(explorer._grid.children) == k
+    (joint,) = explorer._grid.children
+    assert joint.children[0].text == "<h2>A and B: Convergence</h2>"
+    assert "A: jittered" in joint.children[2].text
+    assert "B: random" in joint.children[2].text
+    explorer._shown(False)
+    assert explorer._grid.children == [joint]
+    explorer._choose_comparison("", True, False)
+    assert explorer._grid.children == []

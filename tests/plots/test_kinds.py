@@ -30,10 +30,10 @@ PATHS = (
 )
 PLOTS = {
     "convergence": ["convergence"],
-    "terms": ["terms", "captured", "contributions", "bands"],
+    "terms": ["terms", "captured", "contributions", "product", "bands"],
     "techniques": ["techniques", "technique-rates"],
     "spectrum": ["spectrum", "radial"],
-    "points": ["points"],
+    "points": ["points", "integrand"],
     "pcf": ["pair-correlation"],
     "anova": ["anova"],
     "anova-spectrum": ["anova"],
@@ -44,7 +44,7 @@ PLOTS = {
     "modes": ["modes"],
     "map": [kind for kind in PLOT_KINDS if kind.startswith("map-") and kind not in PATHS],
 }
-TERMS = ("terms", "captured", "contributions", "bands")
+TERMS = ("terms", "captured", "contributions", "product", "bands")
 
 
 def said(plot):

@@ -200,8 +200,14 @@ def make_spectrum(sampler="jittered", *, dims=1, n=16, half_width=16):
 
 def make_points(sampler="jittered", *, dims=1, n=16):
     """Return a dataset like a study's cell of points."""
-    values = {"points": (("point", "axis"), draw(sampler, n, dims, 1)[0])}
-    return dataset(values, {"axis": np.arange(dims)}, n=n).assign_attrs(sampler_spec=sampler)
+    x, grid = (np.arange(8) + 0.5) / 8, tuple(f"x{axis}" for axis in range(min(dims, 2)))
+    f = x if dims == 1 else x[:, None] * x
+    values = {
+        "points": (("point", "axis"), draw(sampler, n, dims, 1)[0]),
+        "integrand_value": (grid, f),
+    }
+    coords = {"axis": np.arange(dims), **dict.fromkeys(grid, x)}
+    return dataset(values, coords, n=n).assign_attrs(sampler_spec=sampler)
 
 
 GIVEN = {"n": 16, "counts": [16, 64], "target_error": 0.1}

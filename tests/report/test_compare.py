@@ -10,7 +10,7 @@ import pytest
 
 from mcspectra.core.errors import ParameterError, StoreError
 from mcspectra.report import write_comparison
-from mcspectra.report.compare import compare_curves
+from mcspectra.report.compare import compare_curves, verdict
 
 Make = dict[str, Callable[..., Any]]
 Z = 1.959963984540054
@@ -76,6 +76,45 @@ def test_channels__only_the_first_is_compared(make):
     assert found.ratio.value == pytest.approx(1.0)
 
 
+def test_the_verdict_names_the_largest_gain_and_loss(make):
+    curve = make["curve"]
+    first = {(name, "random"): curve("random") for name in ("gain", "loss", "same", "open", "none")}
+    second = {
+        ("gain", "random"): curve("random", rate=-1.25),
+        ("loss", "random"): curve("random", rate=-0.75),
+        ("same", "random"): curve("random"),
+        ("open", "random"): curve("random", rate=-1.001),
+        ("none", "random"): curve("random", counts=(9,)),
+    }
+    found = verdict(first, second)
+    assert found.startswith("B has less noise than A for some curves and more for others. ")
+    assert "Of 5 common curves: 1 less noise, 1 more noise, 1 no significant difference, " in found
+    assert "1 the same variances, 1 no ratio." in found
+    assert "gain: the variance of gain with random at n = 1024 is 0.177 times" in found
+    assert "loss: the variance of loss with random at n = 1024 is 5.66 times" in found
+    # The same change of one curve alone, and of no curve
+    one = ("gain", "random")
+    assert verdict({one: first[one]}, {one: second[one]}).startswith("B has less noise than A. Of")
+    assert verdict({one: second[one]}, {one: first[one]}).startswith("B has more noise than A. Of")
+    assert verdict({one: first[one]}, {one: first[one]}).startswith("B has neither less nor more")
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_equal_noise_is_seldom_called_different(make, seed):
+    """Simultaneous intervals of 200 curves without difference hold with a probability of 95 %."""
+    generator = np.random.default_rng(seed)
+    studies = []
+    for _ in "ab":
+        curves = {}
+        for k in range(200):
+            curve = make["curve"]("random", counts=(16,))
+            factor = math.exp(generator.normal(0.0, math.sqrt(2 / 1000)))
+            names = ["variance", "variance_ci"]
+            curves[str(k), "random"] = curve.assign({key: factor * curve[key] for key in names})
+        studies.append(curves)
+    assert verdict(*studies).startswith("B has neither less nor more noise than A.")
+
+
 @pytest.fixture(name="folders")
 def _folders(make, tmp_path):
     """Write two studies that share a pair."""
@@ -98,6 +137,7 @@ def test_page(folders):
     assert page == folders[1] / "comparison.html"
     text = page.read_text(encoding="utf-8")
     assert "0.177" in text  # 1024^(−1/4)
+    assert text.index("B has less noise than A.") < text.index("<nav")
     assert "−0.25 ± 0.04" in text
     assert "e &lt;b&gt;, with jittered" in text
     assert "e, with other" in text

@@ -50,8 +50,7 @@ def blank(monkeypatch):
 
 def test_sections(page):
     ids = [attributes["id"] for attributes in page.all("section")]
-    assert ids[0] == "summary"
-    assert ids[-1] == "provenance"
+    assert ids[-2:] == ["summary", "provenance"]
     assert len(ids) == 4
     links = {attributes["href"] for attributes in page.all("a")}
     assert links == {f"#{i}" for i in ids}
@@ -85,7 +84,7 @@ def test_page_at_another_path(make, tmp_path):
     (tmp_path / "web").mkdir()
     page = write_report(study, tmp_path / "web" / "x.html")
     assert page == tmp_path / "web" / "x.html"
-    assert len(list((tmp_path / "web" / "figures").iterdir())) == 2
+    assert len(list((tmp_path / "web" / "figures").iterdir())) == 2 + 2  # points, f with points
     assert not (study / "report.html").exists()
     with pytest.raises(StoreError, match="cannot be written"):
         write_report(study, tmp_path / "nowhere" / "x.html")
@@ -93,7 +92,9 @@ def test_page_at_another_path(make, tmp_path):
 
 def test_figures_have_descriptions_and_sizes(page):
     images = page.all("img")
-    assert len(images) == 9 + 3  # all kinds in 1-D; image, radial mean and points in 2-D
+    row = 5 + 3  # small pictures: all in 1-D; f, points and spectrum in 2-D
+    # Details: all kinds in 1-D; image, radial mean, points and f in 2-D
+    assert len(images) == row + 10 + 4
     for attributes in images:
         assert len(str(attributes["alt"])) > 30
         assert int(str(attributes["width"])) > 100
@@ -197,7 +198,7 @@ def test_unusual_results_are_shown_with_reasons(make, tmp_path):
 
 @pytest.mark.usefixtures("undrawn")
 def test_predictions_are_drawn_in_the_measured_curves(make, tmp_path):
-    """Predictions are crosses in the convergence figure, or a separate figure at other counts."""
+    """Predictions are crosses in the convergence figure, also at other counts."""
     f = mcs.integrand("gaussian(width=0.3)")
     curve = make["curve"]("random")
     same = mcs.predict(f, "random", curve["n"].values.tolist())
@@ -206,8 +207,8 @@ def test_predictions_are_drawn_in_the_measured_curves(make, tmp_path):
         ("other", "random"): {"convergence": curve, "predict": mcs.predict(f, "random", [25])},
     }
     page = Parsed(write_report(make["study"](tmp_path, cells)).read_text(encoding="utf-8"))
-    assert page.text.count("Crosses are predictions") == 1
-    assert page.text.count("Predicted variance against the number of points") == 1
+    assert page.text.count("Crosses are predictions") == 2
+    assert "Predicted variance against the number of points" not in page.text
     assert page.text.count("Predictions in numbers") == 2
     text = " ".join(page.text.split())
     for n, value in zip(same["n"].values, same["predicted_variance"].values, strict=True):
@@ -231,7 +232,7 @@ def test_only_spectra(make, tmp_path):
     cells = {("e", "random"): {"spectrum": make["spectrum"](dims=3, n=8, half_width=2)}}
     page = Parsed(write_report(make["study"](tmp_path, cells)).read_text(encoding="utf-8"))
     assert "no convergence and no terms" in page.text
-    assert len(page.all("img")) == 1
+    assert len(page.all("img")) == 2  # the small picture and the figure
     assert "dims it replaces an image of the whole spectrum." in page.text
 
 
@@ -349,7 +350,8 @@ def test_figures_of_shared_samples_appear_once(make, tmp_path):
     names = {p.name for p in (tmp_path / "figures").glob("*.png")}
     kinds = ("spectrum", "radial")
     assert names == {f"first-{k}.png" for k in kinds} | {f"other-{k}.png" for k in kinds} | {
-        "second-points.png"
+        "second-points.png",
+        "second-integrand.png",
     }
 
 
@@ -364,9 +366,40 @@ def test_bands_of_an_insignificant_cross_term_are_omitted(make, tmp_path):
     assert names == {"certain-bands.png"}
 
 
-def test_details_are_collapsed_and_main_figures_are_not(page):
-    summaries = page.text
-    for name in ("Frequencies", "Spectra and points of the samples", "Three terms in numbers"):
-        assert name in summaries
+def test_everything_but_the_answer_and_the_row_is_collapsed(page):
+    for name in (
+        "All figures, numbers and settings",
+        "Frequencies",
+        "Spectra and points of the samples",
+        "Three terms in numbers",
+    ):
+        assert name in page.text
     assert page.tags.count(("details", {})) >= 6
     assert all("open" not in attributes for attributes in page.all("details"))
+
+
+def test_the_first_screen_has_answer_sentence_and_pictures_in_order(folder):
+    text = (folder / "report.html").read_text(encoding="utf-8")
+    section = text[text.index("<main>") :]
+    marks = (
+        'class="answer"',
+        "Faster than random sampling",
+        "Integrand f and samples",
+        "Points</figcaption>",
+        "Spectrum: n",
+        "Variance and its slope",
+        "Terms of the variance add up",
+        "All figures, numbers and settings",
+        'id="summary"',
+    )
+    places = [section.index(mark) for mark in marks]
+    assert places == sorted(places)
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_many_estimators_have_a_table_without_pictures(make, tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "_MOST_ROWS", 1)
+    cells = {(name, "random"): {"convergence": make["curve"]("random")} for name in ("a", "b")}
+    page = Parsed(write_report(make["study"](tmp_path, cells)).read_text(encoding="utf-8"))
+    assert next(attributes["id"] for attributes in page.all("section")) == "summary"
+    assert "Variance and its slope" not in page.text

@@ -234,6 +234,19 @@ def test_cells_go_largest_first_and_reductions_step_by_step():
     assert unpack(xr.Dataset, settled.payload).attrs == {"of": "b", "seed": 0}
 
 
+def test_pictured_cells_go_first_and_the_cheapest_of_them_before_all():
+    class Pictured(Words, frozen=True, kw_only=True):
+        pictured = True
+
+    plain, shown = Words(blocks=(1,)), Pictured(blocks=(1,))
+    cells = [
+        cell("a", plain, 1.0), cell("b", shown, 8.0), cell("c", plain, 9.0), cell("d", shown, 2.0),
+    ]  # fmt: skip
+    schedule = Schedule(cells, 0, Recorded())
+    works = [schedule.next_work() for _ in cells]
+    assert [task.path for task, _ in works] == ["d", "b", "c", "a"]
+
+
 def test_the_costliest_reduction_goes_first_and_states_in_their_order():
     class Both(Words, frozen=True, kw_only=True):
         def reduction(self, subject, stream):

@@ -18,7 +18,10 @@ from mcspectra.core.display import escape_html
 from mcspectra.plots.backend_bokeh import Drawn, draw
 from mcspectra.plots.description import Plot
 
-__all__ = ["Board"]
+__all__ = ["JOINT", "Board", "Card", "card_of"]
+
+JOINT = "A and B"
+"""Side of a figure that shows both set-ups."""
 
 _FRESH: Any = {"opacity": "1", "filter": "none"}
 _FRAMES = {False: 216, True: 100}  # Width of a panel in pixels, for one set-up and for two set-ups
@@ -27,7 +30,7 @@ _STALE: Any = {"opacity": "0.35", "filter": "grayscale(1)"}
 
 @final
 @dataclass
-class _Card:
+class Card:
     """A figure on the page with its heading and text."""
 
     drawn: Drawn
@@ -64,7 +67,7 @@ class Board:
         on_shown: Callable[[bool], object],
     ) -> None:
         self.latest: dict[str, Any] = {}
-        self.cards: dict[str, _Card] = {}
+        self.cards: dict[str, Card] = {}
         self._side, self._sheet = side, sheet
         self._later, self._on_update, self._on_shown = later, on_update, on_shown
         self._job: Job | None = None
@@ -137,8 +140,7 @@ class Board:
             panel.left[0].visible = panel.y_range is not panels[0].y_range or not self._paired
 
     def _heading(self, kind: str) -> str:
-        side = f"{self._side}: " if self._paired else ""
-        return f"<h2>{side}{FIGURES[kind]}</h2>"
+        return _heading(kind, self._side if self._paired else "")
 
     def _hear(self, job: Job, update: Update) -> None:
         if update.kind == UPDATE_KINDS[0]:
@@ -179,27 +181,13 @@ class Board:
 
     def _place(self, plot: Plot) -> bool:
         """Show a plot in its card; return True if the card is new."""
-        words = f'<p>{escape_html(plot.words)}</p><p class="soft">{escape_html(plot.caption)}</p>'
-        card = self.cards.get(plot.kind)
-        if card is not None and card.drawn.fits(plot):
-            card.drawn.update(plot)
-            card.layout.children[2].text = words
-            card.layout.styles = _FRESH
+        before = self.cards.get(plot.kind)
+        side = self._side if self._paired else ""
+        card = card_of(plot, side, before, self._sheet)
+        if card is before:
             return False
-        drawn = draw(plot)
-        self._size(plot.kind, drawn)
-        texts = [
-            Div(text=t, sizing_mode="stretch_width", stylesheets=[self._sheet], disable_math=True)
-            for t in (self._heading(plot.kind), words)
-        ]
-        layout = Column(
-            children=[texts[0], drawn.model, texts[1]],
-            sizing_mode="stretch_width",
-            styles=_FRESH,
-            html_attributes={"role": "group", "aria-label": f"{self._side}: {FIGURES[plot.kind]}"},
-            css_classes=["wide"] if len(plot.panels) > 2 else [],
-        )
-        self.cards[plot.kind] = _Card(drawn, layout)
+        self._size(plot.kind, card.drawn)
+        self.cards[plot.kind] = card
         return True
 
     def _end(self, sentence: str, *, alert: bool = False) -> None:
@@ -231,3 +219,34 @@ class Board:
             f"{escape_html(sentence)}</p>"
             f'<progress value="{self._fraction:.3f}"></progress>'
         )
+
+
+def card_of(plot: Plot, side: str, before: Card | None, sheet: InlineStyleSheet) -> Card:
+    """Show a plot in the card `before` if it fits, or else in a new card.
+
+    `side` is named in the heading, unless it is empty.
+    """
+    words = f'<p>{escape_html(plot.words)}</p><p class="soft">{escape_html(plot.caption)}</p>'
+    if before is not None and before.drawn.fits(plot):
+        before.drawn.update(plot)
+        before.layout.children[2].text = words
+        before.layout.styles = _FRESH
+        return before
+    drawn = draw(plot)
+    texts = [
+        Div(text=t, sizing_mode="stretch_width", stylesheets=[sheet], disable_math=True)
+        for t in (_heading(plot.kind, side), words)
+    ]
+    title = f"{side}: {FIGURES[plot.kind]}" if side else FIGURES[plot.kind]
+    layout = Column(
+        children=[texts[0], drawn.model, texts[1]],
+        sizing_mode="stretch_width",
+        styles=_FRESH,
+        html_attributes={"role": "group", "aria-label": title},
+        css_classes=["joint"] if side == JOINT else ["wide"] if len(plot.panels) > 2 else [],
+    )
+    return Card(drawn, layout)
+
+
+def _heading(kind: str, side: str) -> str:
+    return f"<h2>{f'{side}: ' if side else ''}{FIGURES[kind]}</h2>"

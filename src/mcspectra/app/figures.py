@@ -58,7 +58,8 @@ def figures_of(kind: str, value: xr.Dataset, name: str) -> list[Plot]:
                 share="x" if flat else "both",
             )
         ]
-    shown = kinds_of(value)
+    # The figure of f, p and f/p replaces the plot "integrand" of the points
+    shown = set(kinds_of(value)) - {"integrand"}
     return [describe(each, {name: value}) for each in FIGURES if each in shown]
 
 

@@ -16,7 +16,7 @@ from bokeh.models.widgets.inputs import Checkbox, TextAreaInput
 from bokeh.models.widgets.markups import Div
 from tornado.ioloop import IOLoop
 
-from mcspectra.app.board import Board
+from mcspectra.app.board import JOINT, Board, Card, card_of
 from mcspectra.app.compute import analyses_of, integrand_specs
 from mcspectra.app.controls import Controls
 from mcspectra.app.figures import FIGURES
@@ -28,6 +28,7 @@ from mcspectra.core.display import escape_html
 from mcspectra.core.errors import McspectraError
 from mcspectra.core.options import options_of
 from mcspectra.core.spec import parse
+from mcspectra.plots.kinds import describe
 from mcspectra.plots.text import number, rate
 from mcspectra.report.study import study_toml
 from mcspectra.report.tables import summary_table
@@ -55,6 +56,7 @@ td, th { padding: 2px 16px 2px 0; text-align: left; }
 """
 _GRID = ":host {{ display: grid !important; gap: 14px; grid-template-columns: {columns}; }}"
 _SPAN = ":host > .wide { grid-column: 1 / -1; }"
+_JOINED = ":host > .joint { grid-column: 1 / -1; max-width: 760px; }"
 _ALONE = "repeat(auto-fit, minmax(min(100%, 380px), 1fr))"
 _ABREAST = "repeat(2, minmax(0, 1fr))"
 _NARROW = (
@@ -90,6 +92,7 @@ class Explorer:
         self._sheet = InlineStyleSheet(css=_WIDGETS)
         self._boards: dict[str, Board] = {}
         self._controls: dict[str, Controls] = {}
+        self._both: Card | None = None  # The curves of A and B in one plot
 
         def block(**options: Any) -> Any:
             return Div(
@@ -189,14 +192,33 @@ class Explorer:
         self._grid.stylesheets = [
             _GRID.format(columns=columns),
             _NARROW,
-            _SPAN if len(boards) == 1 else "",
+            _SPAN if len(boards) == 1 else _JOINED,
         ]
         kinds = [kind for kind in FIGURES if any(kind in board.cards for board in boards)]
-        self._grid.children = [
+        if self._both is not None:
+            kinds = [kind for kind in kinds if kind != "convergence"]
+        children = [
             board.cards[kind].layout if kind in board.cards else Spacer()
             for kind in kinds
             for board in boards
         ]
+        joint = [] if self._both is None else [self._both.layout]
+        self._grid.children = [*joint, *children]
+
+    def _draw_both(self) -> bool:
+        """Draw the curves of A and B in one plot; return True if the plot appeared or vanished."""
+        curves = {
+            f"{side}: {setup.displaced_sampler}": curve
+            for side, setup in self.state.setups()
+            if (curve := self._boards[side].latest.get("convergence")) is not None
+        }
+        before = self._both
+        if len(curves) < 2:  # Keep the figure while a set-up is computed again
+            if self.state.b is None:
+                self._both = None
+            return self._both is not before
+        self._both = card_of(describe("convergence", curves), JOINT, before, self._sheet)
+        return self._both is not before
 
     def _later(self, act: Any) -> None:
         """Schedule `act` in the session's thread with the document's lock; any thread may call."""
@@ -254,7 +276,7 @@ class Explorer:
 
     def _shown(self, moved: bool) -> None:
         """Update the table of results, and lay out figures again if some were added or removed."""
-        if moved:
+        if self._draw_both() or moved:
             self._lay_out()
         rows = [_row(side, setup, self._boards[side]) for side, setup in self.state.setups()]
         head = "".join(

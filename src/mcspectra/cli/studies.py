@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import sys
 from collections.abc import Sequence
@@ -93,7 +94,7 @@ def run_(options: argparse.Namespace) -> VerbOutput:
     """
     import msgspec
 
-    from mcspectra.core.errors import MissingDependency, MissingPackageWarning, warn
+    from mcspectra.core.errors import MissingDependency, MissingPackageWarning, StoreError, warn
     from mcspectra.core.parallel import available_workers
     from mcspectra.core.trust import process_trust
     from mcspectra.report import write_report
@@ -162,6 +163,15 @@ def run_(options: argparse.Namespace) -> VerbOutput:
     except CellFailed as error:
         code = 1
         print(f"mcspectra: {error}", file=sys.stderr)
+    except KeyboardInterrupt as stop:
+        # Show the finished cells, unless the user interrupts again
+        said = [str(each) for each in stop.args]
+        told = "mcspectra: writing the report of finished work; interrupt again to stop at once"
+        with contextlib.suppress(StoreError):
+            if reported and results.result_paths(target):
+                print(told, file=sys.stderr, flush=True)
+                said.append(f"the report of finished work is {printable(write_report(target))}")
+        raise KeyboardInterrupt(*said) from None
     stored = len(results.result_paths(target))
     if stored > results.MOST_STORED:
         text = (

@@ -185,6 +185,9 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         ``stream_key`` holds the key of the stream, and names of options hold their values.
     companions
         Further analyses that a study computes for the same table, such as points for a spectrum.
+    pictured
+        Whether the first screen of a report shows the analysis.
+        A study computes such analyses first, so that an interrupted study has a report.
     """
 
     function: ClassVar[str] = ""
@@ -195,6 +198,7 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     variables: ClassVar[tuple[str | Variable, ...]] = ()
     provenance: ClassVar[tuple[str, ...]] = ()
     companions: ClassVar[tuple[str, ...]] = ()
+    pictured: ClassVar[bool] = False
 
     def need(self, subject: Subject) -> Need:  # noqa: ARG002
         """Return the cost and memory of the analysis of a subject, and reject impossible requests.

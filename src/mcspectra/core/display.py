@@ -28,6 +28,7 @@ __all__ = [
     "escape_html",
     "html_of",
     "needed",
+    "plot_of",
     "printable",
     "register_accessor",
     "shown",
@@ -45,6 +46,7 @@ QUOTED = 80
 
 _PICTURES = "mcspectra.report.reprs"
 _RESULTS = "mcspectra.report.accessor"
+_PLOTS = "mcspectra.plots.components"
 
 
 def printable(given: object, most: int | None = None, *, lines: bool = False) -> str:
@@ -152,6 +154,11 @@ def html_of(component: object) -> str | None:
     except Exception:  # noqa: BLE001 - external components may raise anything
         return None
     return html
+
+
+def plot_of(component: object, kind: str | None, **options: Any) -> Any:
+    """Draw a component; see `mcspectra.plots.components`."""
+    return importlib.import_module(_PLOTS).plot(component, kind, **options)
 
 
 @functools.cache

@@ -108,6 +108,7 @@ eigenvalue_share | f | 1 | mode | eigenvalue / trace
 diaphony | f | 1 | any | diaphony, spectrum weighted by 1/Π max(1, m²)
 effective_dimension_superposition | f | 1 | | least size of subsets with 99 % of the variance
 effective_dimension_truncation | f | 1 | | least number of first axes with 99 % of the variance
+estimate | f | f | any | estimates, one for each realization
 elementary_intervals | f | 1 | any | whether all elementary intervals hold their share (1: yes)
 energy_share | f | 1 | method? n? | part of ∫f² that is counted term by term
 exact_variance | f | f² | n | exact variance
@@ -200,8 +201,11 @@ variance | f | f² | strategy? n? y? x? | variance of the estimate (ddof = 1)
 variance_ratio | f | 1 | any | variance / variance of the estimate as given
 variance_relative_se | f | 1 | strategy? n? y? x? | standard error of the variance / variance
 wedge_power | f | 1 | angle | expected power, mean over a wedge of directions
+density_value | f | 1 | any | density p(x) at the centers of cells
 distortion | f | 1 | any | diameter of a small square's image / that of a square of its area
 face_jump | f | f | any | jump of g from a side of the square to the opposite one
+integrand_power | f | f² | technique? m | |f_m|², power of the integrand
+integrand_value | f | f | any | integrand f(x), or g(u) without a domain, at the centers of cells
 jump | f | 1 | any | jump of the warp to the next cell
 jump_length | f | 1 | any | length of the curves where the warp jumps
 max_stretch | f | 1 | any | largest ratio of singular values of the warp's derivative
@@ -215,6 +219,8 @@ primary_pole | f | 1 | any | whether g is unbounded (1: yes)
 primary_value | f | f | any | primary-space integrand g(u) = f(T(u)) / p(T(u))
 reciprocal_unbounded | f | 1 | any | whether 1/p is unbounded (1: yes)
 reflected_radiance | f | W/(m² sr²) | any | radiance reflected to the camera, per solid angle
+sliding_variance | f | f² | any | variance of jittered points if all strata are moved along axis 0
+stratum_variance | f | f² | any | part of the variance of jittered points from each stratum
 stretch | f | 1 | any | ratio of singular values of the warp's derivative
 warped | f | 1 | any | warp T at the centers of cells
 worst_projected_diaphony | f | 1 | any | largest diaphony of the 2-D projections

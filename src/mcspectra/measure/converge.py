@@ -133,6 +133,7 @@ class Convergence(Counted, frozen=True, kw_only=True):
 
     function = "convergence"
     verb = "converge"
+    pictured = True
     several = ("estimator", "sampler")
     variables = tuple(_DIMS)
 

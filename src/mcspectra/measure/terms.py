@@ -66,6 +66,7 @@ class Terms(Counted, frozen=True, kw_only=True):
 
     function = "variance_terms"
     verb = "variance"
+    pictured = True
     several = ("sampler",)
     split = "terms"
     variables = (
@@ -73,7 +74,8 @@ class Terms(Counted, frozen=True, kw_only=True):
         *(f"{name}{part}" for name in _WITH_ERROR for part in ("", "_se")),
         *(f"{name}{part}" for name in ("predicted_variance", "measured_variance", "captured")
           for part in ("", "_ci")),
-        *("mean", "mean_se", "power_contribution", "truncated_variance", "captured_by_half_width"),
+        *("mean", "mean_se", "power_contribution", "integrand_power",
+          "truncated_variance", "captured_by_half_width"),
         *("energy_share", "tail_term"),
     )  # fmt: skip
     provenance = ("estimator", "sampler", "n", "realizations", "eps", "stream_key")
@@ -412,6 +414,7 @@ def _variables(total: TermSums, view: View, partition: Partition) -> Variables:
         ("contribution", sums.contribution(partition)),
         ("contribution_se", batches.contribution.error()),
         ("power_contribution", diagonal),
+        ("integrand_power", np.abs(f) ** 2),
     ):
         variables[name] = maps, basis.full(values.reshape(shape))
     variables["band_covariance"] = pairs, sums.band_m2 / degrees

@@ -63,8 +63,9 @@ GivenAxes: TypeAlias = "Axes | Iterable[Axes] | np.ndarray[Any, Any] | None"
 FORMATS = (".svg", ".png", ".pdf", ".pgf")
 """Extensions of files that `write` accepts."""
 
-# Figure widths in inches: for one or two columns of panels, and for more columns or wide plots
-_NARROW, _WIDE = 4.9, 7.4
+# Figure widths in inches: for small pictures, for one or two columns of panels,
+# and for more columns or wide plots
+_TINY, _NARROW, _WIDE = 2.35, 4.9, 7.4
 # Inches: smallest side of a panel among several panels, and largest side of a square panel
 _LEAST_SIDE, _LARGEST_SQUARE = 2.3, 3.4
 _LABEL, _SMALL = 8.5, 7.5  # font sizes in points
@@ -336,6 +337,7 @@ def _new_figure(plot: Plot, pyplot: bool) -> tuple[Figure, list[Axes]]:
     count, columns = len(plot.panels), min(plot.columns, len(plot.panels))
     rows = math.ceil(count / columns)
     width = max(_WIDE, _LEAST_SIDE * columns) if plot.wide or columns > 2 else _NARROW
+    width = _TINY if plot.small else width
     bar = any(scale.label and scale.kind != "names" for p in plot.panels for scale in p.scales)
     labelled = 1 if plot.share in ("y", "both") else columns
     side = (width - 0.85 * bar - 0.5 * labelled) / columns
@@ -687,10 +689,11 @@ def _handle(marks: list[Mark | str]) -> Any:
     if not lines and not dots:
         opacity = first.opacity if isinstance(first, BarChart) else 1.0
         return Patch(facecolor=color, alpha=opacity, linewidth=0)
+    stroke = bool(dots) and dots[0].marker == "|"  # a stroke has an edge but no area
     return Line2D(
         [], [], color=color, ls=getattr(lines[0], "dashes", "-") if lines else "none",
-        lw=lines[0].width if lines else 0.0, marker=dots[0].marker if dots else "none", ms=4,
-        markeredgewidth=0,
+        lw=lines[0].width if lines else 0.0, marker=dots[0].marker if dots else "none",
+        ms=8 if stroke else 4, markeredgewidth=1.2 if stroke else 0,
     )  # fmt: skip
 
 

@@ -337,6 +337,8 @@ class Plot:
         Axes that all panels share: they zoom together, and inner labels are omitted.
     wide
         Whether the figure takes the full width of a page.
+    small
+        Whether the figure is one of a row of small pictures. It keeps the size of its texts.
     """
 
     panels: tuple[Panel, ...]
@@ -348,6 +350,7 @@ class Plot:
     rows: tuple[float, ...] = ()
     share: Literal["", "x", "y", "both"] = ""
     wide: bool = False
+    small: bool = False
 
     @property
     def labels(self) -> tuple[str, ...]:

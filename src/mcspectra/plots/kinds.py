@@ -166,6 +166,7 @@ PLOT_KINDS: Mapping[str, PlotKind] = {
     ),
     "captured": PlotKind(variance.captured, ("captured_by_half_width",)),
     "contributions": PlotKind(spectra.contributions, ("contribution", "power_contribution")),
+    "product": PlotKind(spectra.product, ("integrand_power", "power_contribution")),
     "bands": PlotKind(spectra.bands, ("band_covariance",)),
     "spectrum": PlotKind(spectra.spectrum, ("power",), 2),
     "lines": PlotKind(spectra.lines, ("power",), 1),
@@ -174,6 +175,7 @@ PLOT_KINDS: Mapping[str, PlotKind] = {
         spectra.pair_correlation, ("pair_correlation", "pair_correlation_ci")
     ),
     "points": PlotKind(points.points, ("points", "axis")),
+    "integrand": PlotKind(points.integrand, ("points", "integrand_value")),
     "remedies": PlotKind(variance.remedies, ("remedy", "error_ratio", "error_ratio_ci", "verdict")),
     "techniques": PlotKind(variance.techniques, ("technique_covariance", "technique_variance_ci")),
     "technique-rates": PlotKind(
@@ -188,6 +190,8 @@ PLOT_KINDS: Mapping[str, PlotKind] = {
         spectra.modes, ("eigenvalue", "eigenvalue_se", "eigenvalue_share", "mode_vector")
     ),
     "chains": PlotKind(spectra.chains, ("error_share", "chain_spectrum", "fitted_spectrum")),
+    "strata": PlotKind(points.strata, ("stratum_variance", "sliding_variance")),
+    "estimates": PlotKind(variance.estimates, ("estimate",)),
     "warp": PlotKind(warps.warp, ("warped", "stretch", "jump")),
     "primary": PlotKind(warps.primary, ("primary_value", "primary_jump", "face_jump")),
     **{

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,7 +11,9 @@ from mcspectra.core.checks import Array, as_unit_points
 from mcspectra.core.errors import ParameterError
 from mcspectra.plots.description import (
     Axis,
+    BarChart,
     Dots,
+    Heatmap,
     Line,
     Mark,
     Panel,
@@ -20,16 +23,25 @@ from mcspectra.plots.description import (
     Segments,
 )
 from mcspectra.plots.groups import Group, Styles, abreast, numbers
-from mcspectra.plots.scales import log_axis, name_axis, unit_axis, unit_panel
+from mcspectra.plots.scales import (
+    linear_axis,
+    log_axis,
+    name_axis,
+    scaled_axis,
+    unit_axis,
+    unit_panel,
+)
 from mcspectra.plots.spectra import frequency_map, relative_power
-from mcspectra.plots.style import ACCENT, FAINT, INK, PALETTE, labels
+from mcspectra.plots.style import ACCENT, FAINT, GRAY, INK, PALETTE, PAPER, labels
 from mcspectra.plots.text import SUBSCRIPTS
 
-__all__ = ["point_sets", "points", "sampler_card"]
+__all__ = ["integrand", "point_sets", "points", "sampler_card", "strata"]
 
 _MOST_NAMED = 2**14  # largest number of points with tooltips
 _MOST_STRATA = 64  # largest number of strata whose borders are drawn in a strip
 _MOST_SETS, _MOST_AXES, _MOST_POINTS = 6, 6, 2**20  # limits for `point_sets`
+_TICK_ROW = 0.09  # height of a row of ticks below the curves, as a fraction of their height
+_RING = 1.6  # additional diameter in points of the light rings around dots on a map
 _SECTIONS = {"axis 0": (1, 0), "axis 1": (0, 1), "diagonal": (1, 1)}
 
 
@@ -63,6 +75,122 @@ def points(group: Group, styles: Styles) -> Plot:
         words=f"Point sets of {n} points for {', '.join(group)}.",
         height=0.08 + 0.1 * len(group) if sizes == {1} else 1.0,
         share="both",
+    )
+
+
+def integrand(group: Group, styles: Styles) -> Plot:
+    """Plot f and p with the points of each sampler: curves in 1-D, maps in more dims."""
+    each = next(iter(group.values()))
+    values = each["integrand_value"].values
+    density = each["density_value"].values if "density_value" in each else None
+    dims, n = each.sizes["axis"], max(d.sizes["point"] for d in group.values())
+    f = str(each.attrs.get("function", "f"))  # a plot of a density shows p itself
+    what = f"The {'density' if f == 'p' else 'integrand'} {f}"
+    if n:
+        what += f" with n = {n} points of each sampler"
+    if values.ndim == 1:
+        panels = [_curves(group, styles, values, density, f)]
+        caption = f"{what}{' as ticks' if n else ''}."
+        if density is not None:
+            caption += " The density p is scaled to the mean of f."
+    else:
+        finite = values[np.isfinite(values)]
+        low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
+        shades = {"f": Scale(label=f, low=low, high=high if high > low else low + 1.0)}
+        maps = {"f": values}
+        if density is not None:
+            shades["p"] = Scale(label="p", high=float(density.max()))
+            maps["p"] = density
+        shades = {key: replace(scale, palette="paper") for key, scale in shades.items()}
+        shown = [("f", name) for name in group] + [("p", name) for name in list(group)[:1]]
+        panels = []
+        for key, name in shown[: len(group) + (density is not None)]:
+            centers = [each[f"x{axis}"].values for axis in (0, 1)]
+            shade = Heatmap(
+                values=maps[key].T, x=centers[0], y=centers[1], scale=shades[key], name=key
+            )
+            at = group[name]["points"].values
+            square = unit_panel((), name) if not n else _square(at, styles[name].color, title=name)
+            title = name if key == "f" and len(group) > 1 else f"{key if key == 'p' else f}"
+            title += f" and {name}" if n and title != name else ""
+            # Draw a light ring around each dot, since a dark dot is not visible on a dark cell
+            dots = [mark for mark in square.marks if isinstance(mark, Dots)]
+            rings = [replace(m, color=PAPER, size=m.size + _RING, hover={}) for m in dots]
+            panels.append(replace(square, marks=(shade, *rings, *dots), title=title))
+        caption = f"{what}."
+        caption += " Last: the density p with the same points." if density is not None else ""
+        if dims > 2:
+            caption += f" The map is the section through the center of {dims} dims."
+    return Plot(
+        panels=tuple(panels),
+        columns=abreast(len(panels)),
+        caption=caption,
+        words=f"Integrand between {values.min():.3g} and {values.max():.3g}, "
+        f"with points of {', '.join(group)}.",
+        height=0.62 if values.ndim == 1 else 1.0,
+    )
+
+
+def strata(group: Group, _: Styles) -> Plot:
+    """Plot the strata over f with their parts of the variance, and the variance as they slide."""
+    panels = []
+    for name, each in group.items():
+        values, parts = each["integrand_value"].values, each["stratum_variance"].values
+        share = parts / (parts.max() or 1.0)
+        border = np.linspace(0.0, 1.0, len(parts) + 1)
+        if values.ndim == 1:
+            low, high = float(min(values.min(), 0.0)), float(values.max())
+            middle = 0.5 * (border[:-1] + border[1:])
+            bars = BarChart(
+                at=middle, value=low + (high - low) * share, base=low, thickness=1.0 / len(parts),
+                color=ACCENT, opacity=0.3, label="part of the variance",
+                hover={"variance": numbers(parts)},
+            )  # fmt: skip
+            sides = np.stack(
+                [np.stack([border, border], 1), np.tile([low, high], (len(border), 1))], 2
+            )
+            lines = Segments(ends=sides, color=FAINT, width=0.7)
+            curve = Line(x=each["x0"].values, y=values, color=INK, label="f")
+            panel = Panel(
+                marks=(bars, lines, curve), x=unit_axis("x"), y=linear_axis("f(x)", low, high, 5),
+                title=name,
+            )  # fmt: skip
+        else:
+            at = 0.5 * (border[:-1] + border[1:])
+            part = parts / (parts.sum() or 1.0)
+            top = float(part.max()) or 1.0
+            scale = Scale(label="share of the variance", high=top, palette="paper")
+            cells = Heatmap(values=part.T, x=at, y=at, scale=scale, name="share")
+            torn = np.stack([border, border], 1)
+            ends = np.tile([0.0, 1.0], (len(border), 1))
+            grid = [np.stack(pair, 2) for pair in ((torn, ends), (ends, torn))]
+            lines = Segments(ends=np.concatenate(grid), color=FAINT, width=0.5)
+            panel = unit_panel([cells, lines], name)
+        slide, variance = each["offset"].values, each["sliding_variance"].values
+        moved = Panel(
+            marks=(
+                Line(x=slide, y=variance, color=PALETTE[0], hover={"variance": numbers(variance)}),
+            ),
+            x=Axis(label="offset of the strata / width", low=0.0, high=1.0),
+            y=scaled_axis("variance", 0.0, float(variance.max()) or 1.0, 4),
+            title="as the strata slide",
+            grid=True,
+        )
+        panels += [panel, moved]
+    return Plot(
+        panels=tuple(panels),
+        columns=2,
+        caption="Jittered strata over f: only strata in which f varies cause variance. "
+        "Right: the variance if all strata slide along axis 0 by a fraction of their width.",
+        words="Variance of strata. "
+        + "; ".join(
+            f"{name}: from {d['sliding_variance'].values.min():.3g} to "
+            f"{d['sliding_variance'].values.max():.3g} as the strata slide"
+            for name, d in group.items()
+        )
+        + ".",
+        height=0.8,
+        wide=True,
     )
 
 
@@ -190,6 +318,39 @@ def sampler_card(group: Group, projected: Array | None = None) -> Plot:
         height=1.0,
         wide=True,
     )
+
+
+def _curves(group: Group, styles: Styles, values: Array, density: Array | None, f: str) -> Panel:
+    """Return a panel of f and the scaled p over x, with a row of ticks for each sampler."""
+    x = next(iter(group.values()))["x0"].values
+    marks: list[Mark] = [Line(x=x, y=values, color=INK, label=f, hover={f: numbers(values)})]
+    every = [values[np.isfinite(values)], np.zeros(1)]
+    if density is not None:
+        scaled = density * float(np.mean(values))
+        hover = {"p": numbers(density)}
+        marks.append(
+            Line(x=x, y=scaled, color=GRAY, dashes="--", label="p · mean of f", hover=hover)
+        )
+        every.append(scaled)
+    low, high = (float(end(np.concatenate(every))) for end in (np.min, np.max))
+    step, short = _TICK_ROW * ((high - low) or 1.0), labels(list(group), 26)
+    group = {name: each for name, each in group.items() if each.sizes["point"]}
+    for row, (name, each) in enumerate(group.items()):
+        at = each["points"].values[:, 0]
+        marks.append(
+            Dots(
+                x=at,
+                y=np.full(len(at), low - (row + 1) * step),
+                color=styles[name].color,
+                marker="|",
+                size=9.0,
+                label=short[name],
+                hover={"sampler": [name] * len(at), "x": numbers(at)},
+            )
+        )
+    bottom = low - (len(group) + 0.8 * bool(group)) * step
+    axis = linear_axis(f"{f}(x)", low, high, 5)
+    return Panel(marks=tuple(marks), x=unit_axis("x"), y=replace(axis, low=bottom))
 
 
 def _square(

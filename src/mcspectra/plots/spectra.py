@@ -40,7 +40,7 @@ from mcspectra.plots.groups import (
 )
 from mcspectra.plots.scales import log_axis, signed_axis, signed_scale, tick_label, whole_ticks
 from mcspectra.plots.style import FAINT, GRAY, INK, labels, sampler_styles
-from mcspectra.plots.text import number, percent
+from mcspectra.plots.text import NEGLIGIBLE, number, percent
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -54,6 +54,7 @@ __all__ = [
     "lines",
     "modes",
     "pair_correlation",
+    "product",
     "radial",
     "relative_power",
     "spectrum",
@@ -219,6 +220,85 @@ def contributions(group: Group, styles: Styles) -> Plot:
         height=1.0 if dims == 2 else 0.75 if len(panels) > 1 else 0.5,
         share=shared(panels),
     )
+
+
+def product(group: Group, styles: Styles) -> Plot:
+    """Plot the power of f, the power of the samples and their product by length of frequency.
+
+    Each value stands for a shell of |m|. The power of f is summed over the shell.
+    The power of the samples is averaged with these weights, so the product is exact.
+    """
+    f, s, both, notes = {}, {}, {}, {}
+    for name, each in group.items():
+        lengths, of_f, products = _shells(each)
+        f[name] = lengths, of_f
+        with np.errstate(divide="ignore", invalid="ignore"):
+            s[name] = lengths, _points(each) * np.where(of_f > 0, products / of_f, np.nan)
+        both[name] = lengths, products
+        notes[name] = f": sum {number(float(products.sum()), 3)}"
+    first = next(iter(group))
+    curve = Line(
+        x=f[first][0], y=_above(f[first][1], f[first][1]), color=INK, width=1.2,
+        hover={"|m|": numbers(f[first][0]), "P_f": numbers(f[first][1])},
+    )  # fmt: skip
+    label = "|m|"
+    low, high = float(f[first][0][0]), float(f[first][0][-1])
+    x = Axis(label=label, low=low - 0.5, high=high + 0.5, ticks=whole_ticks(low, high))
+    panels = [
+        Panel(
+            marks=(curve,), x=x, y=_log_axis_of("", [curve.y]), grid=True,
+            title="P_f (integrand)",
+        )
+    ]  # fmt: skip
+    for title, curves, said in (
+        ("n · P_S (samples)", s, None),
+        ("P_S · P_f", both, notes),
+    ):
+        top = np.concatenate([y for _, y in curves.values()])
+        shown = {name: (at, _above(y, top)) for name, (at, y) in curves.items()}
+        own = lines_of(shown, styles, (label, "value"), notes=said)
+        marks: list[Mark] = list(own)
+        if said is None:  # the legend has each sampler once
+            marks = [ReferenceLine(at=1.0), *(replace(line, label="") for line in own)]
+        axis = _log_axis_of("", [y for _, y in shown.values()])
+        panels.append(Panel(marks=tuple(marks), x=x, y=axis, title=title, grid=True))
+    return Plot(
+        panels=tuple(panels),
+        columns=3,
+        caption="The power of f times the power of the samples, by the length of the frequency. "
+        "The sum of the products is the power term of the variance. A dip of one power removes a "
+        "peak of the other.",
+        words="Power of f, power of samples and their product. "
+        + for_each(group, lambda d: f"products sum to {number(float(_shells(d)[2].sum()), 4)}"),
+        height=0.9,
+        wide=True,
+    )
+
+
+def _shells(data: xr.Dataset) -> tuple[Array, Array, Array]:
+    """Return lengths |m| ≥ 1, |f_m|² and |f_m|² C_mm, both summed over shells and techniques."""
+    dims = frequency_dims(data)
+    kept = [d for d in ("technique",) if d in data.dims]
+    grid = np.meshgrid(*[data[d].values.astype(float) for d in dims], indexing="ij")
+    shell = np.rint(np.sqrt(sum(np.square(m) for m in grid))).astype(np.int64).ravel()
+    last = int(max(data[dims[0]].values)) + 1  # the corners of the grid are incomplete shells
+    found = [
+        np.bincount(shell, data[name].sum(kept).transpose(*dims).values.ravel())[1:last]
+        for name in ("integrand_power", "power_contribution")
+    ]
+    return np.arange(1.0, last), found[0], found[1]
+
+
+def _above(values: Array, every: Array) -> Array:
+    """Return values for a logarithmic axis: NaN if they are rounding errors of the largest."""
+    top = float(np.max(every, where=np.isfinite(every), initial=0.0))
+    return np.where(values > NEGLIGIBLE * top, values, np.nan)
+
+
+def _log_axis_of(label: str, curves: Sequence[Array]) -> Axis:
+    every = np.concatenate(list(curves))
+    every = every[np.isfinite(every) & (every > 0)]
+    return log_axis(label, float(every.min(initial=1.0)), float(every.max(initial=0.0)), 5)
 
 
 def bands(group: Group, _: Styles) -> Plot:

@@ -21,6 +21,7 @@ from mcspectra.plots.description import (
     Plot,
     ReferenceLine,
     Segments,
+    TextMark,
 )
 from mcspectra.plots.groups import (
     Group,
@@ -59,6 +60,8 @@ __all__ = [
     "anova",
     "captured",
     "convergence",
+    "estimates",
+    "overlaid",
     "prediction",
     "remedies",
     "task_curves",
@@ -80,12 +83,16 @@ _PARTS = 3  # number of terms (dc, power and cross) that are drawn before their 
 _LEAST_SHOWN = 1e-3  # smallest lower end of an interval that is drawn, as a fraction of the value
 _WIDE = 1.25  # intervals of a planned n are shown if their ends differ by more than this factor
 _LINEAR_TOP = 4.0  # largest captured share that is shown on a linear axis
+# Height of a line of text and width of a letter, as fractions of the panel of a figure of one panel
+_TEXT_LINE, _TEXT_LETTER = 0.06, 0.018
+_MOST_BINS = 60  # largest number of bars of a histogram; narrower bars are not visible
+_SMALLER = 2.1  # how many times smaller the panel of a small picture is
 _VERDICTS = {"better": "#009E73", "worse": ACCENT, "given": INK}
 _CURVE = ("variance", "variance_ci", "rate", "rate_ci")
 _PREDICTED = ("predicted_variance", "predicted_variance_ci")
 
 
-def convergence(group: Group, styles: Styles) -> Plot:
+def convergence(group: Group, styles: Styles, *, small: bool = False) -> Plot:
     """Plot variance against n with intervals, fitted lines, rates and a dotted line n⁻¹.
 
     Variances that are not finite, zero or rounding noise are omitted and counted in the legend.
@@ -97,25 +104,7 @@ def convergence(group: Group, styles: Styles) -> Plot:
     ]
     predicted = {name: each for name, each in group.items() if "predicted_variance" in each}
     for name, each in predicted.items():
-        used = usable_counts(each)
-        n, value, ends = (each[key].values[used] for key in ("n", *_PREDICTED))
-        curves.append(
-            Dots(
-                x=n.astype(float),
-                y=value,
-                color=INK,
-                marker="X",
-                low=np.maximum(ends[:, 0], value * _LEAST_SHOWN),
-                high=ends[:, 1],
-                label="predicted",
-                hover={
-                    "sampler": [names[name]] * n.size,
-                    "n": [f"{int(count)}" for count in n],
-                    "predicted": numbers(value, 6),
-                    "95 %": intervals(ends),
-                },
-            )
-        )
+        curves += _prediction_marks(each, styles[name], names[name])
     # Draw the rate n⁻¹ through the largest variance at the smallest n
     starts = [
         float(d["n"].values[i]) * float(d["variance"].values[i])
@@ -128,15 +117,20 @@ def convergence(group: Group, styles: Styles) -> Plot:
         y = max(starts) / at
         curves.insert(0, Line(x=at, y=y, color=GRAY, dashes=":", width=0.8, label=label))
     left_out = any(not usable_counts(each).all() for each in group.values())
+    panel = _variance_panel(curves, group.values())
     return Plot(
-        panels=(_variance_panel(curves, group.values()),),
+        panels=(_with_slopes(panel, group, styles, small=small),),
         caption="Variance against the number of points, with 95 % intervals"
         + (
             ", fitted lines and rates. The dotted line has the rate of random sampling."
             if any(isinstance(mark, Line) for mark in curves)
             else "."
         )
-        + (" Crosses are predictions with 95 % intervals." if predicted else "")
+        + (
+            " Crosses are predictions with 95 % intervals; dash-dotted lines have theory's slope."
+            if predicted
+            else ""
+        )
         + (
             " Variances that are not finite, zero or at rounding level are omitted."
             if left_out
@@ -144,6 +138,25 @@ def convergence(group: Group, styles: Styles) -> Plot:
         ),
         words="Logarithmic plot of variance against n. " + for_each(group, _rate_words),
     )
+
+
+def overlaid(measured: Group, predicted: Group) -> dict[str, xr.Dataset]:
+    """Return results of `convergence` with the predictions of the same samplers.
+
+    The plot ``convergence`` shows these predictions with theory's slope on the same axes.
+    The counts of both results may differ. If there are several methods, the first is used that
+    has a value at the largest n; it is the most trusted one.
+    """
+    both = dict(measured)
+    for name in set(measured) & set(predicted):
+        each = predicted[name]
+        if "method" in each.dims:
+            there = each["predicted_variance"].isel(n=-1).notnull().values
+            each = each.isel(method=int(np.argmax(there)))
+        kept = [key for key in ("limit_rate", *_PREDICTED) if key in each]
+        each = each[kept].drop_vars(["method", "how"], errors="ignore")
+        both[name] = both[name].assign(each.rename(n="predicted_n"))
+    return both
 
 
 def task_curves(
@@ -555,6 +568,57 @@ def remedies(group: Group, _: Styles) -> Plot:
     )
 
 
+def estimates(group: Group, styles: Styles) -> Plot:
+    """Plot a histogram of estimates with the normal curve of the same mean and variance."""
+    panels, every = [], np.concatenate([each["estimate"].values for each in group.values()])
+    every = every[np.isfinite(every)]
+    low, high = float(every.min()), float(every.max())
+    # A bar per value if the estimates have few values, as those of a step have
+    auto = np.histogram_bin_edges(every, bins="auto")
+    width = max((high - low) / _MOST_BINS, float(auto[1] - auto[0]))
+    gaps = np.diff(np.unique(every))
+    width = max(width, float(gaps[gaps > NEGLIGIBLE * (high - low)].min(initial=high - low)))
+    edges = low - 0.5 * width + width * np.arange(math.floor((high - low) / width + 0.5) + 2)
+    middle, width = 0.5 * (edges[:-1] + edges[1:]), float(edges[1] - edges[0])
+    at, said = np.linspace(edges[0], edges[-1], 200), []
+    for name, each in group.items():
+        values = each["estimate"].values
+        mean, deviation = float(values.mean()), float(values.std(ddof=1))
+        share = np.histogram(values, edges)[0] / values.size
+        hover = {"estimate": numbers(middle), "share": [percent(float(v)) for v in share]}
+        marks: list[Mark] = [
+            BarChart(
+                at=middle, value=share, thickness=0.95 * width, color=styles[name].color,
+                opacity=0.55, hover=hover,
+            )
+        ]  # fmt: skip
+        if deviation > 0.0:
+            density = np.exp(-0.5 * ((at - mean) / deviation) ** 2) / (
+                deviation * math.sqrt(2.0 * math.pi)
+            )
+            marks.append(Line(x=at, y=width * density, color=INK, width=1.2, label="normal curve"))
+        if (known := each.attrs.get("integral")) is not None:
+            marks.append(ReferenceLine(at=float(known), axis="x", dashes="--", label="integral"))
+        said.append(f"{name}: mean {number(mean, 5)}, standard deviation {number(deviation, 3)}")
+        panels.append(
+            Panel(
+                marks=tuple(marks),
+                x=linear_axis("estimate", float(edges[0]), float(edges[-1]), 4),
+                y=Axis(label="share", low=0.0),
+                title=f"{name}, σ = {number(deviation, 3)}",
+            )
+        )
+    return Plot(
+        panels=tuple(panels),
+        columns=abreast(len(panels)),
+        caption=f"Histogram of {every.size // len(group)} estimates, with the normal curve of the "
+        "same mean and variance.",
+        words=f"Histograms of estimates. {'; '.join(said)}.",
+        height=0.7,
+        share="x",
+    )
+
+
 def usable_counts(curve: xr.Dataset) -> Array:
     """Return a mask (n,) of the counts whose variance is above rounding noise.
 
@@ -609,6 +673,10 @@ def _variance_panel(marks: Sequence[Mark], results: Iterable[xr.Dataset]) -> Pan
     counts = [int(n) for data in each for n in data["n"].values]
     ends = [data["variance_ci"].values[usable_counts(data)].ravel() for data in each]
     every = np.concatenate(ends)
+    for data in each:
+        if "predicted_n" in data:
+            counts += data["predicted_n"].values.astype(int).tolist()
+            every = np.append(every, data["predicted_variance"].values)
     every = every[np.isfinite(every) & (every > 0)]
     axis = log_axis("variance", *_ends(every))
     finite = any(np.isfinite(data["variance"].values).any() for data in each)
@@ -689,6 +757,78 @@ def _curve(data: xr.Dataset, style: LineStyle, name: str, *, joined: bool = Fals
         ),
         dots,
     ]
+
+
+def _prediction_marks(data: xr.Dataset, style: LineStyle, name: str) -> list[Mark]:
+    """Return crosses at the predictions, and a line with the slope that theory has at large n."""
+    n, value = (data[key].values.astype(float) for key in ("predicted_n", "predicted_variance"))
+    there = np.isfinite(value) & (value > 0)
+    n, value, ends = n[there], value[there], data["predicted_variance_ci"].values[there]
+    if not n.size:
+        return []
+    crosses = Dots(
+        x=n,
+        y=value,
+        color=INK,
+        marker="X",
+        low=np.maximum(ends[:, 0], value * _LEAST_SHOWN),
+        high=ends[:, 1],
+        label="predicted",
+        hover={
+            "sampler": [name] * n.size,
+            "n": [f"{int(count)}" for count in n],
+            "predicted": numbers(value, 6),
+            "95 %": intervals(ends),
+        },
+    )
+    slope = float(data.get("limit_rate", math.nan))
+    if n.size < 2 or not math.isfinite(slope):
+        return [crosses]
+    theory = Line(
+        x=n,
+        y=value[-1] * (n / n[-1]) ** slope,
+        color=style.color,
+        dashes="-.",
+        width=0.8,
+        label="theory's slope",
+    )
+    return [theory, crosses]
+
+
+def _with_slopes(panel: Panel, group: Group, styles: Styles, *, small: bool) -> Panel:
+    """Return a panel of curves with their slopes at the right ends, and with theory's slopes."""
+    texts: list[tuple[float, float, str, str]] = []
+    for name, each in group.items():
+        used, slope = np.flatnonzero(usable_counts(each)), float(each["rate"])
+        if not used.size or not math.isfinite(slope):
+            continue
+        text, limit = rate(slope, None, None), float(each.get("limit_rate", math.nan))
+        theory = "" if small else "theory "
+        text += f" ({theory}{rate(limit, None, None)})" if math.isfinite(limit) else ""
+        last = each.isel(n=used[-1])
+        end = (float(last["n"]), float(last["variance"]))
+        if "predicted_n" in each:
+            n, value = (each[key].values for key in ("predicted_n", "predicted_variance"))
+            there = value > 0
+            end = max([end, *zip(n[there].astype(float), value[there].astype(float), strict=True)])
+        texts.append((*end, text, styles[name].color))
+    low, high = panel.x.low, panel.x.high
+    if not texts or not (low and high and panel.y.low and panel.y.high):
+        return panel
+    # Place the texts from the lowest to the highest, at least one line apart
+    line, letter = ((_SMALLER if small else 1.0) * size for size in (_TEXT_LINE, _TEXT_LETTER))
+    height = math.log(panel.y.high / panel.y.low)
+    below, marks = -math.inf, list(panel.marks)
+    for x, y, text, color in sorted(texts, key=lambda each: each[1]):
+        place = max(math.log(y), below + line * height)
+        below = place
+        marks.append(TextMark(x=x, y=math.exp(place), text=text, color=color))
+    room = letter * max(len(text) for *_, text, _ in texts)
+    top = max(panel.y.high, math.exp(below + 0.5 * line * height))
+    across = high * (high / low) ** (room / (1.0 - room))
+    return replace(
+        panel, marks=tuple(marks), x=replace(panel.x, high=across), y=replace(panel.y, high=top)
+    )
 
 
 def _rate_text(data: xr.Dataset) -> str:

@@ -714,6 +714,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
 
     function = "predict"
     verb = "predict"
+    pictured = True
     several = ("sampler",)
     variables = (
         *("predicted_variance", "predicted_variance_ci", "energy_share", "tail_variance"),

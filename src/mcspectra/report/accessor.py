@@ -17,9 +17,10 @@ from mcspectra.core.display import register_accessor
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.results import VARIABLES
 from mcspectra.plots.backend_matplotlib import GivenAxes, draw, panel_axes
-from mcspectra.plots.groups import along, labelled, method_of, pairs, variant_dims
+from mcspectra.plots.groups import Data, along, as_group, labelled, method_of, pairs, variant_dims
 from mcspectra.plots.kinds import PLOT_KINDS, describe, kinds_of
 from mcspectra.plots.text import interval, number, rate
+from mcspectra.plots.variance import overlaid
 from mcspectra.report.sentences import explain
 from mcspectra.studies.summary import rows_of
 
@@ -45,7 +46,12 @@ class Result:
         return kinds_of(self._data)
 
     def plot(
-        self, kind: str | None = None, *, axes: GivenAxes = None, ax: Axes | None = None
+        self,
+        kind: str | None = None,
+        *,
+        axes: GivenAxes = None,
+        ax: Axes | None = None,
+        overlay: xr.Dataset | None = None,
     ) -> Axes | list[Axes]:
         """Draw the result with Matplotlib. Notebooks show the figure; ``plt.savefig`` writes it.
 
@@ -57,6 +63,9 @@ class Result:
             Matplotlib axes to draw into, one per panel. Default: new axes.
         ax
             Alias of `axes` for a figure of one panel, the name used by pandas and xarray.
+        overlay
+            Result of `predict` for the same samplers. The plot ``convergence`` then shows the
+            predictions and theory's slopes on the same axes.
 
         Returns
         -------
@@ -84,7 +93,16 @@ class Result:
         if axes is not None and ax is not None:
             raise ParameterError("axes and ax are the same; give one of them.")
         axes = ax if axes is None else axes
-        figure = draw(describe(self._chosen(kind), self._data), axes, pyplot=axes is None)
+        chosen = self._chosen(kind)
+        shown: Data = self._data
+        if overlay is not None:
+            if chosen != "convergence" or not PLOT_KINDS["prediction"].fits(overlay):
+                raise ParameterError(
+                    "overlay is a result of predict over the plot 'convergence'; the plot is "
+                    f"{chosen!r}."
+                )
+            shown = overlaid(as_group(shown)[0], as_group(overlay)[0])
+        figure = draw(describe(chosen, shown), axes, pyplot=axes is None)
         given = axes if isinstance(axes, list | tuple) else getattr(axes, "flat", [axes])
         panels: list[Any] = panel_axes(figure) if axes is None else list(given)
         return panels[0] if len(panels) == 1 else panels

@@ -8,23 +8,26 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 
 from mcspectra.core.checks import as_path
+from mcspectra.core.confidence import CONFIDENCE_Z
+from mcspectra.core.display import counted
 from mcspectra.core.errors import ParameterError
 from mcspectra.estimators.moments import Measured
 from mcspectra.plots import kinds
-from mcspectra.plots.text import MISSING, interval, number, rate
+from mcspectra.plots.text import MISSING, interval, number, rate, typeset
 from mcspectra.report import page as html
 from mcspectra.report.study import collect, provenance
 from mcspectra.report.tables import first_channel
 from mcspectra.studies import open_results
 from mcspectra.studies.results import showing
 
-__all__ = ["COMPARISON_NAME", "Difference", "compare_curves", "write_comparison"]
+__all__ = ["COMPARISON_NAME", "Difference", "compare_curves", "verdict", "write_comparison"]
 
 COMPARISON_NAME = "comparison.html"
 
@@ -59,6 +62,62 @@ def compare_curves(first: xr.Dataset, second: xr.Dataset) -> Difference:
         before, after = (Measured.of(each.sel(n=n), "variance") for each in (one, other))
         ratio = after / before
     return Difference(n, ratio, Measured.of(other, "rate") - Measured.of(one, "rate"))
+
+
+def verdict(first: Curves, second: Curves) -> str:
+    """Return sentences that say where the second study has less or more noise than the first.
+
+    A ratio of variances is smaller or larger than 1 if its interval excludes 1.
+    The intervals hold simultaneously for all common pairs of estimator and sampler [Sidak1967]_.
+    """
+    both = [pair for pair in first if pair in second]
+    same = [pair for pair in both if first[pair]["variance"].equals(second[pair]["variance"])]
+    found = {pair: compare_curves(first[pair], second[pair]) for pair in both if pair not in same}
+    found = {pair: each for pair, each in found.items() if math.isfinite(each.ratio.high)}
+    if not both:
+        return "A and B have no curve in common, so there is no verdict."
+    wider = NormalDist().inv_cdf(0.5 + 0.5 * 0.95 ** (1.0 / max(len(found), 1))) / CONFIDENCE_Z
+    ends = {
+        pair: [
+            each.ratio.value * (end / each.ratio.value) ** wider
+            for end in (each.ratio.low, each.ratio.high)
+        ]
+        for pair, each in found.items()
+    }
+    less = [pair for pair, (_, high) in ends.items() if high < 1.0]
+    more = [pair for pair, (low, _) in ends.items() if low > 1.0]
+    open_ = len(found) - len(less) - len(more)
+    unknown = len(both) - len(found) - len(same)
+    counts = [
+        f"{count} {what}"
+        for count, what in (
+            (len(less), "less noise"),
+            (len(more), "more noise"),
+            (open_, "no significant difference"),
+            (len(same), "the same variances"),
+            (unknown, "no ratio"),
+        )
+        if count
+    ]
+    if not (less or more):
+        text = "B has neither less nor more noise than A"
+    elif not more:
+        text = "B has less noise than A"
+    elif not less:
+        text = "B has more noise than A"
+    else:
+        text = "B has less noise than A for some curves and more for others"
+    text += f". Of {counted(len(both), 'common curve')}: {', '.join(counts)}."
+    for pairs, what, best in ((less, "largest gain", min), (more, "largest loss", max)):
+        if pairs:
+            name, sampler = pair = best(pairs, key=lambda each: found[each].ratio.value)
+            each, (low, high) = found[pair], ends[pair]
+            text += (
+                f" The {what}: the variance of {name} with {sampler} at n = {each.n} is "
+                f"{number(each.ratio.value, 3)} times the variance in A "
+                f"({interval(low, high, 3)})."
+            )
+    return text
 
 
 def write_comparison(first: str | Path, second: str | Path, out: str | Path | None = None) -> Path:
@@ -123,7 +182,10 @@ def _written(folders: list[Path], file: Path, second: str) -> Path:
     page = html.Page(
         title="Comparison",
         what=f"comparison of {titles[0]} and {titles[1]}",
-        lead=(html.FactList(rows=tuple(facts)),),
+        lead=(
+            html.Paragraph(text=typeset(verdict(*curves)), kind="answer"),
+            html.FactList(rows=tuple(facts)),
+        ),
         sections=html.sections_of(
             {
                 "Side by side": tuple(_side_by_side(*curves)),

@@ -79,10 +79,10 @@ class Markup(str):
 @final
 @dataclass(frozen=True, kw_only=True)
 class Paragraph:
-    """A paragraph, a heading within a section, a quotation, code, or a formula as MathML."""
+    """A paragraph, an answer, a heading in a section, a quotation, code, or a MathML formula."""
 
     text: str | Markup
-    kind: Literal["", "soft", "heading", "quote", "code", "formula"] = ""
+    kind: Literal["", "answer", "soft", "heading", "quote", "code", "formula"] = ""
 
 
 @final
@@ -176,9 +176,16 @@ class Figure:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Figures:
-    """A group of figures, two per row where the page is wide enough."""
+    """A group of figures, two per row where the page is wide enough.
+
+    Attributes
+    ----------
+    small
+        Whether the figures are small pictures, five per row where the page is wide enough.
+    """
 
     figures: tuple[Figure, ...]
+    small: bool = False
 
 
 @final

@@ -14,11 +14,19 @@ import xarray as xr
 from mcspectra.core.checks import as_path
 from mcspectra.core.errors import StoreError
 from mcspectra.plots import kinds
+from mcspectra.plots.overview import overview
 from mcspectra.plots.style import LineStyle, sampler_styles
 from mcspectra.plots.text import percent, typeset
+from mcspectra.plots.variance import overlaid
 from mcspectra.report import page as html
 from mcspectra.report.page import Markup
-from mcspectra.report.sentences import answer, basis_name, explain, further_sentences
+from mcspectra.report.sentences import (
+    answer,
+    basis_name,
+    explain,
+    further_sentences,
+    headline,
+)
 from mcspectra.report.tables import analysis_table, summary_of, summary_table, terms_table
 from mcspectra.studies import SummaryRow, open_results, study_status
 from mcspectra.studies.ledger import LEDGER_NAME, Ledger
@@ -50,11 +58,12 @@ _DETAILS: Mapping[str, tuple[str, ...]] = {
         "radial",
         "pair-correlation",
         "points",
+        "integrand",
     ),
 }
 """Titles of collapsed blocks, and the kinds of figures in each of them."""
 
-_MOST_ANSWERS = 8  # largest number of recommendations in a list that is not collapsed
+_MOST_ROWS = 40  # largest number of estimators with a row of pictures, a page of about 10 MB
 _MOST_GAPS = 50  # largest number of rows in the table of missing analyses
 _LONGEST_KEY = 60  # largest number of characters of a group's name in the store
 _NOT_DONE = "not computed yet"
@@ -165,12 +174,17 @@ def _written(root: Path, file: Path) -> Path:
         for sampler, found in each.rows.items()
         for channel, row in enumerate(found)
     ]
-    blocks = [*_summary(rows, bool(estimates)), *_gaps(root, asked)]
-    sections = [html.Section(title="Summary", anchor="summary", blocks=tuple(blocks))]
+    sections = []
     for place, (each, anchor) in enumerate(zip(estimates, names, strict=True)):
         before = list(zip(estimates[:place], names, strict=False))
-        shown = tuple(_estimator(each, anchor, styles, before))
-        sections.append(html.Section(title=each.name, anchor=anchor, blocks=shown, fresh=True))
+        pictures = len(estimates) <= _MOST_ROWS
+        shown = tuple(_estimator(each, anchor, styles, before, pictures=pictures))
+        sections.append(html.Section(title=each.name, anchor=anchor, blocks=shown))
+    gaps = tuple(_gaps(root, asked))
+    blocks = (*_summary(rows, bool(estimates)), *gaps)
+    # The table follows the pictures. Without pictures, it comes first
+    place = len(sections) if len(estimates) <= _MOST_ROWS else 0
+    sections.insert(place, html.Section(title="Summary", anchor="summary", blocks=blocks))
     text = study_toml(study)
     again = _allowed(text)
     redo = html.markup(
@@ -203,7 +217,11 @@ def _written(root: Path, file: Path) -> Path:
     page = html.Page(
         title=study.get("title", "Results"),
         what="report",
-        lead=(*_answers(estimates), html.Paragraph(text=lead, kind="soft")),
+        lead=(
+            *(_answers(estimates) if len(estimates) > _MOST_ROWS else ()),
+            html.Paragraph(text=lead, kind="soft"),
+            *gaps[1:2],  # the number of missing analyses; their table follows the summary
+        ),
         sections=tuple(sections),
     )
     figures = file.parent / "figures"
@@ -283,21 +301,25 @@ def study_toml(study: Mapping[str, Any]) -> str:
 
 
 def _answers(estimates: Sequence[Estimates]) -> Iterator[html.Block]:
-    """Yield the recommendation for each estimator; a long list is collapsed."""
-    rows = []
-    for each in estimates:
-        kept = each.analyses.get("profile", {})
-        tried = each.analyses.get("remedies", {})
-        said = [str(found.attrs["answer"]) for found in (*kept.values(), *tried.values())][:1]
-        curves = {
-            sampler: curve.mean("channel") if "channel" in curve.dims else curve
-            for sampler, curve in each.analyses.get("convergence", {}).items()
-        }
-        text = said[0] if said else answer(curves)
-        rows += [(each.name, typeset(str(text)))] if text else []
+    """Yield the recommendation for each estimator, collapsed."""
+    rows = tuple((each.name, text) for each in estimates if (text := _advice(each)[0]))
     if rows:
-        shown, few = html.Sentences(rows=tuple(rows)), len(rows) <= _MOST_ANSWERS
-        yield shown if few else html.Collapsible(summary="What to do", blocks=(shown,))
+        yield html.Collapsible(summary="What to do", blocks=(html.Sentences(rows=rows),))
+
+
+def _advice(each: Estimates) -> tuple[str, str]:
+    """Return the recommendation for an estimator, or "", and the sampler that pictures show."""
+    kept, tried = (each.analyses.get(name, {}) for name in ("profile", "remedies"))
+    curves = {
+        sampler: curve.mean("channel") if "channel" in curve.dims else curve
+        for sampler, curve in each.analyses.get("convergence", {}).items()
+    }
+    found = answer(curves)
+    said = [str(data.attrs["answer"]) for data in (*kept.values(), *tried.values())][:1]
+    if not said and found is not None:
+        said = [str(found)]
+    sampler = found.best.name if found is not None else next(iter(each.rows), "")
+    return typeset(said[0]) if said else "", sampler
 
 
 def _allowed(study: str) -> str:
@@ -391,8 +413,33 @@ def _estimator(
     anchor: str,
     styles: Mapping[str, LineStyle],
     before: Sequence[tuple[Estimates, str]],
+    *,
+    pictures: bool,
 ) -> Iterator[html.Block]:
-    """Yield sentences, the main figures and tables; details are collapsed."""
+    """Yield the answer, a sentence and a row of pictures; everything else is collapsed."""
+    advice, sampler = _advice(each)
+    if advice:
+        yield html.Paragraph(text=advice, kind="answer")
+    if rows := each.rows.get(sampler, ())[:1]:
+        found = each.of(sampler, 0)
+        said = headline(rows[0], found.get("terms"), len(each.rows))
+        yield html.Paragraph(text=f"{sampler}: {said}") if said else html.Paragraph(text=sampler)
+    drawn = _with_predictions(each.analyses)
+    row = tuple(html.Figure(plot=plot) for plot in overview(drawn, sampler, styles))
+    if pictures and row:
+        yield html.Figures(figures=row, small=True)
+    blocks = tuple(_details(each, drawn, anchor, styles, before))
+    yield html.Collapsible(summary="All figures, numbers and settings", blocks=blocks)
+
+
+def _details(
+    each: Estimates,
+    drawn: Mapping[str, Mapping[str, xr.Dataset]],
+    anchor: str,
+    styles: Mapping[str, LineStyle],
+    before: Sequence[tuple[Estimates, str]],
+) -> Iterator[html.Block]:
+    """Yield sentences, figures and tables of an estimator."""
     if each.spec:
         spec = html.markup("<code>{}</code>", each.spec)
         yield html.FactList(rows=(("Integrand / density", spec),))
@@ -420,7 +467,7 @@ def _estimator(
     names: set[str] = set()  # file names in use: two analyses can have the same kind of figure
     details: dict[str, list[html.Figure]] = {summary: [] for summary in _DETAILS}
     linked: dict[str, tuple[str, str]] = {}
-    for analysis, found in _with_predictions(each.analyses).items():
+    for analysis, found in drawn.items():
         same = _shown_before(analysis, found, before)
         if same is not None:
             linked[analysis] = same
@@ -466,22 +513,12 @@ def _estimator(
 def _with_predictions(
     analyses: Mapping[str, Mapping[str, xr.Dataset]],
 ) -> dict[str, Mapping[str, xr.Dataset]]:
-    """Return the analyses to plot; predictions join the measured curves if all counts match."""
+    """Return the analyses for figures; predictions join the measured curves of all samplers."""
     measured, predicted = (analyses.get(name, {}) for name in ("convergence", "predict"))
-    if not predicted or not all(
-        name in measured and measured[name]["n"].equals(data["n"]) and "method" not in data.dims
-        for name, data in predicted.items()
-    ):
+    if not predicted or not set(predicted) <= set(measured):
         return dict(analyses)
-    names = ["predicted_variance", "predicted_variance_ci"]
-    both = {
-        name: data.assign(predicted[name][names].drop_vars(["method", "how"], errors="ignore"))
-        if name in predicted
-        else data
-        for name, data in measured.items()
-    }
     rest = {name: found for name, found in analyses.items() if name != "predict"}
-    return rest | {"convergence": both}
+    return rest | {"convergence": overlaid(measured, predicted)}
 
 
 def _shown_before(
@@ -492,9 +529,17 @@ def _shown_before(
         return None
     for each, anchor in before:
         there = each.analyses.get(analysis, {})
-        if all(s in there and there[s].equals(data) for s, data in found.items()):
+        # The values of f, which a result of points also has, may differ
+        if all(
+            s in there and _samples(there[s]).equals(_samples(data)) for s, data in found.items()
+        ):
             return anchor, each.name
     return None
+
+
+def _samples(data: xr.Dataset) -> xr.Dataset:
+    """Return a result of points without values of f and p; other results are unchanged."""
+    return data[["points"]] if "integrand_value" in data else data
 
 
 def _figures(

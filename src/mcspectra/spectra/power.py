@@ -56,6 +56,9 @@ _EPS = 1e-9  # tolerance of transforms in double precision
 _SINGLE_EPS = 1e-5, 1e-6  # tolerances of transforms in single precision, cheapest first
 _MOST_ERROR = 0.02  # largest single-precision error of a ring mean, in standard errors
 _TRIED_FROM = 16  # fewest realizations for which both precisions are tried
+# Number of cells along each axis of the pictures of f and p, by the number of dims.
+# More cells are not visible in a small figure.
+_PICTURE_CELLS = {1: 256, 2: 64}
 
 MAX_WEDGES = 360
 """Largest number of directions into which a half turn is divided."""
@@ -201,6 +204,7 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
 
     function = "power_spectrum"
     verb = "spectrum"
+    pictured = True
     companions = ("points",)
     variables = (
         "power", "power_se", "radial_power", "radial_power_se", "radial_power_ci",
@@ -329,16 +333,21 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
 
 @final
 class Points(_OfPointSets, frozen=True, kw_only=True):
-    """First realization of the points, warped by the density if there is one."""
+    """First realization of the points, warped by the density if there is one.
 
-    variables = ("points",)
+    With an estimator, the result also has values of f and p on a grid, for pictures.
+    """
+
+    pictured = True
+    variables = ("points", "integrand_value", "density_value")
     provenance = ("sampler", "n")
 
     def need(self, subject: Subject) -> Need:
-        """Return the cost of one set of points."""
+        """Return the cost of one set of points, and of the grid."""
         source, _ = _warped(subject)
         source.check_count(self.n)
-        return Need(cost=self.n, memory=memory_of(self.n, source.dims))
+        grid = 0 if subject.estimator is None else math.prod(_picture_shape(source.dims))
+        return Need(cost=self.n + grid, memory=memory_of(self.n, source.dims))
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[xr.Dataset]:
         """Return the drawing of one set as a computation of one block."""
@@ -346,12 +355,47 @@ class Points(_OfPointSets, frozen=True, kw_only=True):
 
         def points() -> xr.Dataset:
             drawn = source.draw_stream(self.n, stream, 0, 1)[0]
-            return dataset(
-                {"points": (("point", "axis"), drawn if p is None else p.sample(drawn))},
-                {"axis": np.arange(source.dims)},
-            )
+            found: dict[str, tuple[tuple[str, ...], Array]] = {
+                "points": (("point", "axis"), drawn if p is None else p.sample(drawn))
+            }
+            found |= {} if subject.estimator is None else _pictures(subject.estimator, p)
+            coords: dict[str, Any] = {"axis": np.arange(source.dims)}
+            if "integrand_value" in found:
+                names, values = found["integrand_value"]
+                for name, cells in zip(names, values.shape, strict=True):
+                    if name != "channel":
+                        coords[name] = (np.arange(cells) + 0.5) / cells
+            return dataset(found, coords)
 
         return whole(points)
+
+
+def _picture_shape(dims: int) -> tuple[int, ...]:
+    """Return the shape of the grid of pictures; more than two dims are cut through the center."""
+    shown = min(dims, 2)
+    return (_PICTURE_CELLS[shown],) * shown
+
+
+def _pictures(estimator: Any, density: Density | None) -> dict[str, tuple[tuple[str, ...], Array]]:
+    """Return values of f and p on a grid of axes 0 and 1; all other coordinates are 1/2.
+
+    If the points are not warped by one density, the values are g of the first technique.
+    """
+    f = estimator.primary_integrand() if density is None else estimator.domain_integrand
+    if f is None:
+        return {}
+    shape = _picture_shape(f.dims)
+    x = np.full((*shape, f.dims), 0.5)
+    x[..., : len(shape)] = (np.moveaxis(np.indices(shape), 0, -1) + 0.5) / shape[0]
+    names = tuple(f"x{axis}" for axis in range(len(shape)))
+    values = np.asarray(f(x), dtype=float)
+    if values.ndim > len(shape):
+        found = {"integrand_value": (("channel", *names), np.moveaxis(values, -1, 0))}
+    else:
+        found = {"integrand_value": (names, values)}
+    if density is not None:
+        found["density_value"] = (names, np.asarray(density.pdf(x)))
+    return found
 
 
 def _warped(subject: Subject) -> tuple[Sampler, Density | None]:

@@ -1,4 +1,8 @@
-"""Schedule the tasks of a study: largest cells first, in chunks of about a second.
+"""Schedule the tasks of a study in chunks of about a second.
+
+Cells that the first screen of the report shows come first, the cheapest of them before all others.
+An interrupted study therefore has a report with pictures of every estimator.
+The largest of the remaining cells come first, which keeps all workers busy until the end.
 
 A cell that is expected to take no longer than one chunk becomes a single task.
 
@@ -273,7 +277,7 @@ class Schedule:
     def __init__(
         self, cells: Iterable[StudyCell], seed: int, ledger: Ledger, seconds: float = _TARGET
     ) -> None:
-        self._waiting = deque(sorted(cells, key=lambda cell: -cell.need.cost))
+        self._waiting = deque(sorted(cells, key=_turn))
         self._seed = seed
         self._ledger = ledger
         self._target = seconds
@@ -376,6 +380,12 @@ class Schedule:
         if settled is not None:
             self._active.pop(settled.cell.path, None)
             self._settled.append(settled)
+
+
+def _turn(cell: StudyCell) -> tuple[bool, float]:
+    """Return the sort key: pictured cells by ascending cost, then others by descending cost."""
+    pictured = type(cell.analysis).pictured
+    return not pictured, cell.need.cost if pictured else -cell.need.cost
 
 
 def _is_adaptive(cell: StudyCell) -> bool:
