@@ -409,7 +409,15 @@ FIGURES = {
     function.__name__.replace("_", "-"): function
     for function in (
         *(conventions, theory, spectra, bases, evidence, scaling, studies, clusters, reproduce),
-        *(notebooks, components, causes, other_fields, add_a_sampler, add_a_density, add_an_integrand),
+        *(
+            notebooks,
+            components,
+            causes,
+            other_fields,
+            add_a_sampler,
+            add_a_density,
+            add_an_integrand,
+        ),
     )
 }
 
