@@ -656,7 +656,7 @@ def _legend(figure: Figure, given: Axes | None, plot: Plot) -> None:
     handles = [_handle(marks) for marks in entries.values()]
     texts = [escaped(label) for label in entries]
     if given is not None:
-        # If the legend overlaps lines, whiskers or dots, add space above them, at most half the axes
+        # If the legend overlaps lines, whiskers or dots, add space above, at most half the axes
         box = given.legend(handles, texts, loc="best", **options).get_window_extent()
         drawn = [line.get_transform().transform_path(line.get_path()) for line in given.lines]
         for each in given.collections:
