@@ -33,7 +33,7 @@ PLOTS = {
     "terms": ["terms", "captured", "contributions", "product", "bands"],
     "techniques": ["techniques", "technique-rates"],
     "spectrum": ["spectrum", "radial"],
-    "points": ["points", "integrand"],
+    "points": ["points"],
     "pcf": ["pair-correlation"],
     "anova": ["anova"],
     "anova-spectrum": ["anova"],

@@ -102,12 +102,13 @@ def make_terms(
         "captured": ((), predicted / measured),
         "contribution": (tuple(names), contribution.reshape(shape)),
         "power_contribution": (tuple(names), diagonal.reshape(shape)),
+        "integrand_power": (tuple(names), (np.abs(f) ** 2).reshape(shape)),
         "band_covariance": (("band", "band_other"), np.cov(bands)),
         "truncated_variance": (("half_width",), truncated),
         "captured_by_half_width": (("half_width",), truncated / measured),
     }
     if techniques > 1:
-        for name in ("contribution", "power_contribution"):
+        for name in ("contribution", "power_contribution", "integrand_power"):
             values[name] = (("technique", *names), np.stack([values[name][1]] * techniques))
     if channels:
         values = {

@@ -74,7 +74,7 @@ def test_given_axes_are_drawn_into_and_returned(result):
 def test_figures_of_each_kind_accept_axes():
     data = RESULTS["terms"]()
     for kind in data.mcspectra.kinds:
-        count = len(data.mcspectra.plot(kind)) if kind == "bands" else 1
+        count = len(data.mcspectra.plot(kind)) if kind in ("bands", "product") else 1
         panels = np.atleast_1d(Figure().subplots(1, count))
         data.mcspectra.plot(kind, axes=panels)
         assert all(axes.has_data() for axes in panels)

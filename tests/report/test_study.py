@@ -94,7 +94,7 @@ def test_figures_have_descriptions_and_sizes(page):
     images = page.all("img")
     row = 5 + 3  # small pictures: all in 1-D; f, points and spectrum in 2-D
     # Details: all kinds in 1-D; image, radial mean, points and f in 2-D
-    assert len(images) == row + 10 + 4
+    assert len(images) == row + 11 + 4
     for attributes in images:
         assert len(str(attributes["alt"])) > 30
         assert int(str(attributes["width"])) > 100

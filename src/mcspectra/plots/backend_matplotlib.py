@@ -647,7 +647,7 @@ def _legend_columns(labels: Iterable[str], width: float) -> int:
 
 def _legend(figure: Figure, given: Axes | None, plot: Plot) -> None:
     """Draw the legend below a figure of our own, or inside axes given by the user."""
-    from matplotlib.collections import LineCollection
+    from matplotlib.collections import LineCollection, PathCollection
 
     entries = _entries(plot)
     if not entries:
@@ -656,13 +656,19 @@ def _legend(figure: Figure, given: Axes | None, plot: Plot) -> None:
     handles = [_handle(marks) for marks in entries.values()]
     texts = [escaped(label) for label in entries]
     if given is not None:
-        # If the legend overlaps lines or whiskers, add space above them, at most half the axes
+        # If the legend overlaps lines, whiskers or dots, add space above, at most half the axes
         box = given.legend(handles, texts, loc="best", **options).get_window_extent()
         drawn = [line.get_transform().transform_path(line.get_path()) for line in given.lines]
         for each in given.collections:
             if isinstance(each, LineCollection):
                 drawn += [each.get_transform().transform_path(path) for path in each.get_paths()]
-        if any(path.intersects_bbox(box, filled=False) for path in drawn):
+        dots = [
+            given.transData.transform(each.get_offsets())
+            for each in given.collections
+            if isinstance(each, PathCollection)
+        ]
+        hidden = any(box.count_contains(places) for places in dots)
+        if hidden or any(path.intersects_bbox(box, filled=False) for path in drawn):
             inches, scale = (1.5 * len(handles) + 1.5) * _SMALL / 72, given.yaxis.get_transform()
             bottom, top = scale.transform(np.array(given.get_ylim()))
             kept = max(1.0 - inches * figure.dpi / given.get_window_extent().height, 0.5)

@@ -261,7 +261,8 @@ def product(group: Group, styles: Styles) -> Plot:
         if said is None:  # the legend has each sampler once
             marks = [ReferenceLine(at=1.0), *(replace(line, label="") for line in own)]
         axis = _log_axis_of("", [y for _, y in shown.values()])
-        panels.append(Panel(marks=tuple(marks), x=x, y=axis, title=title, grid=True))
+        note = "" if np.isfinite(top).any() else not_finite(top, group[first])
+        panels.append(Panel(marks=tuple(marks), x=x, y=axis, title=title, grid=True, note=note))
     return Plot(
         panels=tuple(panels),
         columns=3,

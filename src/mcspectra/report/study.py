@@ -48,6 +48,7 @@ _LIVE = frozenset(
 _DETAILS: Mapping[str, tuple[str, ...]] = {
     "Frequencies": (
         "contributions",
+        "product",
         "captured",
         "bands",
         "cross-matrix",
