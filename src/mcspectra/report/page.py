@@ -1,6 +1,7 @@
-"""A self-contained HTML page of text, facts, tables and figures.
+"""A self-contained HTML page of text, facts, tables and figures, or a deck of slides.
 
-Every report is a `Page`, which is plain data. `write_page` draws its figures and writes the HTML.
+Every report is a `Page`, and every lecture a `Deck`; both are plain data.
+`write_page` draws the figures and writes the HTML.
 Styles, scripts and images are embedded, so the page loads nothing.
 
 Each figure is an image. A `live` figure also has an interactive plot, which replaces the image
@@ -34,14 +35,17 @@ from mcspectra.plots.text import MISSING, slug
 __all__ = [
     "Block",
     "Collapsible",
+    "Deck",
     "FactList",
     "Figure",
     "Figures",
     "Markup",
     "Page",
     "Paragraph",
+    "Screen",
     "Section",
     "Sentences",
+    "Slider",
     "Table",
     "TableCell",
     "anchors",
@@ -151,6 +155,26 @@ class Table:
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
+class Slider:
+    """Plots of equal layout, one for each value of a parameter.
+
+    Attributes
+    ----------
+    label
+        Name of the parameter.
+    plots
+        Plots by the text of the value.
+    start
+        Value that is shown at first, on paper, and without scripts.
+    """
+
+    label: str
+    plots: Mapping[str, Plot]
+    start: str
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Figure:
     """A plot in a page. If it has a name, PNG and PDF files of that name are written.
 
@@ -158,11 +182,14 @@ class Figure:
     ----------
     live
         Whether the page also has an interactive version.
+    slider
+        Plots that replace the plot when a slider is moved.
     """
 
     plot: Plot
     name: str = ""
     live: bool = False
+    slider: Slider | None = None
 
     @property
     def is_broad(self) -> bool:
@@ -227,6 +254,58 @@ class Page:
     what: str
     sections: tuple[Section, ...]
     lead: tuple[Block, ...] = ()
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Screen:
+    """A slide of a lecture: a statement, one figure, a verdict and folded details.
+
+    Attributes
+    ----------
+    number
+        Number in the navigation.
+    anchor
+        HTML id, unique within a deck.
+    statement
+        Quotation and formula.
+    figure
+        The figure, which fills the screen. None: words only.
+    verdict, mark
+        Verdict on the statement, and its color class.
+    reason
+        Reason for the verdict.
+    link
+        Address of the explorer in the state of the figure, or empty.
+    folded
+        Details below the figure, hidden until they are opened and on paper.
+    """
+
+    number: str
+    title: str
+    anchor: str
+    statement: tuple[Block, ...] = ()
+    figure: Figure | None = None
+    verdict: str = ""
+    mark: Literal["", "yes", "some", "no", "none"] = ""
+    reason: str = ""
+    link: str = ""
+    folded: tuple[Block, ...] = ()
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Deck:
+    """A lecture: a title page, screens that are shown one at a time, and a last page.
+
+    Without scripts all screens are below each other. On paper each screen is a sheet.
+    """
+
+    title: str
+    what: str
+    screens: tuple[Screen, ...]
+    lead: tuple[Block, ...] = ()
+    last: Section | None = None
 
 
 def anchors(names: Iterable[str], head: str = "") -> list[str]:
@@ -357,13 +436,13 @@ def page_file(folder: Path, name: str, out: object) -> Path:
     return folder / name
 
 
-def write_page(page: Page, file: Path, figures: Path | None = None) -> Path:
-    """Draw the figures of a page and write the page.
+def write_page(page: Page | Deck, file: Path, figures: Path | None = None) -> Path:
+    """Draw the figures of a page or a deck and write it.
 
     Parameters
     ----------
     page
-        The page.
+        The page or the deck.
     file
         Path of the HTML file, in an existing folder. The file is replaced atomically.
     figures
@@ -381,7 +460,11 @@ def write_page(page: Page, file: Path, figures: Path | None = None) -> Path:
     check_page_packages()
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    page = replace(page, sections=tuple(section for section in page.sections if section.blocks))
+    template, live = "deck.html.j2", False
+    if isinstance(page, Page):
+        template = "page.html.j2"
+        page = replace(page, sections=tuple(section for section in page.sections if section.blocks))
+        live = any(f.live for section in page.sections for f in _figures_in(section.blocks))
     with writing(file, StoreError):
         if figures is not None:
             figures.mkdir(exist_ok=True)
@@ -404,13 +487,15 @@ def write_page(page: Page, file: Path, figures: Path | None = None) -> Path:
             return text if seen[text] == 1 else f"{text} ({seen[text]})"
 
         environment.globals["label"] = label
-        environment.globals["drawn"] = lambda figure: _drawn(figure, figures, file.parent)
+        environment.globals["drawn"] = lambda figure: _drawn(
+            figure, figures, file.parent, thumbnail=isinstance(page, Deck)
+        )
         script = ""
-        if any(figure.live for section in page.sections for figure in _figures_in(section.blocks)):
+        if live:
             from mcspectra.plots.backend_bokeh import script as bokeh_script
 
             script = bokeh_script()
-        text = environment.get_template("page.html.j2").render(page=page, bokeh=script)
+        text = environment.get_template(template).render(page=page, bokeh=script)
         partial = file.parent / f".{file.name}.partial"
         try:
             partial.unlink(missing_ok=True)  # a symbolic link is removed, not followed
@@ -452,7 +537,12 @@ def _figures_in(blocks: Iterable[Block]) -> Iterable[Figure]:
             yield from _figures_in(block.blocks)
 
 
-def _drawn(figure: Figure, folder: Path | None, root: Path) -> Mapping[str, Any]:
+_THUMBNAIL = (176, 112)  # largest width and height in pixels, twice the size on the page
+
+
+def _drawn(
+    figure: Figure, folder: Path | None, root: Path, *, thumbnail: bool = False
+) -> Mapping[str, Any]:
     """Return a figure for the template: base64 PNG with its size, and the compressed live plot."""
     from mcspectra.plots import backend_matplotlib
 
@@ -469,8 +559,18 @@ def _drawn(figure: Figure, folder: Path | None, root: Path) -> Mapping[str, Any]
         from mcspectra.plots import backend_bokeh
 
         live = backend_bokeh.packed(backend_bokeh.draw(plot).model)
+    frames = {}
+    for value, frame in (figure.slider.plots if figure.slider else {}).items():
+        same = figure.slider is not None and value == figure.slider.start
+        image = (
+            png
+            if same
+            else backend_matplotlib.encode(backend_matplotlib.draw(frame), with_pdf=False)[0]
+        )
+        frames[value] = base64.b64encode(image).decode("ascii")
     return {
         "png": base64.b64encode(png).decode("ascii"),
+        "thumbnail": _thumbnail(png) if thumbnail else "",
         # Bytes 16 to 24 of a PNG hold its width and height
         "width": int.from_bytes(png[16:20], "big"),
         "height": int.from_bytes(png[20:24], "big"),
@@ -480,4 +580,19 @@ def _drawn(figure: Figure, folder: Path | None, root: Path) -> Mapping[str, Any]
         "abreast": min(plot.columns, len(plot.panels)) > 1,
         "file": file,
         "live": live,
+        "frames": frames,
     }
+
+
+def _thumbnail(png: bytes) -> str:
+    """Return a base64 PNG that fits into the thumbnails of a deck."""
+    import io
+
+    from PIL import Image
+
+    small = io.BytesIO()
+    with Image.open(io.BytesIO(png)) as image:
+        picture = image.convert("RGB")
+        picture.thumbnail(_THUMBNAIL, Image.Resampling.LANCZOS)
+        picture.quantize(64).save(small, format="PNG")
+    return base64.b64encode(small.getvalue()).decode("ascii")
