@@ -154,7 +154,7 @@ class Table:
 
 
 @final
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Slider:
     """Plots of equal layout, one for each value of a parameter.
 

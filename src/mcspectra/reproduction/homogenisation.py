@@ -85,7 +85,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         dots = Dots(x=m, y=l, color=PALETTE[0], size=1.8)
         panels.append(Panel(marks=(dots,), x=x, y=y, title=title, grid=True))
     se = mean_and_error(before.products.real)[1][0]
-    steps = {number(t, 2): _steps(seed, t) for t in (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)}
+    steps = {f"{t:g}": _steps(seed, t) for t in (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)}
     return Exhibit(
         numbers={"N": N, "pair": _PAIR, "c0": c0, "c1": c1},
         plots=(

@@ -66,11 +66,11 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     # Draw points above their spectra, and spectra against |m|
     few = realizations // 3
     frames = {
-        number(slope, 2): _maps(
+        f"{slope:g}": _maps(
             slope, {name: spectrum(name, few, seed, slope) for name in SAMPLERS}, seed
         )
         for slope in (0.0, 0.8)
-    } | {number(SLOPE, 2): _maps(SLOPE, spectra, seed)}
+    } | {f"{SLOPE:g}": _maps(SLOPE, spectra, seed)}
     radii = np.arange(1, HALF_WIDTH + 1)
     marks: list[Mark] = [ReferenceLine(at=LEVEL, color=INK, width=1.0, label="∫1/p")]
     for k, (name, data) in enumerate(spectra.items()):
@@ -92,10 +92,10 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             "realizations": realizations,
         },
         plots=(
-            frames[number(SLOPE, 2)],
+            frames[f"{SLOPE:g}"],
             plot_of("importance-radial", Panel(marks=tuple(marks), x=x, y=y, grid=True)),
         ),
-        sliders={"importance-spectra": Slider("slope of the density", frames, number(SLOPE, 2))},
+        sliders={"importance-spectra": Slider("slope of the density", frames, f"{SLOPE:g}")},
         claims=(
             *rings,
             Claim(

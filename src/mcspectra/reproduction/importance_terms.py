@@ -114,7 +114,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     )
     every = [*(data for case, data in of.items() if case != FLAT), shifted]
     found = [Measured.of(data, "power_term") for data in every]
-    frames = {number(a, 2): _scanned(a) for a in (-0.8, -0.4, 0.0, 0.4, 0.8, 0.95)}
+    frames = {f"{a:g}": _scanned(a) for a in (-0.8, -0.4, 0.0, 0.4, 0.8, 0.95)}
     return Exhibit(
         numbers={
             "line": third[LINE],

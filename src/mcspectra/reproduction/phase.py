@@ -75,7 +75,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     marks.append(Line(x=s, y=known, color=INK, dashes="--", width=1.0, label=label))
     x = Axis(label="offset of the strata (sides)", low=-0.02, high=1.02)
     terms = Panel(marks=tuple(marks), x=x, y=Axis(label="terms · 10³"), grid=True)
-    frames = {number(t, 3): _displaced(t, terms) for t in OFFSETS}
+    frames = {f"{t:g}": _displaced(t, terms) for t in OFFSETS}
     exact = {LABELS[offset]: exact_curve(offset) for offset in curves}
     shown = {LABELS[offset]: curve for offset, curve in curves.items()}
     return Exhibit(

@@ -52,7 +52,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     f, place, counts = edge(1 / 3), [[1 / 3], []], COUNTS[-2:]
     known = [float(mcs.exact_variance(mcs.aligned(f, place, n), "jittered", n)) for n in counts]
 
-    frames = {number(s, 3): _cut(s) for s in (0.0, 0.125, 0.25, 0.375, 0.5, 0.75, 1.0)}
+    frames = {f"{s:g}": _cut(s) for s in (0.0, 0.125, 0.25, 0.375, 0.5, 0.75, 1.0)}
     references = {name: exact(a) for name, a in PLACES.items()}
     after = {name: homogenised() for name in PLACES}
     limits = float(exact(0.5).min()), float(homogenised().max())

@@ -22,7 +22,7 @@ from mcspectra.reproduction.panels import plot_of
 __all__ = ["exhibit"]
 
 N = 16
-DENSITY = "linear(slope=1)"
+DENSITY = "linear(slope=1.8)"
 _FREQUENCIES = np.arange(-8, 9)
 _COEFFICIENTS = {0: 1.0, 1: -0.5, 8: 0.25}  # f(x) = 1 − cos 2πx + ½ cos 16πx
 FORMULAS = (
@@ -57,7 +57,7 @@ CASES = (
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
     """Compute the predictions of the three formulas for four kinds of points."""
-    realizations = 2000 if quick else 20_000
+    realizations = 10_000 if quick else 40_000
     variances = [_variance(case, realizations, seed) for case in CASES]
     ratios = np.array(
         [
