@@ -267,12 +267,12 @@ class Screen:
         Number in the navigation.
     anchor
         HTML id, unique within a deck.
-    statement
-        Quotation and formula.
+    statement, formula
+        Quotation, and a formula that is shown above all.
     figure
         The figure, which fills the screen. None: words only.
-    verdict, mark
-        Verdict on the statement, and its color class.
+    verdict, condition, mark
+        Verdict on the statement in one or two words, its condition, and its color class.
     reason
         Reason for the verdict.
     link
@@ -284,9 +284,11 @@ class Screen:
     number: str
     title: str
     anchor: str
-    statement: tuple[Block, ...] = ()
+    statement: str = ""
+    formula: Paragraph | None = None
     figure: Figure | None = None
     verdict: str = ""
+    condition: str = ""
     mark: Literal["", "yes", "some", "no", "none"] = ""
     reason: str = ""
     link: str = ""
@@ -436,7 +438,9 @@ def page_file(folder: Path, name: str, out: object) -> Path:
     return folder / name
 
 
-def write_page(page: Page | Deck, file: Path, figures: Path | None = None) -> Path:
+def write_page(
+    page: Page | Deck, file: Path, figures: Path | None = None, *, with_pdf: bool = True
+) -> Path:
     """Draw the figures of a page or a deck and write it.
 
     Parameters
@@ -447,6 +451,8 @@ def write_page(page: Page | Deck, file: Path, figures: Path | None = None) -> Pa
         Path of the HTML file, in an existing folder. The file is replaced atomically.
     figures
         Folder for ``NAME.png`` and ``NAME.pdf`` of every named figure; created if missing.
+    with_pdf
+        Whether the PDF files are written, which takes half of the time of a figure.
 
     Raises
     ------
@@ -488,7 +494,7 @@ def write_page(page: Page | Deck, file: Path, figures: Path | None = None) -> Pa
 
         environment.globals["label"] = label
         environment.globals["drawn"] = lambda figure: _drawn(
-            figure, figures, file.parent, thumbnail=isinstance(page, Deck)
+            figure, figures, file.parent, thumbnail=isinstance(page, Deck), with_pdf=with_pdf
         )
         script = ""
         if live:
@@ -541,19 +547,21 @@ _THUMBNAIL = (176, 112)  # largest width and height in pixels, twice the size on
 
 
 def _drawn(
-    figure: Figure, folder: Path | None, root: Path, *, thumbnail: bool = False
+    figure: Figure, folder: Path | None, root: Path, *, thumbnail: bool, with_pdf: bool
 ) -> Mapping[str, Any]:
     """Return a figure for the template: base64 PNG with its size, and the compressed live plot."""
     from mcspectra.plots import backend_matplotlib
 
     plot, file, filed = figure.plot, "", folder is not None and bool(figure.name)
-    png, pdf = backend_matplotlib.encode(backend_matplotlib.draw(plot), with_pdf=filed)
+    drawn = backend_matplotlib.draw(plot)
+    png, pdf = backend_matplotlib.encode(drawn, with_pdf=filed and with_pdf)
     if folder is not None and filed:
         for end, content in ((".png", png), (".pdf", pdf)):
             place = folder / f"{figure.name}{end}"
             place.unlink(missing_ok=True)
-            place.write_bytes(content)
-        file = (folder / f"{figure.name}.pdf").relative_to(root).as_posix()
+            if content:
+                place.write_bytes(content)
+                file = place.relative_to(root).as_posix()
     live = ""
     if figure.live:
         from mcspectra.plots import backend_bokeh

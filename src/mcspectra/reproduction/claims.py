@@ -2,7 +2,7 @@
 
 The interval of a finding decides its verdict. The gallery has up to `GALLERY_FINDINGS` findings.
 With 95 % intervals, a dozen true statements would be rejected by chance.
-The interval therefore has the Šidák level [Sidak1967]_, which is 0.95^(1/250) = 99.98 %.
+The interval therefore has the Šidák level [Sidak1967]_, which is 0.95^(1/300) = 99.98 %.
 At this level, all intervals hold simultaneously with 95 % probability.
 """
 
@@ -45,10 +45,10 @@ __all__ = [
     "slope",
 ]
 
-GALLERY_FINDINGS = 250
+GALLERY_FINDINGS = 300
 """Number of findings whose verdicts hold simultaneously with 95 % probability."""
 
-_VERDICT_Z = 3.7125862298839247  # normal quantile of (1 + 0.95^(1/250)) / 2
+_VERDICT_Z = 3.7584590197611987  # normal quantile of (1 + 0.95^(1/300)) / 2
 
 VERDICT_WIDENING = _VERDICT_Z / CONFIDENCE_Z
 """Factor by which the half widths of 95 % intervals are multiplied for verdicts."""

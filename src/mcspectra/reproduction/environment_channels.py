@@ -11,7 +11,7 @@ import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Axis, Heatmap, Line, Mark, Panel, Pixels, Plot, Scale
+from mcspectra.plots.description import Axis, Heatmap, Line, Mark, Panel, Plot, Scale
 from mcspectra.plots.scales import unit_axis, unit_panel
 from mcspectra.plots.style import INK, PALETTE
 from mcspectra.plots.text import number
@@ -43,8 +43,15 @@ COUNTS = {
     "mis": (64, 128, 256, 512, 1024),
 }
 # A dome of the sky, by zenith angle (rows) and azimuth (columns): sun, clouds, leaves and a wall
-_BLUE, _CLOUD, _SUN = (0.3, 0.5, 1.0), (1.0, 1.0, 1.0), (9.0, 5.0, 1.5)
-_LEAF, _BRICK, _HAZE = (0.2, 0.6, 0.15), (1.0, 0.35, 0.2), (0.8, 0.8, 0.9)
+_KINDS = {
+    "sky": (0.3, 0.5, 1.0),
+    "cloud": (1.0, 1.0, 1.0),
+    "sun": (9.0, 5.0, 1.5),
+    "leaves": (0.2, 0.6, 0.15),
+    "wall": (1.0, 0.35, 0.2),
+    "haze": (0.8, 0.8, 0.9),
+}
+_BLUE, _CLOUD, _SUN, _LEAF, _BRICK, _HAZE = _KINDS.values()
 DOME = np.array(
     [[_BLUE, _BLUE, _CLOUD, _BLUE, _BLUE, _BLUE, _BLUE, _BLUE],
      [_BLUE, _BLUE, _CLOUD, _CLOUD, _BLUE, _SUN, _BLUE, _BLUE],
@@ -188,8 +195,6 @@ def dome_radiance(x: Array) -> Array:
 
 def _sky(planes: Mapping[str, xr.Dataset]) -> Plot:
     """Return the map, its convergence, and f/p of red on the unit square for both densities."""
-    zoom = 32
-    picture = encode_srgb(np.repeat(np.repeat(DOME, 2 * zoom, axis=0), zoom, axis=1) / 6.0)
     u = (np.arange(_SIDE) + 0.5) / _SIDE
     grid = np.stack(np.meshgrid(u, u), axis=-1)
     constant = mcs.densities.PiecewiseConstant
@@ -216,10 +221,18 @@ def _sky(planes: Mapping[str, xr.Dataset]) -> Plot:
         title="variance of red, jittered",
         x="number of points N",
     )
-    shown = Panel(
-        marks=(Pixels(rgb=np.round(255 * np.clip(picture, 0.0, 1.0)).astype(np.uint8)),),
-        title="the map: azimuth × zenith angle",
+    kinds = {name: np.array(color) for name, color in _KINDS.items()}
+    place = np.array(
+        [[next(k for k, c in enumerate(kinds.values()) if (c == p).all()) for p in r] for r in DOME]
     )
+    rgb = np.round(255 * np.clip(encode_srgb(np.array(list(kinds.values()))), 0.0, 1.0)).astype(int)
+    names = Scale(
+        kind="names", names=tuple(kinds), colors=tuple(f"#{r:02X}{g:02X}{b:02X}" for r, g, b in rgb)
+    )
+    rows, columns = place.shape
+    at = [(np.arange(size) + 0.5) / size for size in (columns, rows)]
+    image = Heatmap(values=place[::-1].astype(float), x=at[0], y=at[1], scale=names, name="kind")
+    shown = unit_panel([image], "the map of the dome", "azimuth", "zenith at the top")
     return plot_of("environment-map", shown, curves, *maps)
 
 

@@ -53,10 +53,10 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         ratio = _designed(lattice, 100 if quick else 1000, seed)
     best = found.isel(remedy=0)
     align = last["uniform points"] / last["aligned strata"]
-    usual = last["uniform points"] / last["importance sampling"]
+    usual = last["importance sampling"] / last["uniform points"]
     return Exhibit(
         numbers={
-            "diagnosis": found.attrs["diagnosis"].split(".")[0],
+            "diagnosis": found.attrs["diagnosis"].partition(". ")[0],
             "best": str(best["remedy"].values),
             "times": number(1 / float(best["error_ratio"]), 2),
             "align": number(align.value, 2),

@@ -269,7 +269,7 @@ def reproduce(
     names
         Names of exhibits. Default: all. The order is always the order of the slides.
     quick
-        Whether to use fewer realizations, counts and pixels.
+        Whether to use fewer realizations, counts and pixels, and to write no PDF files.
     seed
         Seed of all exhibits, an integer ≥ 0.
     command
@@ -317,7 +317,8 @@ def reproduce(
             for finding in _findings_of(slide, entry)
         ]
         html.write_json(root / FINDINGS_NAME, rows)
-        html.write_page(_deck(entries, command, quick, seed), root / PAGE_NAME, root / _FIGURES)
+        deck = _deck(entries, command, quick, seed)
+        html.write_page(deck, root / PAGE_NAME, root / _FIGURES, with_pdf=not quick)
         report("reproduce", 1.0)
     return Reproduction(page=root / PAGE_NAME, entries=tuple(entries))
 
@@ -396,23 +397,23 @@ Mark: TypeAlias = Literal["yes", "some", "no", "none"]
 """Color class of a verdict."""
 
 
-def verdict(slide: Slide, findings: Sequence[Finding]) -> tuple[str, Mark]:
-    """Return the verdict on a slide and its color class.
+def verdict(slide: Slide, findings: Sequence[Finding]) -> tuple[str, str, Mark]:
+    """Return the verdict on a slide in one or two words, its condition, and its color class.
 
     A finding that does not agree overrides the texts of the slide.
     A slide is corrected only if a finding that corrects it agrees.
     """
     if any(finding.agrees is False for finding in findings):
-        return "Not reproduced: a finding does not agree", "no"
+        return "Not reproduced", "a finding does not agree", "no"
     if not any(finding.agrees for finding in findings):
-        return "No verdict: the findings do not decide", "none"
-    if any(finding.corrects and finding.agrees for finding in findings) and slide.corrected:
-        return f"Corrected: {slide.corrected}", "no"
+        return "No verdict", "the findings do not decide", "none"
+    if slide.corrected and any(finding.corrects and finding.agrees for finding in findings):
+        return "Corrected", slide.corrected, "no"
     if slide.answer:
-        return f"Answered: {slide.answer}", "some"
+        return "Answered", slide.answer, "some"
     if slide.holds_if:
-        return f"Holds if {slide.holds_if}", "some"
-    return "Holds", "yes"
+        return "Holds if", slide.holds_if, "some"
+    return "Holds", "", "yes"
 
 
 def measured_text(finding: Finding) -> tuple[str, str]:
@@ -485,19 +486,20 @@ def _deck(entries: Sequence[Entry], command: str, quick: bool, seed: int) -> htm
 
 
 def _screen(slide: Slide, entry: Entry) -> html.Screen:
-    statement: list[html.Block] = [html.Paragraph(text=slide.statement, kind="quote")]
+    formula = None
     if slide.formula:
         from latex2mathml.converter import convert
 
-        formula = html.Markup(convert(" ".join(slide.formula.split()), display="block"))
-        statement.append(html.Paragraph(text=formula, kind="formula"))
+        text = html.Markup(convert(" ".join(slide.formula.split()), display="block"))
+        formula = html.Paragraph(text=text, kind="formula")
     own = _findings_of(slide, entry)
     if entry.exhibit is None:
         return html.Screen(
             number=str(slide.number),
             title=slide.title,
             anchor=slide.figure,
-            statement=tuple(statement),
+            statement=slide.statement,
+            formula=formula,
             verdict="Failed",
             mark="no",
             reason=f"This exhibit failed: {entry.problem}",
@@ -524,14 +526,16 @@ def _screen(slide: Slide, entry: Entry) -> html.Screen:
     table = html.table_of("", columns, rows, words=(0, -1), stacked=True)
     again = html.Paragraph(text=f"mcspectra reproduce {entry.name}", kind="code")
     numbers = html.Collapsible(summary=f"Numbers ({_counted(own)})", blocks=(table, again))
-    text, mark_of = verdict(slide, own)
+    word, rest, mark_of = verdict(slide, own)
     return html.Screen(
         number=str(slide.number),
         title=slide.title,
         anchor=slide.figure,
-        statement=tuple(statement),
+        statement=slide.statement,
+        formula=formula,
         figure=figure(slide.figure),
-        verdict=text,
+        verdict=word,
+        condition=rest,
         mark=mark_of,
         reason=slide.reason,
         link=f"{_EXPLORER}?{urlencode(parse_qsl(slide.explorer))}" if slide.explorer else "",

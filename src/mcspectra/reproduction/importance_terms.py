@@ -160,7 +160,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                     "For constant PDF the third term is negative on f(x) = x, jittered points.",
                     of[LINE],
                 ),
-                # Up to the third term, the variance is 2 · ¼/N² without and 2 · 1/(6N²) with a shift
+                # Up to the third term the variance is 2 · ¼/N², or 2 · 1/(6N²) with a shift
                 correction(
                     Claim(
                         "Counterexample: for constant PDF and a bar whose edges halve strata, "
@@ -209,7 +209,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                         Measured.of(of[GOOD], "dc_term"),
                         expected=GOOD.exact_random()[0],
                         digits=4,
-                        note="The statement of the slides holds if the third term outweighs the first.",
+                        note="The slide holds if the third term outweighs the first.",
                     )
                 ),
             ),

@@ -297,11 +297,10 @@ def _take_away(last: Mapping[tuple[str, bool], Measured], seed: int) -> Plot:
             *lines,
             Dots(x=x, y=y, color=PALETTE[0], size=3.5),
             Segments(ends=square, color=ACCENT, width=2.4),
-            TextMark(x=0.5, y=0.5, text="domain of f", side="middle", color=ACCENT),
         ),
         x=Axis(label="x", low=0.0, high=2.0, ticks={0.0: "0", 1.0: "1", 2.0: "2"}),
         y=Axis(label="y", low=0.0, high=2.0, ticks={0.0: "0", 1.0: "1", 2.0: "2"}),
-        title="the same points, 4 times the domain",
+        title="64 points on 4 times the domain",
         square=True,
     )
     rows = {

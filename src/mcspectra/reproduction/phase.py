@@ -188,7 +188,7 @@ def _displaced(offset: float, terms: Panel) -> Plot:
         ),
         x=Axis(label="x (domain, 0 to 1)", low=0.0, high=1.0),
         y=Axis(label="f(x)", low=0.0, high=1.1),
-        title=f"strata displaced by {number(offset, 3)} of a side",
+        title=f"strata displaced by {offset:g} sides",
     )
     here = ReferenceLine(at=offset, axis="x", color=INK, dashes="--", width=1.4)
     return plot_of("phase-offsets", bar, replace(terms, marks=(here, *terms.marks)))

@@ -25,11 +25,7 @@ N = 16
 DENSITY = "linear(slope=1.8)"
 _FREQUENCIES = np.arange(-8, 9)
 _COEFFICIENTS = {0: 1.0, 1: -0.5, 8: 0.25}  # f(x) = 1 − cos 2πx + ½ cos 16πx
-FORMULAS = (
-    "∫ over real ν\n(Durand; Subr & Kautz)",
-    "Σ over integer m\n(Pilleboue et al.)",
-    "three terms\n(this paper)",
-)
+FORMULAS = ("∫ over real ν", "Σ over integer m", "three terms")
 
 
 @final
@@ -48,10 +44,10 @@ class ValidityCase:
 
 
 CASES = (
-    ValidityCase("homogenized,\np = 1", "jittered | shift", False),
-    ValidityCase("not homogenized,\np = 1", "jittered", False),
-    ValidityCase("importance samples\n(random)", "random", True),
-    ValidityCase("importance samples\n(jittered)", "jittered", True),
+    ValidityCase("homogenized, p = 1", "jittered | shift", False),
+    ValidityCase("not homogenized, p = 1", "jittered", False),
+    ValidityCase("importance samples, random", "random", True),
+    ValidityCase("importance samples, jittered", "jittered", True),
 )
 
 
@@ -99,8 +95,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             ),
             *(
                 _fails(
-                    f"{case.title.replace(chr(10), ' ')}: the sum over integer frequencies is "
-                    "not the variance",
+                    f"{case.title}: the sum over integer frequencies is not the variance",
                     ratios[1, k],
                     variances[k],
                 )
@@ -111,7 +106,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 "valid-now",
                 *(
                     Claim(
-                        f"{case.title.replace(chr(10), ' ').capitalize()}: the three terms "
+                        f"{case.title.capitalize()}: the three terms "
                         "predict the measured variance.",
                         variance,
                         expected=_predicted(2, case),
@@ -182,26 +177,24 @@ def _fails(statement: str, ratio: float, variance: Measured) -> Claim:
     return Claim(f"{statement[0].upper()}{statement[1:]}: ratio.", measured, **bound)  # type: ignore[arg-type]
 
 
-def _checklist(kind: str, ratios: Array, rows: tuple[str, ...]) -> Plot:
-    """Return a table of ratios; orange cells are formulas that do not hold."""
-    shown = ratios[::-1]
+def _checklist(kind: str, ratios: Array, names: tuple[str, ...]) -> Plot:
+    """Return a table of ratios with a row per case; orange cells are formulas that do not hold."""
+    shown = ratios.T[::-1]
     wrong = (np.abs(np.log(shown)) > np.log(1.1)).astype(float)
     scale = Scale(
         kind="names",
         names=("valid: prediction = variance", "not valid"),
         colors=("#CFE8DC", "#F5C9A9"),
     )
-    x, y = np.arange(len(CASES), dtype=float), np.arange(len(rows), dtype=float)
+    x, y = np.arange(len(names), dtype=float), np.arange(len(CASES), dtype=float)
     texts = tuple(
         TextMark(x=float(i), y=float(j), text=f"× {number(float(shown[j, i]), 3)}", side="middle")
-        for j in range(len(rows))
-        for i in range(len(CASES))
+        for j in range(len(CASES))
+        for i in range(len(names))
     )
-    axis = Axis(
-        low=-0.5, high=len(CASES) - 0.5, ticks={float(k): c.title for k, c in enumerate(CASES)}
-    )
-    names = Axis(low=-0.5, high=len(rows) - 0.5, ticks=dict(enumerate(rows[::-1])))  # type: ignore[arg-type]
+    columns = Axis(low=-0.5, high=len(names) - 0.5, ticks=dict(zip(x.tolist(), names, strict=True)))
+    titles = [case.title for case in CASES[::-1]]
+    rows = Axis(low=-0.5, high=len(CASES) - 0.5, ticks=dict(zip(y.tolist(), titles, strict=True)))
     image = Heatmap(values=wrong, x=x, y=y, scale=scale, name="valid")
-    return plot_of(
-        kind, Panel(marks=(image, *texts), x=axis, y=names, title="prediction / variance")
-    )
+    panel = Panel(marks=(image, *texts), x=columns, y=rows, title="prediction / measured variance")
+    return plot_of(kind, panel)

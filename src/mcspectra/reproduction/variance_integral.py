@@ -122,7 +122,7 @@ def _product(n: int) -> Plot:
             frequency_panel(sampling, power, f"⟨P_S⟩, {name.replace(' | ', ', ')}"),
             frequency_panel(bell, decades[0], "× P_f", y=False),
             frequency_panel(
-                sampling * bell, decades[1], f"= product, sum {number(total)}", y=False
+                sampling * bell, decades[1], f"= product, Σ = {number(total, 2)}", y=False
             ),
         ]
     return plot_of("variance-integral", *panels)
