@@ -116,7 +116,7 @@ def _sketch(f: Mapping[Case, Any], seed: int) -> Plot:
         """Return points of the lobe, a lobe of cosines about its axis."""
         away = np.asarray(angle, float)
         size = 0.5 * np.cos(np.pi / 2 * (away - lobe_axis) / half) ** 0.7
-        return place + size[..., None] * np.stack([np.cos(away), np.sin(away)], axis=-1)
+        return np.asarray(place + size[..., None] * np.stack([np.cos(away), np.sin(away)], axis=-1))
 
     edge = arrow(np.linspace(lobe_axis - 0.999 * half, lobe_axis + 0.999 * half, 80))
     on_light = np.stack([light[0] + u * (light[1] - light[0]), np.full(6, light[2])], axis=-1)

@@ -225,7 +225,10 @@ def _sky(planes: Mapping[str, xr.Dataset]) -> Plot:
     place = np.array(
         [[next(k for k, c in enumerate(kinds.values()) if (c == p).all()) for p in r] for r in DOME]
     )
-    rgb = np.round(255 * np.clip(encode_srgb(np.array(list(kinds.values()))), 0.0, 1.0)).astype(int)
+    rgb = np.round(
+        255
+        * np.clip(encode_srgb(np.array([c / max(1.0, c.max()) for c in kinds.values()])), 0.0, 1.0)
+    ).astype(int)
     names = Scale(
         kind="names", names=tuple(kinds), colors=tuple(f"#{r:02X}{g:02X}{b:02X}" for r, g, b in rgb)
     )
