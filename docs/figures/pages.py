@@ -7,6 +7,7 @@ Numbers of `bases`, `evidence` and `scaling` are read from the tables of these p
 from __future__ import annotations
 
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -250,7 +251,8 @@ def reproduce() -> Figure:
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as play:
         command = [sys.executable, "-m", "mcspectra", "reproduce", "importance-terms", "--quick"]
         subprocess.run([*command, "--out", folder], check=True)
-        page = play.chromium.launch().new_page(viewport={"width": 1300, "height": 760})
+        browser = play.chromium.launch(executable_path=shutil.which("chromium"))
+        page = browser.new_page(viewport={"width": 1300, "height": 760})
         page.goto(Path(folder, "index.html").as_uri() + "#importance-terms")
         shot = Path(folder, "shot.png")
         page.screenshot(path=shot)
