@@ -7,6 +7,7 @@ The figures of `bases`, `evidence` and `scaling` show numbers from the tables of
 from __future__ import annotations
 
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -245,16 +246,20 @@ def clusters() -> Figure:
 
 
 def reproduce() -> Figure:
-    names = ("generalised-formula", "homogenisation-convergence", "phase")
-    with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "mcspectra", "reproduce", "--quick", "--out", folder]
-        subprocess.run([*command, *names], check=True)
-        pictures = [plt.imread(next(Path(folder, "figures").glob(f"{n}*.png"))) for n in names]
-    widths = [each.shape[1] / len(each) for each in pictures]
-    figure, axes = plt.subplots(1, 3, figsize=(14, 14 / sum(widths)), width_ratios=widths)
-    for place, picture in zip(axes, pictures, strict=True):
-        place.imshow(picture)
-        place.axis("off")
+    from playwright.sync_api import sync_playwright
+
+    with tempfile.TemporaryDirectory() as folder, sync_playwright() as play:
+        command = [sys.executable, "-m", "mcspectra", "reproduce", "importance-terms", "--quick"]
+        subprocess.run([*command, "--out", folder], check=True)
+        browser = play.chromium.launch(executable_path=shutil.which("chromium"))
+        page = browser.new_page(viewport={"width": 1300, "height": 760})
+        page.goto(Path(folder, "index.html").as_uri() + "#importance-terms")
+        shot = Path(folder, "shot.png")
+        page.screenshot(path=shot)
+        picture = plt.imread(shot)
+    figure, axes = plt.subplots(figsize=(13, 7.6))
+    axes.imshow(picture)
+    axes.axis("off")
     return figure
 
 

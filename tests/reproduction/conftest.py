@@ -10,17 +10,18 @@ import pytest
 
 from mcspectra.plots import backend_bokeh, backend_matplotlib
 from mcspectra.reproduction.claims import Exhibit
+from mcspectra.reproduction.gallery import Slide
 
 Disagreeing = Callable[..., list[int]]
 
 
 @pytest.fixture(scope="session", name="sound")
-def _sound() -> Callable[[Exhibit], None]:
+def _sound() -> Callable[..., None]:
     """Check that all claims agree, all texts exist, and both backends draw every plot."""
 
-    def check(made: Exhibit) -> None:
+    def check(made: Exhibit, slides: tuple[Slide, ...] = ()) -> None:
         assert [f.statement for f in made.findings if f.agrees is not True] == []
-        assert len(made.caption) > 100
+        assert all(len(slide.reason) > 60 for slide in slides)
         for plot in made.plots:
             assert len(plot.words) > 40
             assert len(plot.caption) > 40

@@ -13,7 +13,7 @@ pytestmark = pytest.mark.render
 
 @pytest.fixture(scope="module")
 def made():
-    return make_exhibit("direct-illumination", quick=True, seed=1)
+    return make_exhibit("direct-illumination", quick=True, seed=1)[0]
 
 
 def test_all_findings_agree(made, sound):

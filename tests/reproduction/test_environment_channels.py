@@ -13,7 +13,7 @@ from mcspectra.reproduction.gallery import make_exhibit
 
 @pytest.fixture(scope="module")
 def made():
-    return make_exhibit("environment-channels", quick=True, seed=1)
+    return make_exhibit("environment-channels", quick=True, seed=1)[0]
 
 
 def test_all_findings_agree(made, sound):
@@ -21,8 +21,9 @@ def test_all_findings_agree(made, sound):
 
 
 def test_theory_has_two_rates(made):
-    rates = [f.expected.split()[0] for f in made.findings[:9]]
-    assert rates == ["−2.0"] * 3 + ["−3.0"] * 3 + ["−2.0"] * 3
+    rates = [f.expected.split()[0] for f in made.findings[:14]]
+    assert rates[:5] == ["−1.5"] * 2 + ["−2.0"] * 3
+    assert rates[5:] == ["−2.0"] * 3 + ["−3.0"] * 3 + ["−2.0"] * 3
 
 
 def test_the_integral_of_the_map():
@@ -57,7 +58,7 @@ def test_rates_of_other_densities_disagree():
 
 
 def test_curves_of_the_map_are_within_the_limits(made):
-    plot = next(p for p in made.plots if p.kind == "environment-map")
+    plot = next(p for p in made.plots if p.kind == "one-row")
     for axes in panel_axes(draw(plot)):
         low, high = axes.get_ylim()
         values = np.concatenate([np.asarray(line.get_ydata()) for line in axes.lines])

@@ -2,7 +2,7 @@
 
 import pytest
 
-from mcspectra.reproduction.gallery import make_exhibit, slides
+from mcspectra.reproduction.gallery import make_exhibit, texts
 
 ELSEWHERE = {
     "direct-illumination",
@@ -18,9 +18,9 @@ RENDERED = {"light-smoothing", "mis-slowest"}
     "name",
     [
         pytest.param(name, marks=[pytest.mark.render] if name in RENDERED else [])
-        for name in slides()
+        for name in texts()
         if name not in ELSEWHERE
     ],
 )
 def test_all_findings_agree(name, sound):
-    sound(make_exhibit(name, quick=True, seed=1))
+    sound(*make_exhibit(name, quick=True, seed=1))

@@ -1,10 +1,9 @@
-"""The gallery: page, images, PDF and findings of invented exhibits."""
+"""The gallery: page, images and findings of invented exhibits."""
 
 import base64
 import json
 import re
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,21 +12,52 @@ import pytest
 from mcspectra.cli.main import main
 from mcspectra.core.errors import ParameterError, StoreError, UnknownName
 from mcspectra.plots.description import Line, Panel, Pixels, Plot
+from mcspectra.report.page import Slider
 from mcspectra.reproduction import gallery
-from mcspectra.reproduction.claims import VERDICT_WIDENING, Claim, Exhibit, Finding, Measured
-from mcspectra.reproduction.gallery import Slide, measured_text, reproduce
+from mcspectra.reproduction.claims import (
+    VERDICT_WIDENING,
+    Claim,
+    Exhibit,
+    Finding,
+    Measured,
+    about,
+    correction,
+)
+from mcspectra.reproduction.gallery import (
+    ExhibitTexts,
+    Slide,
+    measured_text,
+    reproduce,
+    verdict,
+)
 
-SLIDES = {
-    "good": Slide(
-        title="A good one",
+TEXTS = {
+    "good": ExhibitTexts(
         summary="good things",
-        slide="Slide & quotation",
-        caption="quick {quick}, seed {seed}",
+        slides=(
+            Slide(
+                number=7,
+                title="A good one",
+                statement="Slide & quotation",
+                reason="quick {quick}, seed {seed}",
+                figure="plot",
+                more=("photo",),
+                formula=r"\frac{1}{N} \sum_k x_k",
+                explorer="sampler=jittered | shift",
+            ),
+            Slide(number=3, title="An earlier one", statement="", reason="", figure="photo"),
+        ),
         plots={k: {"caption": "A $ sign.", "words": '"Words"'} for k in ("photo", "plot")},
-        formula=r"\frac{1}{N} \sum_k x_k",
     ),
-    "bad": Slide(title="A bad one", summary="bad things", slide="Nothing", caption="", plots={}),
+    "bad": ExhibitTexts(
+        summary="bad things",
+        slides=(Slide(number=9, title="A bad one", statement="No", reason="", figure="none"),),
+        plots={},
+    ),
 }
+
+
+COUNTED = "1 agree, 1 limit or correct a slide, 1 do not agree, 1 without verdict"
 
 
 def _plot(photograph):
@@ -44,10 +74,12 @@ def _good(*, quick, seed):
     return Exhibit(
         numbers={"quick": quick, "seed": seed},
         plots=(_plot(False), _plot(True)),
+        sliders={"plot": Slider("n", {"1": _plot(False), "2": _plot(False)}, "1")},
         claims=(
             Claim("One is <one>.", Measured(1.0, 0.9, 1.1), expected=1.0),
             Claim("One is <one>.", Measured(np.inf, -np.inf, 2.0), expected=1.0, note="why"),
-            Claim("One is <one>.", "words", shown="1"),
+            *about("photo", Claim("One is <one>.", "words", shown="1")),
+            *about("photo", correction(Claim("One is <one>.", 1.0, expected=1.0))),
         ),
     )
 
@@ -60,7 +92,7 @@ def _bad(*, quick, seed):
 def exhibits():
     here: dict[str, Callable[..., Exhibit]] = {"good": _good, "bad": _bad}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(gallery, "slides", lambda: SLIDES)
+        patch.setattr(gallery, "texts", lambda: TEXTS)
         patch.setattr(gallery, "load_exhibit", here.__getitem__)
         yield
 
@@ -76,20 +108,25 @@ def good(tmp_path_factory, exhibits):
 def test_findings_are_plain_json(good):
     rows = json.loads((good / "findings.json").read_text(encoding="utf-8"))
     assert [set(row) for row in rows] == [
-        {"exhibit", "statement", "expected", "measured", "interval", "agrees", "note"}
-    ] * 3
-    assert [row["measured"] for row in rows] == [1.0, "inf", "words"]
+        {
+            *("exhibit", "slide", "statement", "expected", "measured", "interval", "agrees"),
+            *("note", "corrects"),
+        }
+    ] * 4
+    assert [row["slide"] for row in rows] == [7, 7, 3, 3]
+    assert [row["measured"] for row in rows] == [1.0, "inf", "words", 1.0]
     ends = pytest.approx((1.0 - 0.1 * VERDICT_WIDENING, 1.0 + 0.1 * VERDICT_WIDENING))
     assert rows[0]["interval"] == ends
-    assert [row["interval"] for row in rows[1:]] == [["-inf", 2.0], None]
-    assert [row["agrees"] for row in rows] == [True, False, None]
+    assert [row["interval"] for row in rows[1:]] == [["-inf", 2.0], None, None]
+    assert [row["agrees"] for row in rows] == [True, False, None, True]
+    assert [row["corrects"] for row in rows] == [False, False, False, True]
 
 
 def test_a_failed_exhibit_does_not_stop_others(tmp_path):
     seen: list[str] = []
     made = reproduce(tmp_path, done=lambda entry: seen.append(f"{entry.name} {entry.tally}"))
     assert made.failed == ("bad",)
-    assert seen == ["good 1 of 2 agree", "bad failed"]
+    assert seen == [f"good {COUNTED}", "bad failed"]
     rows = json.loads((tmp_path / "findings.json").read_text(encoding="utf-8"))
     failed = rows[-1]
     assert (failed["exhibit"], failed["agrees"]) == ("bad", False)
@@ -105,19 +142,21 @@ def test_the_page_is_self_contained_and_escaped(good):
     assert 'alt="&#34;Words&#34;"' in page
     assert "<math" in page
     assert "<mfrac>" in page
-    assert not re.search(r'(?:src|href)="(?!data:|#)', page)
+    assert re.findall(r'(?:src|href)="(?!data:|#)([^"]*)', page) == [
+        "http://localhost:5006/?sampler=jittered+%7C+shift"
+    ]
     assert "prefers-color-scheme: dark" in page
-    inside = re.findall(r"data:image/png;base64,([^\"]+)", page)
+    inside = {
+        base64.b64decode(text) for text in re.findall(r"data:image/png;base64,([^\"]+)", page)
+    }
     files = sorted((good / "figures").iterdir())
     assert [f.name for f in files if f.suffix == ".png"] == ["good-photo.png", "good-plot.png"]
-    assert {base64.b64decode(text) for text in inside} == {
-        f.read_bytes() for f in files if f.suffix == ".png"
-    }
+    assert {f.read_bytes() for f in files if f.suffix == ".png"} <= inside
 
 
 def test_the_same_seed_gives_the_same_bytes(good, tmp_path):
     reproduce(tmp_path, ["good"], seed=7)
-    for name in ("index.html", "reproduce.pdf", "findings.json", "figures/good-plot.png"):
+    for name in ("index.html", "findings.json", "figures/good-plot.png"):
         assert (good / name).read_bytes() == (tmp_path / name).read_bytes()
 
 
@@ -129,35 +168,42 @@ def test_images_keep_their_colors(good):
             assert image.mode == mode
 
 
-def test_the_pdf_has_a_page_of_text_and_a_page_per_figure(good):
-    pdf = (good / "reproduce.pdf").read_bytes()
-    assert pdf.startswith(b"%PDF")
-    assert re.findall(rb"/Count (\d+)", pdf) == [b"3"]
+def test_quick_runs_write_no_pdf_files(good, tmp_path):
+    reproduce(tmp_path, ["good"], quick=True)
+    assert not list((tmp_path / "figures").glob("*.pdf"))
+    assert len(list((good / "figures").glob("*.pdf"))) == 2
 
 
-def test_captions_in_the_pdf_are_below_legends():
-    import io
+def test_screens_are_in_the_order_of_the_talk(good):
+    page = (good / "index.html").read_text(encoding="utf-8")
+    screens = re.findall(r'<section id="([^"]+)" class="screen', page)
+    assert screens == ["start", "photo", "plot", "provenance"]
+    assert page.count('type="range"') == 1
 
-    class Sheets:
-        """A file that draws each figure, as when a PDF is written."""
 
-        def savefig(self, figure, **options):
-            drawn: list[tuple[float, float]] = []
-            caption, legend = figure.texts[-1], figure.legends[0]
-
-            def look(event):
-                drawn.append((caption.get_window_extent().y1, legend.get_window_extent().y0))
-
-            figure.canvas.mpl_connect("draw_event", look)
-            figure.savefig(io.BytesIO(), **options)
-            top, bottom = drawn[-1]
-            assert top < bottom
-
-    gallery._add_figure(Sheets(), replace(_plot(False), caption="A $ sign."))
+@pytest.mark.parametrize(
+    ("agrees", "corrects", "texts", "word"),
+    [
+        ((True, True), (False, False), {}, "Holds"),
+        ((True, None), (False, False), {"holds_if": "x"}, "Holds if"),
+        ((True, True), (False, True), {"corrected": "x"}, "Corrected"),
+        ((True, None), (False, True), {"corrected": "x"}, "Holds"),
+        ((True, False), (False, True), {"corrected": "x"}, "Not reproduced"),
+        ((None, None), (False, False), {"answer": "x"}, "No verdict"),
+        ((True, True), (False, False), {"answer": "x"}, "Answered"),
+    ],
+)
+def test_verdicts_follow_from_findings(agrees, corrects, texts, word):
+    slide = Slide(number=1, title="", statement="", reason="", figure="", **texts)
+    findings = [
+        Finding(statement="", expected="", measured=None, interval=None, agrees=a, corrects=c)
+        for a, c in zip(agrees, corrects, strict=True)
+    ]
+    assert verdict(slide, findings)[0] == word
 
 
 def test_fonts_in_the_pdf_can_be_edited(good):
-    pdf = (good / "reproduce.pdf").read_bytes()
+    pdf = (good / "figures/good-plot.pdf").read_bytes()
     assert b"/Type3" not in pdf
     assert b"/CIDFontType2" in pdf
 
@@ -229,9 +275,9 @@ def test_digits_follow_the_interval(value, interval, shown):
 def test_the_command_reports_disagreements_and_failures(tmp_path, capsys):
     assert main(["reproduce", "--quick", "--seed", "5", "--out", str(tmp_path)]) == 1
     out, err = capsys.readouterr()
-    assert "good: 1 of 2 agree" in out
+    assert f"good: {COUNTED}" in out
     assert "does not agree: One is <one>.: why" in out
-    assert "2 figures; 1 of 2 findings agree; 1 failed" in out
+    assert f"2 slides; findings: {COUNTED}; 1 failed" in out
     assert err.strip() == "mcspectra: The figure bad failed: ZeroDivisionError: it broke"
     page = (tmp_path / "index.html").read_text(encoding="utf-8")
     assert "quick True, seed 5" in page
@@ -241,7 +287,8 @@ def test_the_command_reports_disagreements_and_failures(tmp_path, capsys):
 def test_command_in_json_and_quiet(tmp_path, capsys):
     assert main(["reproduce", "good", "--json", "--out", str(tmp_path)]) == 0
     told = json.loads(capsys.readouterr().out)
-    assert (told["figures"], told["agree"], told["judged"], told["failed"]) == (["good"], 1, 2, [])
+    assert (told["figures"], told["failed"]) == (["good"], [])
+    assert (told["agree"], told["correct"], told["judged"]) == (1, 1, 3)
     assert Path(told["gallery"]).exists()
     assert main(["reproduce", "good", "--quiet", "--out", str(tmp_path)]) == 0
     assert [line.split(":")[0] for line in capsys.readouterr().out.splitlines()][1:] == ["page"]

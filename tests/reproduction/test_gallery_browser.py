@@ -7,9 +7,11 @@ from mcspectra.reproduction.gallery import load_exhibit, reproduce
 
 pytestmark = pytest.mark.browser
 NAMES = ["closed-forms", "strata-alignment", "bias"]
+SCREENS = [
+    *("start", "closed-forms", "edge-and-strata", "strata-alignment-convergence"),
+    *("bias-coefficients", "provenance"),
+]
 EVIL = "</p><script>document.title = 'run'</script><img src=http://example.com/x.png>"
-SHOWN = """name => { const y = document.getElementById(name).getBoundingClientRect().y;
-    return y > -1 && y < innerHeight; }"""  # scroll positions are whole pixels
 
 
 @pytest.fixture(scope="module", name="gallery")
@@ -64,35 +66,78 @@ def _visit(browser, gallery):
     assert (asked, complaints) == ([], [])
 
 
-def test_contents_link_to_every_figure(visit):
+def _shown(page):
+    """Return the ids of the visible screens."""
+    return page.locator(".screen").evaluate_all(
+        "all => all.filter(e => e.offsetHeight > 0).map(e => e.id)"
+    )
+
+
+def test_one_screen_is_shown_and_the_keyboard_turns_the_pages(visit):
     page = visit()
-    links = page.locator("nav a")
-    assert links.evaluate_all("all => all.map(a => a.hash.slice(1))") == [*NAMES, "provenance"]
-    for place, name in enumerate(NAMES):
-        page.evaluate("scrollTo(0, 0)")
-        links.nth(place).press("Enter")
-        assert page.url.endswith(f"#{name}")
-        page.wait_for_function(SHOWN, arg=name)
+    assert _shown(page) == ["start"]
+    for key, place in (("ArrowRight", 1), ("End", 5), ("ArrowLeft", 4), ("Home", 0)):
+        page.keyboard.press(key)
+        assert _shown(page) == [SCREENS[place]]
+        assert page.url.endswith(f"#{SCREENS[place]}")
+    assert page.evaluate("document.documentElement.scrollHeight") <= 0.2 * 53354
+
+
+def test_thumbnails_go_to_their_slides(visit):
+    page = visit()
+    links = page.locator("nav ol a")
+    assert links.evaluate_all("all => all.map(a => a.hash.slice(1))") == SCREENS
+    links.nth(2).click()
+    assert _shown(page) == [SCREENS[2]]
+    assert links.nth(2).get_attribute("aria-current") == "true"
+
+
+def test_a_slider_changes_the_figure(visit):
+    page = visit()
+    page.goto(page.url + "#edge-and-strata")
+    slider = page.locator("#edge-and-strata input")
+    images = page.locator("#edge-and-strata .slides img")
+    before = images.evaluate_all("all => all.findIndex(i => i.offsetHeight > 0)")
+    slider.focus()
+    page.keyboard.press("ArrowRight")
+    assert images.evaluate_all("all => all.findIndex(i => i.offsetHeight > 0)") == before + 1
+    assert page.locator("#edge-and-strata output").inner_text() == "0.75"
+
+
+def test_without_scripts_all_slides_are_shown(visit):
+    page = visit(java_script_enabled=False)
+    for name in SCREENS:
+        assert page.locator(f"#{name}").is_visible()
+    assert page.locator(".slider").first.is_hidden()
 
 
 def test_failures_are_shown_and_run_no_scripts(visit):
     page = visit()
-    assert page.title() == "The slides, reproduced – mcspectra gallery"
-    assert EVIL in page.locator("#bias").inner_text()
-    assert page.locator("nav li").nth(2).inner_text().endswith("failed")
-    assert page.locator("#bias img, #bias script").count() == 0
+    assert page.title() == "The slides, reproduced – mcspectra lecture"
+    page.evaluate("location.hash = '#bias-coefficients'")
+    page.wait_for_selector("#bias-coefficients.current")
+    assert EVIL in page.locator("#bias-coefficients").inner_text()
+    assert "Failed" in page.locator("#start").text_content()
+    assert page.locator("#bias-coefficients img, #bias-coefficients script").count() == 0
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(390, "dark"), (1200, "light")])
 def test_nothing_overflows_and_every_image_loads(visit, width, scheme):
     page = visit(width, color_scheme=scheme)
-    assert page.evaluate("document.documentElement.scrollWidth") <= width
-    sizes = page.locator("img").evaluate_all("all => all.map(i => [i.naturalWidth, i.alt.length])")
+    for _ in SCREENS:
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        page.keyboard.press("ArrowRight")
+    sizes = page.locator("main img").evaluate_all(
+        "all => all.map(i => [i.naturalWidth, i.alt.length])"
+    )
     assert len(sizes) >= 3
     assert all(pixels > 300 and letters > 40 for pixels, letters in sizes)
     outside = """all => all.filter(e => { const r = e.getBoundingClientRect();
         return r.left < 0 || r.right > innerWidth; }).map(e => e.textContent)"""
-    assert page.locator("h1, h2, p, li, blockquote, figcaption, dd").evaluate_all(outside) == []
+    assert (
+        page.locator("main :is(h1, h2, p, li, blockquote, figcaption, dd)").evaluate_all(outside)
+        == []
+    )
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
@@ -100,12 +145,12 @@ def test_verdicts_have_enough_contrast(visit, scheme):
     """The WCAG 2.1 contrast is at least 4.5, as required for text of this size."""
     page = visit(color_scheme=scheme)
     colors = page.evaluate(
-        """() => [document.body, ...document.querySelectorAll("nav .yes, nav .no")].map(
+        """() => [document.body, ...document.querySelectorAll(".contents .yes, .contents .no")].map(
         (e, k) => getComputedStyle(e)[k ? "color" : "backgroundColor"].match(/[0-9.]+/g)
             .slice(0, 3).map(Number))"""
     )
     body, *verdicts = map(_luminance, colors)
-    assert len(verdicts) == len(NAMES)
+    assert len(verdicts) == len(SCREENS) - 2
     for each in verdicts:
         assert (max(body, each) + 0.05) / (min(body, each) + 0.05) >= 4.5
 
@@ -120,10 +165,12 @@ def _luminance(color):
 def test_formulas_and_tables_fit_their_frames(visit):
     """Formulas are not cut off at the top or bottom, and phones show findings in one column."""
     page = visit()
+    page.keyboard.press("ArrowRight")
+    page.locator("#closed-forms summary").last.click()
     cut = "all => all.filter(e => e.scrollHeight > e.clientHeight).length"
-    assert page.locator(".formula").count() == 1
+    assert page.locator("#closed-forms .formula").count() == 1
     assert page.locator(".formula").evaluate_all(cut) == 0
-    rows = page.locator("table.stacked").first.locator("tbody tr").first
+    rows = page.locator("#closed-forms table.stacked").first.locator("tbody tr").first
     assert rows.evaluate("row => getComputedStyle(row).display") == "table-row"
     page.set_viewport_size({"width": 390, "height": 800})
     assert rows.evaluate("row => getComputedStyle(row).display") == "block"
@@ -135,5 +182,6 @@ def test_formulas_and_tables_fit_their_frames(visit):
     )
 
 
-def test_the_page_can_be_printed(visit):
-    assert visit().pdf().startswith(b"%PDF")
+def test_printing_gives_one_sheet_per_screen(visit):
+    printed = visit().pdf(prefer_css_page_size=True)
+    assert printed.count(b"/Type /Page\n") == len(SCREENS)

@@ -22,7 +22,7 @@ def test_terms_of_another_sampler_disagree(disagreeing: Disagreeing) -> None:
     def wrong(f: Any, sampler: str, _: int, seed: int) -> Any:
         return right(f, swapped[sampler], 400, seed)
 
-    assert disagreeing(module, terms=wrong) == [2, 6, 7, 8, 11]
+    assert disagreeing(module, terms=wrong) == [1, 5, 6, 7, 8]
 
 
 def test_incomplete_sums_and_matrices_that_are_not_hermitian_disagree(
@@ -39,4 +39,4 @@ def test_incomplete_sums_and_matrices_that_are_not_hermitian_disagree(
         short = data["predicted_variance"] - data["cross_term"]
         return data.assign(predicted_variance=short, cross_matrix=matrix)
 
-    assert disagreeing(module, terms=wrong)[:2] == [0, 1]
+    assert {0, 9} <= set(disagreeing(module, terms=wrong))

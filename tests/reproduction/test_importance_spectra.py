@@ -31,7 +31,7 @@ def test_spectra_of_another_sampler_and_sums_without_weights_disagree(
     assert {0, 2, 4, 5, 6, 9} <= set(
         disagreeing(
             spectra,
-            spectrum=lambda name, _, seed: spectrum(others[name], 100, seed),
+            spectrum=lambda name, _, seed, slope=1.6: spectrum(others[name], 100, seed, slope),
             sums=lambda *a, weighted: sums(*a, weighted=not weighted),
         )
     )

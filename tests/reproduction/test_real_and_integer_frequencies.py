@@ -16,7 +16,7 @@ from mcspectra.reproduction.gallery import make_exhibit
 
 @pytest.fixture(scope="module")
 def made() -> Exhibit:
-    return make_exhibit("real-and-integer-frequencies", quick=True, seed=1)
+    return make_exhibit("real-and-integer-frequencies", quick=True, seed=1)[0]
 
 
 def test_all_findings_agree(made: Exhibit, sound: Callable[[Exhibit], None]) -> None:
@@ -24,7 +24,7 @@ def test_all_findings_agree(made: Exhibit, sound: Callable[[Exhibit], None]) -> 
 
 
 def test_the_rates_of_the_slides_are_expected(made: Exhibit) -> None:
-    assert [f.expected.split()[0] for f in made.findings[:4]] == ["−2.0", "−3.0", "−1.0", "−1.0"]
+    assert [f.expected.split()[0] for f in made.findings[5:9]] == ["−2.0", "−3.0", "−1.0", "−1.0"]
 
 
 def test_exact_variances_of_the_ramp() -> None:
@@ -62,7 +62,7 @@ def test_a_wrong_rate_disagrees(disagreeing: Disagreeing) -> None:
         RATES={"f": -3.0, "g": -2.0},
         exact_variances=lambda name, sampler: right(other[name], sampler),
     )
-    assert {0, 1, 5, 7} <= set(found)
+    assert {5, 6, 1, 3} <= set(found)
 
 
 def test_integers_have_a_rate(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.render
 
 @pytest.fixture(scope="module")
 def made() -> Exhibit:
-    return make_exhibit("veach-pictures", quick=True, seed=1)
+    return make_exhibit("veach-pictures", quick=True, seed=1)[0]
 
 
 def test_all_findings_agree(made: Exhibit, sound: Callable[[Exhibit], None]) -> None:

@@ -48,28 +48,27 @@ _ITSELF = f"""@software{{mcspectra,
 @verb(
     option("FIGURE", "figures (default: all)", dest="figures", nargs="*"),
     option("--list", "list the figures and stop"),
-    option("--quick", "fewer realizations: 3 minutes at most"),
+    option("--quick", "fewer realizations and no PDF files: about a minute"),
     option("-o, --out DIR", "output folder (default out/reproduce)", repeated="once"),
 )
 def reproduce_(options: argparse.Namespace) -> VerbOutput:
     """Make the figures of the slides again, and report which statements agree.
 
-    Writes DIR/index.html, which is a single self-contained page.
-    Also writes DIR/reproduce.pdf, DIR/findings.json and DIR/figures/*.png.
+    Writes DIR/index.html, a lecture in a single self-contained file.
+    Also writes DIR/findings.json and DIR/figures/*.png and *.pdf.
     Without FIGURE it makes all figures; --list names them.
     A figure that fails does not stop the others; the exit code is then 1.
     """
     from mcspectra.reproduction.gallery import (
         FINDINGS_NAME,
-        PDF_NAME,
         exhibit_names,
         reproduce,
-        slides,
         tally,
+        texts,
     )
 
     if options.list:
-        shown = {name: slides()[name].summary for name in exhibit_names(options.figures)}
+        shown = {name: texts()[name].summary for name in exhibit_names(options.figures)}
         width = max(map(len, shown))
         lines = [f"{name.ljust(width)}  {text}" for name, text in shown.items()]
         return VerbOutput(
@@ -99,17 +98,17 @@ def reproduce_(options: argparse.Namespace) -> VerbOutput:
             problem = printable(entry.problem)
             print(f"mcspectra: The figure {entry.name} failed: {problem}", file=sys.stderr)
     judged = [
-        finding.agrees
+        finding
         for entry in made.entries
         for finding in entry.findings
         if finding.agrees is not None and not entry.problem
     ]
     data = {
         "gallery": made.page,
-        "pdf": made.page.parent / PDF_NAME,
         "findings": made.page.parent / FINDINGS_NAME,
         "figures": [entry.name for entry in made.entries],
-        "agree": sum(judged),
+        "agree": sum(bool(each.agrees) and not each.corrects for each in judged),
+        "correct": sum(bool(each.agrees) and each.corrects for each in judged),
         "judged": len(judged),
         "failed": list(made.failed),
     }

@@ -1,6 +1,7 @@
-"""A self-contained HTML page of text, facts, tables and figures.
+"""A self-contained HTML page of text, facts, tables and figures, or a deck of slides.
 
-Every report is a `Page`, which is plain data. `write_page` draws its figures and writes the HTML.
+Every report is a `Page`, and every lecture a `Deck`; both are plain data.
+`write_page` draws the figures and writes the HTML.
 Styles, scripts and images are embedded, so the page loads nothing.
 
 Each figure is an image. A `live` figure also has an interactive plot.
@@ -35,14 +36,17 @@ from mcspectra.plots.text import MISSING, slug
 __all__ = [
     "Block",
     "Collapsible",
+    "Deck",
     "FactList",
     "Figure",
     "Figures",
     "Markup",
     "Page",
     "Paragraph",
+    "Screen",
     "Section",
     "Sentences",
+    "Slider",
     "Table",
     "TableCell",
     "anchors",
@@ -151,6 +155,26 @@ class Table:
 
 
 @final
+@dataclass(frozen=True, eq=False)
+class Slider:
+    """Plots of equal layout, one for each value of a parameter.
+
+    Attributes
+    ----------
+    label
+        Name of the parameter.
+    plots
+        Plots by the text of the value.
+    start
+        Value that is shown at first, on paper, and without scripts.
+    """
+
+    label: str
+    plots: Mapping[str, Plot]
+    start: str
+
+
+@final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Figure:
     """A plot in a page. If it has a name, PNG and PDF files of that name are written.
@@ -159,11 +183,14 @@ class Figure:
     ----------
     live
         Whether the page also has an interactive version.
+    slider
+        Plots that replace the plot when a slider is moved.
     """
 
     plot: Plot
     name: str = ""
     live: bool = False
+    slider: Slider | None = None
 
     @property
     def is_broad(self) -> bool:
@@ -235,6 +262,60 @@ class Page:
     what: str
     sections: tuple[Section, ...]
     lead: tuple[Block, ...] = ()
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Screen:
+    """A slide of a lecture: a statement, one figure, a verdict and folded details.
+
+    Attributes
+    ----------
+    number
+        Number in the navigation.
+    anchor
+        HTML id, unique within a deck.
+    statement, formula
+        Quotation, and a formula that is shown above all.
+    figure
+        The figure, which fills the screen. None: words only.
+    verdict, condition, mark
+        Verdict on the statement in one or two words, its condition, and its color class.
+    reason
+        Reason for the verdict.
+    link
+        Address of the explorer in the state of the figure, or empty.
+    folded
+        Details below the figure, hidden until they are opened and on paper.
+    """
+
+    number: str
+    title: str
+    anchor: str
+    statement: str = ""
+    formula: Paragraph | None = None
+    figure: Figure | None = None
+    verdict: str = ""
+    condition: str = ""
+    mark: Literal["", "yes", "some", "no", "none"] = ""
+    reason: str = ""
+    link: str = ""
+    folded: tuple[Block, ...] = ()
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Deck:
+    """A lecture: a title page, screens that are shown one at a time, and a last page.
+
+    Without scripts all screens are below each other. On paper each screen is a sheet.
+    """
+
+    title: str
+    what: str
+    screens: tuple[Screen, ...]
+    lead: tuple[Block, ...] = ()
+    last: Section | None = None
 
 
 def anchors(names: Iterable[str], head: str = "") -> list[str]:
@@ -365,17 +446,21 @@ def page_file(folder: Path, name: str, out: object) -> Path:
     return folder / name
 
 
-def write_page(page: Page, file: Path, figures: Path | None = None) -> Path:
-    """Draw the figures of a page and write the page.
+def write_page(
+    page: Page | Deck, file: Path, figures: Path | None = None, *, with_pdf: bool = True
+) -> Path:
+    """Draw the figures of a page or a deck and write it.
 
     Parameters
     ----------
     page
-        The page.
+        The page or the deck.
     file
         Path of the HTML file, in an existing folder. The file is replaced atomically.
     figures
         Folder for ``NAME.png`` and ``NAME.pdf`` of every named figure; created if missing.
+    with_pdf
+        Whether the PDF files are written, which takes half of the time of a figure.
 
     Raises
     ------
@@ -389,7 +474,11 @@ def write_page(page: Page, file: Path, figures: Path | None = None) -> Path:
     check_page_packages()
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    page = replace(page, sections=tuple(section for section in page.sections if section.blocks))
+    template, live = "deck.html.j2", False
+    if isinstance(page, Page):
+        template = "page.html.j2"
+        page = replace(page, sections=tuple(section for section in page.sections if section.blocks))
+        live = any(f.live for section in page.sections for f in _figures_in(section.blocks))
     with writing(file, StoreError):
         if figures is not None:
             figures.mkdir(exist_ok=True)
@@ -412,13 +501,15 @@ def write_page(page: Page, file: Path, figures: Path | None = None) -> Path:
             return text if seen[text] == 1 else f"{text} ({seen[text]})"
 
         environment.globals["label"] = label
-        environment.globals["drawn"] = lambda figure: _drawn(figure, figures, file.parent)
+        environment.globals["drawn"] = lambda figure: _drawn(
+            figure, figures, file.parent, thumbnail=isinstance(page, Deck), with_pdf=with_pdf
+        )
         script = ""
-        if any(figure.live for section in page.sections for figure in _figures_in(section.blocks)):
+        if live:
             from mcspectra.plots.backend_bokeh import script as bokeh_script
 
             script = bokeh_script()
-        text = environment.get_template("page.html.j2").render(page=page, bokeh=script)
+        text = environment.get_template(template).render(page=page, bokeh=script)
         partial = file.parent / f".{file.name}.partial"
         try:
             partial.unlink(missing_ok=True)  # a symbolic link is removed, not followed
@@ -460,25 +551,42 @@ def _figures_in(blocks: Iterable[Block]) -> Iterable[Figure]:
             yield from _figures_in(block.blocks)
 
 
-def _drawn(figure: Figure, folder: Path | None, root: Path) -> Mapping[str, Any]:
+_THUMBNAIL = (176, 112)  # largest width and height in pixels, twice the size on the page
+
+
+def _drawn(
+    figure: Figure, folder: Path | None, root: Path, *, thumbnail: bool, with_pdf: bool
+) -> Mapping[str, Any]:
     """Return a figure for the template: base64 PNG with its size, and the compressed live plot."""
     from mcspectra.plots import backend_matplotlib
 
     plot, file, filed = figure.plot, "", folder is not None and bool(figure.name)
-    png, pdf = backend_matplotlib.encode(backend_matplotlib.draw(plot), with_pdf=filed)
+    drawn = backend_matplotlib.draw(plot)
+    png, pdf = backend_matplotlib.encode(drawn, with_pdf=filed and with_pdf)
     if folder is not None and filed:
         for end, content in ((".png", png), (".pdf", pdf)):
             place = folder / f"{figure.name}{end}"
             place.unlink(missing_ok=True)
-            place.write_bytes(content)
-        file = (folder / f"{figure.name}.pdf").relative_to(root).as_posix()
+            if content:
+                place.write_bytes(content)
+                file = place.relative_to(root).as_posix()
     live = ""
     if figure.live:
         from mcspectra.plots import backend_bokeh
 
         live = backend_bokeh.packed(backend_bokeh.draw(plot).model)
+    frames = {}
+    for value, frame in (figure.slider.plots if figure.slider else {}).items():
+        same = figure.slider is not None and value == figure.slider.start
+        image = (
+            png
+            if same
+            else backend_matplotlib.encode(backend_matplotlib.draw(frame), with_pdf=False)[0]
+        )
+        frames[value] = base64.b64encode(image).decode("ascii")
     return {
         "png": base64.b64encode(png).decode("ascii"),
+        "thumbnail": _thumbnail(png) if thumbnail else "",
         # Bytes 16 to 24 of a PNG hold its width and height
         "width": int.from_bytes(png[16:20], "big"),
         "height": int.from_bytes(png[20:24], "big"),
@@ -488,4 +596,19 @@ def _drawn(figure: Figure, folder: Path | None, root: Path) -> Mapping[str, Any]
         "abreast": min(plot.columns, len(plot.panels)) > 1,
         "file": file,
         "live": live,
+        "frames": frames,
     }
+
+
+def _thumbnail(png: bytes) -> str:
+    """Return a base64 PNG that fits into the thumbnails of a deck."""
+    import io
+
+    from PIL import Image
+
+    small = io.BytesIO()
+    with Image.open(io.BytesIO(png)) as image:
+        picture = image.convert("RGB")
+        picture.thumbnail(_THUMBNAIL, Image.Resampling.LANCZOS)
+        picture.quantize(64).save(small, format="PNG")
+    return base64.b64encode(small.getvalue()).decode("ascii")

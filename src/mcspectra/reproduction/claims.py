@@ -1,8 +1,8 @@
-"""Exhibits: plots, a caption and claims, each with a computed verdict.
+"""Exhibits: plots, sliders and claims, each with a computed verdict.
 
 The interval of a finding decides its verdict. The gallery has up to `GALLERY_FINDINGS` findings.
 With 95 % intervals, a dozen true statements would be rejected by chance.
-The interval therefore has the Šidák level [Sidak1967]_, which is 0.95^(1/250) = 99.98 %.
+The interval therefore has the Šidák level [Sidak1967]_, which is 0.95^(1/300) = 99.98 %.
 At this level, all intervals hold simultaneously with 95 % probability.
 """
 
@@ -22,6 +22,7 @@ from mcspectra.core.confidence import CONFIDENCE_Z
 from mcspectra.estimators.moments import Measured
 from mcspectra.plots.description import Plot
 from mcspectra.plots.text import number, power_of_ten, rate
+from mcspectra.report.page import Slider
 
 __all__ = [
     "GALLERY_FINDINGS",
@@ -31,6 +32,8 @@ __all__ = [
     "ExhibitFunction",
     "Finding",
     "Measured",
+    "about",
+    "correction",
     "judge",
     "known_rate",
     "largest_distance",
@@ -42,10 +45,10 @@ __all__ = [
     "slope",
 ]
 
-GALLERY_FINDINGS = 250
+GALLERY_FINDINGS = 300
 """Number of findings whose verdicts hold simultaneously with 95 % probability."""
 
-_VERDICT_Z = 3.7125862298839247  # normal quantile of (1 + 0.95^(1/250)) / 2
+_VERDICT_Z = 3.7584590197611987  # normal quantile of (1 + 0.95^(1/300)) / 2
 
 VERDICT_WIDENING = _VERDICT_Z / CONFIDENCE_Z
 """Factor by which the half widths of 95 % intervals are multiplied for verdicts."""
@@ -94,6 +97,10 @@ class Claim:
         Text that replaces the number, bound or limit as the expectation.
     note
         Explanation of the verdict.
+    about
+        Kind of the plot whose slide has the claim. Default: the first slide of the exhibit.
+    corrects
+        Whether a claim that agrees limits or contradicts the slide, such as a counterexample.
     """
 
     statement: str
@@ -107,6 +114,8 @@ class Claim:
     holds: bool | None = None
     shown: str = ""
     note: str = ""
+    about: str = ""
+    corrects: bool = False
 
     @property
     def value(self) -> float:
@@ -133,6 +142,8 @@ class Finding:
         Verdict interval of the number, or None if the number has no sampling error.
     agrees
         The verdict. None if the claim asks for no verdict, or if its bound lies in the interval.
+    corrects
+        Whether a claim that agrees limits or contradicts the slide.
     """
 
     statement: str
@@ -141,12 +152,13 @@ class Finding:
     interval: Interval | None
     agrees: bool | None
     note: str = ""
+    corrects: bool = False
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class Exhibit:
-    """A reproduced figure or statement of the slides; ``slides.toml`` has texts and layouts.
+    """Reproduced figures and statements of slides; ``slides.toml`` has texts and layouts.
 
     Attributes
     ----------
@@ -156,14 +168,14 @@ class Exhibit:
         Plots in the order of the page. Their kinds select texts and layouts.
     claims
         Claims in the order of the page.
-    caption
-        Description of the result; set from ``slides.toml``.
+    sliders
+        Sliders by kind of plot. The plot shows the slider's start.
     """
 
     plots: tuple[Plot, ...]
     claims: tuple[Claim, ...]
     numbers: Mapping[str, object] = field(default_factory=dict)
-    caption: str = ""
+    sliders: Mapping[str, Slider] = field(default_factory=dict)
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -211,7 +223,18 @@ def judge(claim: Claim) -> Finding:
         interval=interval,
         agrees=agrees,
         note=note,
+        corrects=claim.corrects,
     )
+
+
+def about(plot: str, *claims: Claim) -> tuple[Claim, ...]:
+    """Assign claims to the slide whose figure is the plot of this kind."""
+    return tuple(replace(claim, about=plot) for claim in claims)
+
+
+def correction(claim: Claim) -> Claim:
+    """Mark a claim that limits or contradicts the slide if it agrees."""
+    return replace(claim, corrects=True)
 
 
 def _limit(at_most: float) -> str:

@@ -7,10 +7,11 @@ import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Axis, Dots, Line, Mark, Panel
+from mcspectra.plots.description import Axis, Dots, Line, Mark, Panel, Plot
 from mcspectra.plots.scales import log_axis
 from mcspectra.plots.style import PALETTE, line_widths
 from mcspectra.plots.text import number
+from mcspectra.report.page import Slider
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, largest_distance
 from mcspectra.reproduction.panels import plot_of
 
@@ -53,32 +54,16 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     low = 1024**3 * float(_closed("jittered", np.array([1.0]), 1024)[0])
     multiples = N * np.arange(1.0, 5.0)
 
-    # Draw closed forms and simulated spectra at integer and real frequencies
-    panels = []
-    for line, at, title in (
-        (np.arange(1.0, 25.0), _INTEGERS, "integer frequencies"),
-        (np.linspace(0.4, 24.0, 1200), _REALS, "real frequencies"),
-    ):
-        marks: list[Mark] = []
-        chosen = np.isin(nu, at) & (nu <= 24)
-        looks = zip(PALETTE, line_widths(2), strict=False)
-        for (name, data), (color, width) in zip(simulated.items(), looks, strict=True):
-            y, label = _closed(name, line), f"{name}, closed form"
-            marks.append(Line(x=line, y=y, color=color, width=width, label=label))
-            power, half = data["power"].values[chosen], 1.96 * data["power_se"].values[chosen]
-            label = f"{name}, simulated"
-            marks.append(
-                Dots(
-                    x=nu[chosen], y=power, low=power - half, high=power + half,
-                    color=color, size=3.0, label=label,
-                )
-            )  # fmt: skip
-        x = Axis(label="frequency (cycles per unit)", low=0.0, high=24.5)
-        y_axis = log_axis("⟨|S|²⟩", 5e-4, 1.0)
-        panels.append(Panel(marks=tuple(marks), x=x, y=y_axis, title=title, grid=True))
+    frames = {str(N): _compared(N, nu, simulated)}
+    for n in (4, 8, 32, 64):
+        few = realizations * 4 // n
+        drawn = {name: simulate(name, nu, few, seed, n) for name in simulated}
+        frames[str(n)] = _compared(n, nu, drawn)
+    frames = {n: frames[n] for n in sorted(frames, key=int)}
     return Exhibit(
         numbers={"N": N, "random": random, "jittered": jittered, "frequencies": nu.size},
-        plots=(plot_of("closed-forms", *panels),),
+        plots=(frames[str(N)],),
+        sliders={"closed-forms": Slider("number of points N", frames, str(N))},
         claims=(
             *(
                 Claim(
@@ -121,6 +106,33 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     )
 
 
+def _compared(n: int, nu: Array, simulated: dict[str, xr.Dataset]) -> Plot:
+    """Return closed forms and simulated spectra at integer and at real frequencies."""
+    panels = []
+    for line, at, title in (
+        (np.arange(1.0, 25.0), _INTEGERS, "integer frequencies"),
+        (np.linspace(0.4, 24.0, 1200), _REALS, "real frequencies"),
+    ):
+        marks: list[Mark] = []
+        chosen = np.isin(nu, at) & (nu <= 24)
+        looks = zip(PALETTE, line_widths(2), strict=False)
+        for (name, data), (color, width) in zip(simulated.items(), looks, strict=True):
+            y, label = _closed(name, line, n), f"{name}, closed form"
+            marks.append(Line(x=line, y=y, color=color, width=width, label=label))
+            power, half = data["power"].values[chosen], 1.96 * data["power_se"].values[chosen]
+            label = f"{name}, simulated"
+            marks.append(
+                Dots(
+                    x=nu[chosen], y=power, low=power - half, high=power + half,
+                    color=color, size=3.0, label=label,
+                )
+            )  # fmt: skip
+        x = Axis(label="frequency (cycles per unit)", low=0.0, high=24.5)
+        y_axis = log_axis("⟨|S|²⟩", 1e-5, 1.0)
+        panels.append(Panel(marks=tuple(marks), x=x, y=y_axis, title=title, grid=True))
+    return plot_of("closed-forms", *panels)
+
+
 def _closed(name: str, nu: Array, n: int = N) -> Array:
     return mcs.closed_form_power(name, n, nu[:, None])
 
@@ -132,8 +144,8 @@ def printed(name: str, m: Array) -> Array:
     return np.asarray((1 - np.sinc(m / N) ** 2) / N + np.sinc(m) ** 2)
 
 
-def simulate(name: str, nu: Array, realizations: int, seed: int) -> xr.Dataset:
+def simulate(name: str, nu: Array, realizations: int, seed: int, n: int = N) -> xr.Dataset:
     """Simulate the power of 1-D points at the frequencies `nu`."""
     return mcs.spectra.power_at(
-        mcs.sampler(name, 1), N, nu[:, None], realizations=realizations, rng=seed
+        mcs.sampler(name, 1), n, nu[:, None], realizations=realizations, rng=seed
     )

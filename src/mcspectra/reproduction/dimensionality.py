@@ -14,7 +14,7 @@ from mcspectra.plots.kinds import describe
 from mcspectra.plots.scales import log_axis
 from mcspectra.plots.style import ACCENT, PALETTE
 from mcspectra.plots.text import number
-from mcspectra.reproduction.claims import Claim, Exhibit, largest_distance
+from mcspectra.reproduction.claims import Claim, Exhibit, about, correction, largest_distance
 from mcspectra.reproduction.panels import in_columns, plot_of
 
 __all__ = ["exhibit"]
@@ -98,31 +98,42 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 holds=answer != "a matrix",
                 shown="an error message",
             ),
-            *(_map_is_row_sums(d, data) for d, data in whole.items()),
-            *(_bands_are_blocks(d, data) for d, data in whole.items()),
-            *(_map_sums(d, data) for d, data in runs.items()),
-            Claim(
-                "The map minus the power |f_m|² C_mm sums to the third term, in one to four dims: "
-                "largest difference relative to the second term.",
-                max(errors),
-                at_most=1e-10,
-            ),
-            largest_distance(
-                f"For random points in three dims, the variance of each of {len(kept)} ANOVA bands "
-                "is the ANOVA component of f divided by N",
-                found - expected,
-                se,
-                freedom=int(random.attrs["batches"]) - 1,
-            ),
-            Claim(
-                "Bands show the strength of a sampler: a Latin hypercube integrates functions of "
-                "one coordinate well, so their share of the variance is less than a tenth of the "
-                "share for random points.",
-                main_share(bands["latin-hypercube"]),
-                above=-tenth,
-                below=tenth,
-                shown=f"< {number(tenth)}",
-                note="Stein (1987).",
+            *about(
+                "contribution-map",
+                *(_map_is_row_sums(d, data) for d, data in whole.items()),
+                *(_bands_are_blocks(d, data) for d, data in whole.items()),
+                *(_map_sums(d, data) for d, data in runs.items()),
+                Claim(
+                    "The map minus the power |f_m|² C_mm sums to the third term, in one to four "
+                    "dims: "
+                    "largest difference relative to the second term.",
+                    max(errors),
+                    at_most=1e-10,
+                ),
+                correction(
+                    largest_distance(
+                        f"For random points in three dims, the variance of each of {len(kept)} "
+                        "ANOVA bands "
+                        "is the ANOVA component of f divided by N",
+                        found - expected,
+                        se,
+                        freedom=int(random.attrs["batches"]) - 1,
+                    )
+                ),
+                correction(
+                    Claim(
+                        "Bands show the strength of a sampler: a Latin hypercube integrates "
+                        "functions of "
+                        "one coordinate well, so their share of the variance is less than a "
+                        "tenth of the "
+                        "share for random points.",
+                        main_share(bands["latin-hypercube"]),
+                        above=-tenth,
+                        below=tenth,
+                        shown=f"< {number(tenth)}",
+                        note="Stein (1987).",
+                    )
+                ),
             ),
         ),
     )

@@ -11,8 +11,9 @@ import numpy as np
 import xarray as xr
 
 import mcspectra as mcs
-from mcspectra.plots.description import Dots, Panel, Pixels, Plot, TextMark
-from mcspectra.plots.style import ACCENT
+from mcspectra.core.checks import Array
+from mcspectra.plots.description import Axis, Dots, Line, Panel, Pixels, Plot, Segments, TextMark
+from mcspectra.plots.style import ACCENT, GRAY, INK, PALETTE
 from mcspectra.rendering.files import encode_srgb
 from mcspectra.reproduction.claims import Claim, Exhibit, largest_distance, pixel_rate, rate_text
 from mcspectra.reproduction.panels import plot_of, primary_panel, variance_panel
@@ -49,6 +50,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             "spp": spp,
         },
         plots=(
+            _sketch(f, seed),
             _scene(spp, seed),
             plot_of(
                 "direct-illumination-integrands",
@@ -102,6 +104,64 @@ def _same_integral(curves: Mapping[tuple[Case, str], xr.Dataset]) -> Claim:
         errors.append(math.hypot(float(light["mean_se"]), float(bsdf["mean_se"])))
     text = f"Light and BSDF sampling estimate the same radiance, N = {_COUNTS[-1]}"
     return largest_distance(text, np.array(differences), np.array(errors))
+
+
+def _sketch(f: Mapping[Case, Any], seed: int) -> Plot:
+    """Return a sketch of sensor, light and lobe for each strategy, above f/p on the unit square."""
+    place, eye, light = np.array([0.45, 0.0]), np.array([0.05, 0.62]), (0.62, 0.88, 0.85)
+    u = mcs.sampler("jittered", 1).draw(6, rng=seed)[0, :, 0]
+    lobe_axis, half = math.atan2(1.0, 0.75), 0.62
+
+    def arrow(angle: Array | float) -> Array:
+        """Return points of the lobe, a lobe of cosines about its axis."""
+        away = np.asarray(angle, float)
+        size = 0.5 * np.cos(np.pi / 2 * (away - lobe_axis) / half) ** 0.7
+        return np.asarray(place + size[..., None] * np.stack([np.cos(away), np.sin(away)], axis=-1))
+
+    edge = arrow(np.linspace(lobe_axis - 0.999 * half, lobe_axis + 0.999 * half, 80))
+    on_light = np.stack([light[0] + u * (light[1] - light[0]), np.full(6, light[2])], axis=-1)
+    angles = lobe_axis + half * (2 * u - 1) * 0.9
+    far = place + (light[2] / np.sin(angles))[:, None] * np.stack(
+        [np.cos(angles), np.sin(angles)], axis=-1
+    )
+    hits = (far[:, 0] >= light[0]) & (far[:, 0] <= light[1])
+    panels = []
+    for strategy, ends in (("light", on_light), ("bsdf", far)):
+        rays = np.stack([np.broadcast_to(place, ends.shape), ends], axis=1)
+        seen = np.ones(6, bool) if strategy == "light" else hits
+        corner = np.array([[-0.04, 0.05], [0.05, 0.05], [0.05, -0.05], [-0.04, -0.05]])
+        box = eye + corner
+        panels.append(
+            Panel(
+                marks=(
+                    Line(x=edge[:, 0], y=edge[:, 1], low=0 * edge[:, 1], high=edge[:, 1],
+                         color="#F5E3B8", width=0.0),
+                    Line(x=edge[:, 0], y=edge[:, 1], color=PALETTE[4], width=1.6),
+                    Segments(ends=np.array([[[0.0, 0.0], [1.0, 0.0]]]), color=INK, width=2.5),
+                    Segments(ends=np.stack([box, np.roll(box, -1, axis=0)], axis=1), color=INK),
+                    Segments(ends=np.array([[eye, place]]), color=GRAY, width=1.4),
+                    Segments(ends=rays[~seen], color=GRAY, width=0.8),
+                    Segments(ends=rays[seen], color=PALETTE[0] if strategy == "light" else ACCENT),
+                    Segments(ends=np.array([[[light[0], light[2]], [light[1], light[2]]]]),
+                             color=PALETTE[4], width=5.0),
+                    Dots(x=place[:1], y=place[1:], color=INK, size=8.0),
+                    TextMark(x=0.0, y=0.74, text="sensor"),
+                    TextMark(x=0.75, y=0.93, text="light", side="middle"),
+                    TextMark(x=0.36, y=0.06, text="P"),
+                    TextMark(x=0.2, y=0.2, text="lobe f_r →", side="middle"),
+                ),
+                x=Axis(low=-0.02, high=1.1, ticks={}),
+                y=Axis(low=-0.04, high=1.0, ticks={}),
+                title="light sampling: x_k on the light"
+                if strategy == "light"
+                else "BSDF sampling: x_k in the lobe",
+            )
+        )  # fmt: skip
+    return plot_of(
+        "direct-illumination-sketch",
+        *panels,
+        *(primary_panel(f["P", s], f"f/p at P, {_NAMES[s]}") for s in _NAMES),
+    )
 
 
 def _scene(spp: int, seed: int) -> Plot:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,11 +11,19 @@ import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Axis, Line, Mark, Panel, Plot
-from mcspectra.plots.scales import unit_axis
+from mcspectra.plots.description import Axis, Heatmap, Line, Mark, Panel, Plot, Scale
+from mcspectra.plots.scales import unit_axis, unit_panel
 from mcspectra.plots.style import INK, PALETTE
 from mcspectra.plots.text import number
-from mcspectra.reproduction.claims import Claim, Exhibit, Measured, known_rate, rate_text
+from mcspectra.rendering.files import encode_srgb
+from mcspectra.reproduction.claims import (
+    Claim,
+    Exhibit,
+    Measured,
+    known_rate,
+    pixel_rate,
+    rate_text,
+)
 from mcspectra.reproduction.panels import plot_of, variance_panel
 
 __all__ = ["exhibit"]
@@ -33,6 +42,25 @@ COUNTS = {
     "own": (64, 128, 256, 512, 1024),
     "mis": (64, 128, 256, 512, 1024),
 }
+# A dome of the sky, by zenith angle (rows) and azimuth (columns): sun, clouds, leaves and a wall
+_KINDS = {
+    "sky": (0.3, 0.5, 1.0),
+    "cloud": (1.0, 1.0, 1.0),
+    "sun": (9.0, 5.0, 1.5),
+    "leaves": (0.2, 0.6, 0.15),
+    "wall": (1.0, 0.35, 0.2),
+    "haze": (0.8, 0.8, 0.9),
+}
+_BLUE, _CLOUD, _SUN, _LEAF, _BRICK, _HAZE = _KINDS.values()
+DOME = np.array(
+    [[_BLUE, _BLUE, _CLOUD, _BLUE, _BLUE, _BLUE, _BLUE, _BLUE],
+     [_BLUE, _BLUE, _CLOUD, _CLOUD, _BLUE, _SUN, _BLUE, _BLUE],
+     [_HAZE, _LEAF, _HAZE, _HAZE, _BRICK, _BRICK, _HAZE, _HAZE],
+     [_LEAF, _LEAF, _LEAF, _HAZE, _BRICK, _BRICK, _LEAF, _HAZE]]
+)  # fmt: skip
+DOME_COUNTS = tuple(side**2 for side in (16, 23, 32, 45, 64))
+DOME_RATES = {"one": -1.5, "own": -2.0}
+_SIDE = 256
 _COSTS = {"one": 1, "own": 3, "mis": 3}  # evaluations of f per point
 
 
@@ -50,6 +78,17 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         for way, curve in curves.items()
     }
     gains = [_gain(c, curves) for c in range(3)]
+
+    # Sample the dome by the gray channel and by its own channels
+    by = dome_ways()
+    options["realizations"] = 100 if quick else 600
+    planes = {
+        way: mcs.convergence(by[way], "jittered", DOME_COUNTS, **options) for way in ("one", "own")
+    }
+    dome = {
+        way: ", ".join(rate_text(curve.sel(channel=c)) for c in range(3))
+        for way, curve in planes.items()
+    }
 
     # Sample the red channel of the built-in sky by bilinear densities of luminance and of red
     sky = "environment(channel={!r}, interpolation='bilinear')"
@@ -74,6 +113,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     ]
     return Exhibit(
         numbers={
+            "dome_gray": dome["one"],
+            "dome_own": dome["own"],
             "gray": shown["one"],
             "own": shown["own"],
             "evaluations": COUNTS["one"][-1],
@@ -81,11 +122,27 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             "mis": shown["mis"],
         },
         plots=(
-            _map(),
+            _sky(planes),
+            _toy(),
             plot_of("environment-channels", *panels),
         ),
         claims=(
-            *(_rate_of(way, c, curves[way], exact[way]) for way in _WAYS for c in range(3)),
+            *(
+                pixel_rate(
+                    f"Dome, variance of {color} sampled by {_WAYS[way]}, jittered: rate.",
+                    curve.sel(channel=c),
+                    DOME_RATES[way],
+                )
+                for way, curve in planes.items()
+                for c, color in enumerate(_COLORS)
+                # Luminance is mostly green, so green has small jumps and reaches its limit late
+                if (way, color) != ("one", "green")
+            ),
+            *(
+                replace(_rate_of(way, c, curves[way], exact[way]), corrects=way == "mis")
+                for way in _WAYS
+                for c in range(3)
+            ),
             *gains,
             *(_continuous(c) for c in range(3)),
             Claim(
@@ -111,6 +168,75 @@ def radiance(x: Array) -> Array:
     """Return the radiance, which is the map times the cosine."""
     pixel = np.minimum((np.asarray(x)[..., 0] * 8).astype(np.intp), 7)
     return np.asarray(PIXELS[pixel] * np.cos(np.pi * (np.asarray(x) - 0.5)))
+
+
+def dome_ways() -> dict[str, Any]:
+    """Return the estimators of the irradiance by the dome, by name."""
+    constant = mcs.densities.PiecewiseConstant
+    own = [constant(values=DOME[..., c]) for c in range(3)]
+    rows, columns = DOME.shape[:2]
+    ends = np.cos(np.pi * np.arange(rows + 1) / rows)
+    weights = (ends[:-1] - ends[1:]) / np.pi  # the integral of sin(πy) over each row
+    integral = np.einsum("rkc,r->c", DOME, weights) / columns
+    f = mcs.Integrand.from_function(dome_radiance, dims=2, integral=integral)
+    return mcs.estimators.channel_estimators(f, own, constant(values=DOME @ LUMINANCE))
+
+
+def dome_radiance(x: Array) -> Array:
+    """Return the radiance of the dome at (azimuth, zenith angle) times sin(πy) = sin 2θ."""
+    x = np.asarray(x)
+    rows, columns = DOME.shape[:2]
+    row, column = (
+        np.minimum((x[..., k] * size).astype(np.intp), size - 1)
+        for k, size in ((1, rows), (0, columns))
+    )
+    return np.asarray(DOME[row, column] * np.sin(np.pi * x[..., 1])[..., None])
+
+
+def _sky(planes: Mapping[str, xr.Dataset]) -> Plot:
+    """Return the map, its convergence, and f/p of red on the unit square for both densities."""
+    u = (np.arange(_SIDE) + 0.5) / _SIDE
+    grid = np.stack(np.meshgrid(u, u), axis=-1)
+    constant = mcs.densities.PiecewiseConstant
+    values = []
+    for table in (DOME @ LUMINANCE, DOME[..., 0]):
+        x = constant(values=table).sample(grid.reshape(-1, 2)).reshape(grid.shape)
+        p = constant(values=table).pdf(x.reshape(-1, 2)).reshape(x.shape[:-1])
+        ratio = dome_radiance(x)[..., 0] / p
+        values.append(ratio / ratio.mean())
+    scale = Scale(label="f/p of red (over its mean)", high=float(max(map(np.max, values))))
+    maps = [
+        unit_panel(
+            [Heatmap(values=each, x=u, y=u, scale=scale, name="f/p over its mean")],
+            f"f/p of red, p by {_WAYS[way]}",
+            "u₀",
+            "u₁",
+        )
+        for each, way in zip(values, ("one", "own"), strict=True)
+    ]
+    red = {_WAYS[way]: curve.sel(channel=0) for way, curve in planes.items()}
+    curves = variance_panel(
+        red,
+        rates={_WAYS[way]: rate for way, rate in DOME_RATES.items()},
+        title="variance of red, jittered",
+        x="number of points N",
+    )
+    kinds = {name: np.array(color) for name, color in _KINDS.items()}
+    place = np.array(
+        [[next(k for k, c in enumerate(kinds.values()) if (c == p).all()) for p in r] for r in DOME]
+    )
+    rgb = np.round(
+        255
+        * np.clip(encode_srgb(np.array([c / max(1.0, c.max()) for c in kinds.values()])), 0.0, 1.0)
+    ).astype(int)
+    names = Scale(
+        kind="names", names=tuple(kinds), colors=tuple(f"#{r:02X}{g:02X}{b:02X}" for r, g, b in rgb)
+    )
+    rows, columns = place.shape
+    at = [(np.arange(size) + 0.5) / size for size in (columns, rows)]
+    image = Heatmap(values=place[::-1].astype(float), x=at[0], y=at[1], scale=names, name="kind")
+    shown = unit_panel([image], "the map of the dome", "azimuth", "zenith at the top")
+    return plot_of("environment-map", shown, curves, *maps)
 
 
 def _rate_of(way: str, channel: int, curve: xr.Dataset, exact: Array) -> Claim:
@@ -149,7 +275,7 @@ def _continuous(channel: int) -> Claim:
     )
 
 
-def _map() -> Plot:
+def _toy() -> Plot:
     centers, t = (np.arange(8) + 0.5) / 8, np.linspace(0.0, 1.0, 40)
     gray = PIXELS @ LUMINANCE
     marks: dict[str, list[Mark]] = {
@@ -179,7 +305,7 @@ def _map() -> Plot:
         *[("u (primary space)", "f/p (over its mean)")] * 2,
     ]
     return plot_of(
-        "environment-map",
+        "one-row",
         *(
             Panel(
                 marks=tuple(each),

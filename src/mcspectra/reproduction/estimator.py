@@ -19,7 +19,7 @@ from mcspectra.plots.description import (
 from mcspectra.plots.scales import unit_panel
 from mcspectra.plots.style import ACCENT, INK, sampler_styles
 from mcspectra.plots.text import number
-from mcspectra.reproduction.claims import Claim, Exhibit, Measured
+from mcspectra.reproduction.claims import Claim, Exhibit, Measured, about
 from mcspectra.reproduction.panels import plot_of
 
 __all__ = ["exhibit"]
@@ -50,48 +50,69 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         x, y = mcs.sampler(name, 2).draw(256, rng=seed)[0].T
         panels.append(unit_panel([Dots(x=x, y=y, color=style.color, size=2.0)], name))
     return Exhibit(
-        numbers={"integral": number(integral(), 4), "N": N, "means": means, "variances": variances},
+        numbers={
+            "area": number(bell_area(), 4),
+            "integral": number(integral(), 4),
+            "N": N,
+            "means": means,
+            "variances": variances,
+        },
         plots=(
+            _area(),
             _combs(seed),
             plot_of("points", *panels),
         ),
         claims=(
-            *(
+            Claim(
+                "The integral of the bell agrees with Gauss-Legendre quadrature: difference.",
+                bell_area() - float(np.squeeze(mcs.integrand(BELL, 1).integral)),
+                at_most=1e-12,
+            ),
+            *about(
+                "estimator",
+                *(
+                    Claim(
+                        f"The mean of I_N is the integral for {name} points.",
+                        Measured.normal(float(data["mean"]), float(data["mean_se"])),
+                        expected=integral(),
+                        digits=7,
+                    )
+                    for name, data in one.items()
+                ),
                 Claim(
-                    f"The mean of I_N is the integral for {name} points.",
-                    Measured.normal(float(data["mean"]), float(data["mean_se"])),
-                    expected=integral(),
-                    digits=7,
-                )
-                for name, data in one.items()
-            ),
-            *(
+                    "The peaks of S, with weights 1/(N p), sum to 1 on average, for p = "
+                    f"{DENSITY}.",
+                    Measured.mean(
+                        (1.0 / pdf(_warped("random", N, seed, realizations))).mean(axis=1)
+                    ),
+                    expected=1.0,
+                    shown="1",
+                ),
                 Claim(
-                    f"The variance of I_N with {N} {name} points agrees with quadrature over "
-                    "strata.",
-                    Measured.of(one[name], "variance", log=True),
-                    expected=_exact(name),
-                    digits=4,
-                )
-                for name in ("random", "jittered")
+                    "I_N is the sum of conj(f_m) S_m over frequencies, for f = cos(6πx) under "
+                    "importance sampling.",
+                    float(abs(direct - complex(0.5 * sums[3] + 0.5 * sums[-3]))),
+                    at_most=1e-13,
+                ),
             ),
-            Claim(
-                "Correlated points reduce the variance: 64 Poisson-disk points against random "
-                "points.",
-                Measured.of(one["poisson-disk"], "variance", log=True),
-                below=_exact("random"),
-            ),
-            Claim(
-                f"The peaks of S, with weights 1/(N p), sum to 1 on average, for p = {DENSITY}.",
-                Measured.mean((1.0 / pdf(_warped("random", N, seed, realizations))).mean(axis=1)),
-                expected=1.0,
-                shown="1",
-            ),
-            Claim(
-                "I_N is the sum of conj(f_m) S_m over frequencies, for f = cos(6πx) under "
-                "importance sampling.",
-                float(abs(direct - complex(0.5 * sums[3] + 0.5 * sums[-3]))),
-                at_most=1e-13,
+            *about(
+                "points",
+                *(
+                    Claim(
+                        f"The variance of I_N with {N} {name} points agrees with quadrature over "
+                        "strata.",
+                        Measured.of(one[name], "variance", log=True),
+                        expected=_exact(name),
+                        digits=4,
+                    )
+                    for name in ("random", "jittered")
+                ),
+                Claim(
+                    "Correlated points reduce the variance: 64 Poisson-disk points against random "
+                    "points.",
+                    Measured.of(one["poisson-disk"], "variance", log=True),
+                    below=_exact("random"),
+                ),
             ),
         ),
     )
@@ -115,6 +136,29 @@ def _warped(name: str, n: int, seed: int, realizations: int) -> Array:
 def pdf(x: Array) -> Array:
     """Return the density of the importance samples."""
     return np.asarray(mcs.density(DENSITY, 1).pdf(x[..., None]))
+
+
+def bell_area() -> float:
+    """Return the integral of the bell by quadrature over 16 equal intervals."""
+    node, weight = np.polynomial.legendre.leggauss(12)
+    x = (np.arange(16)[:, None] + (node + 1) / 2) / 16
+    values = np.asarray(mcs.integrand(BELL, 1)(x[..., None]))
+    return float((values @ weight).sum() / 32)
+
+
+def _area() -> Plot:
+    x = np.linspace(0.0, 1.0, 400, endpoint=False)
+    f = np.asarray(mcs.integrand(BELL, 1)(x[:, None]))
+    marks = (
+        Line(x=x, y=f, low=0 * f, high=f, color="#8CC1E0", width=0.0),
+        Line(x=x, y=f, color=INK, width=1.8),
+        TextMark(x=0.66, y=0.6, text="f(x)"),
+        TextMark(x=0.4, y=0.4, text=f"area I = {number(bell_area(), 4)}", side="middle"),
+    )
+    x_axis = Axis(label="x (domain, 0 to 1)", low=0.0, high=1.0)
+    return plot_of(
+        "integral", Panel(marks=marks, x=x_axis, y=Axis(label="f(x)", low=0.0, high=1.1))
+    )
 
 
 def _combs(seed: int) -> Plot:

@@ -1,4 +1,8 @@
-"""Make exhibits and write the gallery: page, images, PDF and findings."""
+"""Make exhibits and write the lecture: a deck of slides, images and findings.
+
+An exhibit is computed once and appears on one or more slides.
+The verdict on a slide is computed from the findings of the slide.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +10,15 @@ import importlib
 import importlib.metadata
 import math
 import platform
-import textwrap
 import time
 import tomllib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, cast, final
+from typing import Any, Literal, TypeAlias, cast, final
+from urllib.parse import parse_qsl, urlencode
 
 from mcspectra.core.checks import as_integer
 from mcspectra.core.display import shown
@@ -34,14 +38,12 @@ from mcspectra.report import page as html
 from mcspectra.reproduction.claims import GALLERY_FINDINGS, Exhibit, ExhibitFunction, Finding
 from mcspectra.version import __version__
 
-if TYPE_CHECKING:
-    from matplotlib.backends.backend_pdf import PdfPages
-
 __all__ = [
     "FINDINGS_NAME",
     "PAGE_NAME",
-    "PDF_NAME",
     "Entry",
+    "ExhibitTexts",
+    "Mark",
     "Reproduction",
     "Slide",
     "exhibit_names",
@@ -49,11 +51,12 @@ __all__ = [
     "make_exhibit",
     "measured_text",
     "reproduce",
-    "slides",
     "tally",
+    "texts",
+    "verdict",
 ]
 
-PAGE_NAME, PDF_NAME, FINDINGS_NAME = "index.html", "reproduce.pdf", "findings.json"
+PAGE_NAME, FINDINGS_NAME = "index.html", "findings.json"
 _FIGURES = "figures"
 _PACKAGES = ("numpy", "scipy", "numba", "finufft", "xarray", "matplotlib", "mitsuba")
 _SIGNS: dict[bool | None, tuple[str, Literal["yes", "no", "none"]]] = {
@@ -61,45 +64,82 @@ _SIGNS: dict[bool | None, tuple[str, Literal["yes", "no", "none"]]] = {
     False: ("✗ does not agree", "no"),
     None: ("– no verdict", "none"),
 }
-_SHEET = (8.27, 11.69)  # size of a sheet in inches, A4
-_LINES, _COLUMNS = 62, 100  # lines and characters per line on a sheet
-_PER_INCH = 14  # characters of a caption per inch
+_EXPLORER = "http://localhost:5006/"  # the address of ``mcspectra app --port 5006``
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class Slide:
-    """Texts about the part of the slides that an exhibit reproduces.
+    """A slide of the talk and our answer to it.
 
     Attributes
     ----------
-    title, summary
-        A title, and a description in one line for lists.
-    slide
-        Quotation of the slide's statement or figure.
-    caption
-        Description of the result; names in braces are numbers of the exhibit.
-    plots
-        Caption, words and optional layout (fields of `Plot`) by kind of plot.
+    number
+        Place in the talk. Slides are counted by their titles; steps of an animation count once.
+    title
+        Title of the slide.
+    statement
+        Quotation of the slide's statement or description of its figure.
+    reason
+        Reason for the verdict; names in braces are numbers of the exhibit.
+    figure
+        Kind of the plot that fills the screen.
+    more
+        Kinds of further plots, which are folded.
     formula
         LaTeX formula shown with the quotation, or empty.
+    holds_if
+        Condition under which the statement holds, or empty if it always holds.
+    corrected
+        The corrected statement in a few words, if some findings correct the slide.
+    answer
+        Answer to a question of the slide, or empty.
+    explorer
+        Query of the explorer's state (`mcspectra.app.state`) before its encoding, or empty.
     """
 
+    number: int
     title: str
-    summary: str
-    slide: str
-    caption: str
-    plots: Mapping[str, Mapping[str, Any]]
+    statement: str
+    reason: str
+    figure: str
+    more: tuple[str, ...] = ()
     formula: str = ""
+    holds_if: str = ""
+    corrected: str = ""
+    answer: str = ""
+    explorer: str = ""
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class ExhibitTexts:
+    """Texts of an exhibit.
+
+    Attributes
+    ----------
+    summary
+        A description in one line for lists.
+    slides
+        The slides that the exhibit reproduces.
+    plots
+        Caption, words and optional layout (fields of `Plot`) by kind of plot.
+    """
+
+    summary: str
+    slides: tuple[Slide, ...]
+    plots: Mapping[str, Mapping[str, Any]]
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class Entry:
-    """An exhibit in the gallery, or the error message of an exhibit that failed.
+    """An exhibit in the lecture, or the error message of an exhibit that failed.
 
     Attributes
     ----------
+    slides
+        The slides with their texts filled in.
     findings
         Findings of the exhibit. A failed exhibit has one finding that reports the failure.
     problem
@@ -108,26 +148,26 @@ class Entry:
 
     name: str
     exhibit: Exhibit | None
+    slides: tuple[Slide, ...]
     findings: tuple[Finding, ...]
     problem: str = ""
     seconds: float
 
     @property
     def tally(self) -> str:
-        """Number of findings that agree, in words."""
-        judged = [f.agrees for f in self.findings if f.agrees is not None]
-        return "failed" if self.problem else f"{sum(judged)} of {len(judged)} agree"
+        """Number of findings that agree with the slides or correct them, in words."""
+        return "failed" if self.problem else _counted(self.findings)
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class Reproduction:
-    """A written gallery.
+    """A written lecture.
 
     Attributes
     ----------
     page
-        Path of the page. The PDF and the findings are in the same folder.
+        Path of the page. The findings are in the same folder.
     entries
         Entries in the order of the slides.
     """
@@ -142,10 +182,20 @@ class Reproduction:
 
 
 @cache
-def slides() -> dict[str, Slide]:
+def texts() -> dict[str, ExhibitTexts]:
     """Return the texts of all exhibits by name, in the order of the slides."""
     text = resources.files(__package__).joinpath("slides.toml").read_text(encoding="utf-8")
-    return {name: Slide(**values) for name, values in tomllib.loads(text).items()}
+    return {
+        name: ExhibitTexts(
+            summary=given["summary"],
+            slides=tuple(
+                Slide(**{**slide, "more": tuple(slide.get("more", ()))})
+                for slide in given["slides"]
+            ),
+            plots=given["plots"],
+        )
+        for name, given in tomllib.loads(text).items()
+    }
 
 
 def exhibit_names(names: Sequence[str]) -> list[str]:
@@ -157,10 +207,10 @@ def exhibit_names(names: Sequence[str]) -> list[str]:
         If a name is unknown; the message suggests similar names.
     """
     for name in names:
-        if name not in slides():
-            hint, close = close_match_hint(name, slides(), "mcspectra reproduce --list")
+        if name not in texts():
+            hint, close = close_match_hint(name, texts(), "mcspectra reproduce --list")
             raise UnknownName(f"There is no figure called {shown(name)}.{hint}", close)
-    return [name for name in slides() if name in names or not names]
+    return [name for name in texts() if name in names or not names]
 
 
 def load_exhibit(name: str) -> ExhibitFunction:
@@ -170,19 +220,34 @@ def load_exhibit(name: str) -> ExhibitFunction:
     return cast("ExhibitFunction", module.exhibit)
 
 
-def make_exhibit(name: str, *, quick: bool, seed: int) -> Exhibit:
-    """Make an exhibit and insert its numbers into the texts."""
-    made, slide = load_exhibit(name)(quick=quick, seed=seed), slides()[name]
+def make_exhibit(name: str, *, quick: bool, seed: int) -> tuple[Exhibit, tuple[Slide, ...]]:
+    """Make an exhibit, and insert its numbers into the texts of its plots and slides."""
+    made, given = load_exhibit(name)(quick=quick, seed=seed), texts()[name]
 
     def filled(text: str) -> str:
         return text.format(**made.numbers)
 
-    plots = []
-    for plot in made.plots:
-        given = slide.plots[plot.kind]
-        texts: dict[str, Any] = {name: filled(given[name]) for name in ("caption", "words")}
-        plots.append(replace(plot, **texts, **given.get("layout", {})))
-    return replace(made, plots=tuple(plots), caption=filled(slide.caption))
+    def described(plot: Plot, kind: str) -> Plot:
+        own = given.plots[kind]
+        words: dict[str, Any] = {name: filled(own[name]) for name in ("caption", "words")}
+        return replace(plot, kind=kind, **words, **own.get("layout", {}))
+
+    plots = tuple(described(plot, plot.kind) for plot in made.plots)
+    sliders = {
+        kind: replace(slider, plots={v: described(p, kind) for v, p in slider.plots.items()})
+        for kind, slider in made.sliders.items()
+    }
+    slides = tuple(
+        replace(
+            slide,
+            reason=filled(slide.reason),
+            holds_if=filled(slide.holds_if),
+            corrected=filled(slide.corrected),
+            answer=filled(slide.answer),
+        )
+        for slide in given.slides
+    )
+    return replace(made, plots=plots, sliders=sliders), slides
 
 
 def reproduce(
@@ -199,12 +264,12 @@ def reproduce(
     Parameters
     ----------
     folder
-        Folder for ``index.html``, ``reproduce.pdf``, ``findings.json`` and ``figures``.
+        Folder for ``index.html``, ``findings.json`` and ``figures``.
         Files with these names are replaced; other files are kept.
     names
         Names of exhibits. Default: all. The order is always the order of the slides.
     quick
-        Whether to use fewer realizations, counts and pixels.
+        Whether to use fewer realizations, counts and pixels, and to write no PDF files.
     seed
         Seed of all exhibits, an integer ≥ 0.
     command
@@ -245,10 +310,15 @@ def reproduce(
             entries.append(_entry(name, quick, seed))
             if done is not None:
                 done(entries[-1])
-        rows = [{"exhibit": e.name} | asdict(finding) for e in entries for finding in e.findings]
+        rows = [
+            {"exhibit": entry.name, "slide": slide.number} | asdict(finding)
+            for entry in entries
+            for slide in entry.slides
+            for finding in _findings_of(slide, entry)
+        ]
         html.write_json(root / FINDINGS_NAME, rows)
-        _write_pdf(root / PDF_NAME, entries)
-        html.write_page(_page(entries, command, quick, seed), root / PAGE_NAME, root / _FIGURES)
+        deck = _deck(entries, command, quick, seed)
+        html.write_page(deck, root / PAGE_NAME, root / _FIGURES, with_pdf=not quick)
         report("reproduce", 1.0)
     return Reproduction(page=root / PAGE_NAME, entries=tuple(entries))
 
@@ -257,9 +327,14 @@ def _entry(name: str, quick: bool, seed: int) -> Entry:
     """Make an exhibit; any exception becomes the entry's problem."""
     start = time.perf_counter()
     try:
-        made = make_exhibit(name, quick=quick, seed=seed)
-        seconds = time.perf_counter() - start
-        return Entry(name=name, exhibit=made, findings=made.findings, seconds=seconds)
+        made, slides = make_exhibit(name, quick=quick, seed=seed)
+        return Entry(
+            name=name,
+            exhibit=made,
+            slides=slides,
+            findings=made.findings,
+            seconds=time.perf_counter() - start,
+        )
     except Exception as error:  # noqa: BLE001 - a failed exhibit must not stop the others
         text = " ".join(str(error).split()) or "no message"
         problem = text if isinstance(error, McspectraError) else f"{type(error).__name__}: {text}"
@@ -271,18 +346,74 @@ def _entry(name: str, quick: bool, seed: int) -> Entry:
         agrees=False,
         note=problem,
     )
-    seconds = time.perf_counter() - start
-    return Entry(name=name, exhibit=None, findings=(failed,), problem=problem, seconds=seconds)
+    return Entry(
+        name=name,
+        exhibit=None,
+        slides=texts()[name].slides[:1],
+        findings=(failed,),
+        problem=problem,
+        seconds=time.perf_counter() - start,
+    )
+
+
+def _findings_of(slide: Slide, entry: Entry) -> tuple[Finding, ...]:
+    """Return the findings of a slide. The first slide also has those about no other slide."""
+    if entry.exhibit is None:
+        return entry.findings
+    figures = {each.figure for each in entry.slides}
+    first = slide is entry.slides[0]
+    return tuple(
+        finding
+        for claim, finding in zip(entry.exhibit.claims, entry.findings, strict=True)
+        if claim.about == slide.figure or (first and claim.about not in figures)
+    )
+
+
+def _counted(findings: Sequence[Finding]) -> str:
+    """Count the findings that agree with slides, correct them, or contradict our theory."""
+    judged = [finding for finding in findings if finding.agrees is not None]
+    agree, correct = (
+        sum(f.agrees is True and f.corrects is kind for f in judged) for kind in (False, True)
+    )
+    parts = [f"{agree} agree"]
+    parts += [f"{correct} limit or correct a slide"] if correct else []
+    wrong, open_ = len(judged) - agree - correct, len(findings) - len(judged)
+    parts += [f"{wrong} do not agree"] if wrong else []
+    parts += [f"{open_} without verdict"] if open_ else []
+    return ", ".join(parts)
 
 
 def tally(entries: Sequence[Entry]) -> str:
-    """Return the number of figures and of findings that agree, in words."""
+    """Return the number of slides and findings by verdict, in words."""
     made = [entry for entry in entries if not entry.problem]
-    judged = [f.agrees for entry in made for f in entry.findings if f.agrees is not None]
-    figures = f"{len(entries)} figure{'' if len(entries) == 1 else 's'}"
-    text = f"{figures}; {sum(judged)} of {len(judged)} findings agree"
+    count = sum(len(entry.slides) for entry in made)
+    text = f"{count} slide{'' if count == 1 else 's'}; findings: "
+    text += _counted([finding for entry in made for finding in entry.findings])
     failed = len(entries) - len(made)
     return f"{text}; {failed} failed" if failed else text
+
+
+Mark: TypeAlias = Literal["yes", "some", "no", "none"]
+"""Color class of a verdict."""
+
+
+def verdict(slide: Slide, findings: Sequence[Finding]) -> tuple[str, str, Mark]:
+    """Return the verdict on a slide in one or two words, its condition, and its color class.
+
+    A finding that does not agree overrides the texts of the slide.
+    A slide is corrected only if a finding that corrects it agrees.
+    """
+    if any(finding.agrees is False for finding in findings):
+        return "Not reproduced", "a finding does not agree", "no"
+    if not any(finding.agrees for finding in findings):
+        return "No verdict", "the findings do not decide", "none"
+    if slide.corrected and any(finding.corrects and finding.agrees for finding in findings):
+        return "Corrected", slide.corrected, "no"
+    if slide.answer:
+        return "Answered", slide.answer, "some"
+    if slide.holds_if:
+        return "Holds if", slide.holds_if, "some"
+    return "Holds", "", "yes"
 
 
 def measured_text(finding: Finding) -> tuple[str, str]:
@@ -302,7 +433,7 @@ def measured_text(finding: Finding) -> tuple[str, str]:
     return number(value, digits), f"{number(low, digits)} … {number(high, digits)}"
 
 
-def _page(entries: Sequence[Entry], command: str, quick: bool, seed: int) -> html.Page:
+def _deck(entries: Sequence[Entry], command: str, quick: bool, seed: int) -> html.Deck:
     versions = {"mcspectra": __version__, "Python": platform.python_version()}
     for name in _PACKAGES:
         try:
@@ -311,122 +442,102 @@ def _page(entries: Sequence[Entry], command: str, quick: bool, seed: int) -> htm
             versions[name] = "not installed"
     facts = {"Command": command, "Seed": str(seed), "Quality": "quick" if quick else "full"}
     how = html.FactList(rows=tuple((facts | versions).items()), code=True)
-    return html.Page(
+    pairs = sorted(
+        ((slide, entry) for entry in entries for slide in entry.slides),
+        key=lambda pair: pair[0].number,
+    )
+    return html.Deck(
         title="The slides, reproduced",
-        what="gallery",
+        what="lecture",
         lead=(
             html.Paragraph(
-                text="Every figure and statement of the slides of “Fourier Analysis of Correlated "
-                "Monte Carlo Importance Sampling” (Singh, Subr, Coeurjolly, Ostromoukhov, Jarosz), "
-                f"recomputed. {tally(entries)}."
+                text="“Fourier Analysis of Correlated Monte Carlo Importance Sampling” (Singh, "
+                "Subr, Coeurjolly, Ostromoukhov, Jarosz): each slide with its statement, a figure "
+                f"computed anew, and a verdict. {tally(entries)}."
             ),
             html.Paragraph(
-                text=f"Intervals of {GALLERY_FINDINGS} true findings hold simultaneously with 95 % "
-                "(each with 99.98 %, Šidák). Intervals in plots are 95 %. A finding agrees if the "
-                "expected value is in the interval or within the tolerance given in the note.",
+                text="Holds: the findings agree with the slide. Holds if: they agree under this "
+                "condition. Corrected: they contradict the slide. Arrow keys turn the pages. "
+                "Links to the explorer need mcspectra app --port 5006.",
                 kind="soft",
             ),
         ),
-        sections=(
-            *map(_section, entries),
-            html.Section(title="How to reproduce this page", anchor="provenance", blocks=(how,)),
+        screens=tuple(_screen(slide, entry) for slide, entry in pairs),
+        last=html.Section(
+            title="How the verdicts are found",
+            anchor="provenance",
+            blocks=(
+                html.Paragraph(
+                    text=f"Intervals of {GALLERY_FINDINGS} true findings hold simultaneously with "
+                    "95 % (each with 99.98 %, Šidák). Intervals in plots are 95 %. A finding "
+                    "agrees if the expected value is in the interval or within the tolerance "
+                    "given in the note. Findings that agree with our theory but limit or "
+                    "contradict "
+                    "the slide as printed, such as counterexamples, are counted apart."
+                ),
+                html.Paragraph(
+                    text="The slides are numbered by their titles in the talk. Steps of an "
+                    "animation count once; closing slides are omitted."
+                ),
+                how,
+            ),
         ),
     )
 
 
-def _section(entry: Entry) -> html.Section:
-    slide = slides()[entry.name]
-    blocks: list[html.Block] = [
-        html.Paragraph(text=f"mcspectra reproduce {entry.name}", kind="code")
-    ]
+def _screen(slide: Slide, entry: Entry) -> html.Screen:
+    formula = None
+    if slide.formula:
+        from latex2mathml.converter import convert
+
+        text = html.Markup(convert(" ".join(slide.formula.split()), display="block"))
+        formula = html.Paragraph(text=text, kind="formula")
+    own = _findings_of(slide, entry)
     if entry.exhibit is None:
-        blocks.append(html.Paragraph(text=f"✗ This exhibit failed: {entry.problem}"))
-    else:
-        blocks.append(html.Paragraph(text=slide.slide, kind="quote"))
-        if slide.formula:
-            from latex2mathml.converter import convert
+        return html.Screen(
+            number=str(slide.number),
+            title=slide.title,
+            anchor=slide.figure,
+            statement=slide.statement,
+            formula=formula,
+            verdict="Failed",
+            mark="no",
+            reason=f"This exhibit failed: {entry.problem}",
+        )
+    plots = {slug(plot.kind): plot for plot in entry.exhibit.plots}
 
-            formula = html.Markup(convert(" ".join(slide.formula.split()), display="block"))
-            blocks.append(html.Paragraph(text=formula, kind="formula"))
-        blocks.append(html.Paragraph(text=entry.exhibit.caption))
-        plots = {slug(plot.kind): plot for plot in entry.exhibit.plots}
-        named = {
-            kind if kind.startswith(entry.name) else f"{entry.name}-{kind}": plot
-            for kind, plot in plots.items()
-        }
-        blocks += html.figures_of(named)
-        columns = ("Statement", "Verdict", "Expected", "Measured", "Interval", "Note")
-        rows = []
-        for each in entry.findings:
-            sign, mark = _SIGNS[each.agrees]
-            verdict = html.TableCell(text=sign, numeric=False, mark=mark)
-            rows.append((each.statement, verdict, each.expected, *measured_text(each), each.note))
-        blocks.append(html.table_of("", columns, rows, words=(0, -1), stacked=True))
-    wrong = any(finding.agrees is False for finding in entry.findings)
-    return html.Section(
+    def figure(kind: str) -> html.Figure:
+        name = kind if kind.startswith(entry.name) else f"{entry.name}-{kind}"
+        slider = entry.exhibit.sliders.get(kind) if entry.exhibit else None
+        return html.Figure(plot=plots[kind], name=name, slider=slider)
+
+    folded: list[html.Block] = []
+    if slide.more:
+        more = html.Figures(figures=tuple(map(figure, slide.more)))
+        folded.append(html.Collapsible(summary="More figures", blocks=(more,)))
+    columns = ("Statement", "Verdict", "Expected", "Measured", "Interval", "Note")
+    rows = []
+    for each in own:
+        sign, mark = _SIGNS[each.agrees]
+        if each.corrects and each.agrees:
+            sign, mark = "✎ limits or corrects the slide", "no"
+        cell = html.TableCell(text=sign, numeric=False, mark=mark)
+        rows.append((each.statement, cell, each.expected, *measured_text(each), each.note))
+    table = html.table_of("", columns, rows, words=(0, -1), stacked=True)
+    again = html.Paragraph(text=f"mcspectra reproduce {entry.name}", kind="code")
+    numbers = html.Collapsible(summary=f"Numbers ({_counted(own)})", blocks=(table, again))
+    word, rest, mark_of = verdict(slide, own)
+    return html.Screen(
+        number=str(slide.number),
         title=slide.title,
-        anchor=entry.name,
-        blocks=tuple(blocks),
-        beside=entry.tally,
-        mark="no" if wrong else "yes",
+        anchor=slide.figure,
+        statement=slide.statement,
+        formula=formula,
+        figure=figure(slide.figure),
+        verdict=word,
+        condition=rest,
+        mark=mark_of,
+        reason=slide.reason,
+        link=f"{_EXPLORER}?{urlencode(parse_qsl(slide.explorer))}" if slide.explorer else "",
+        folded=(*folded, numbers),
     )
-
-
-def _write_pdf(path: Path, entries: Sequence[Entry]) -> None:
-    """Write sheets of text for each entry, then one sheet per figure with its caption."""
-    import matplotlib as mpl
-    from matplotlib.backends.backend_pdf import PdfPages
-    from matplotlib.figure import Figure as Drawing
-
-    from mcspectra.plots.backend_matplotlib import escaped
-
-    partial = path.with_name(f".{path.name}.partial")
-    metadata = {"CreationDate": None, "Creator": "mcspectra"}
-    try:
-        with mpl.rc_context({"pdf.fonttype": 42}), PdfPages(partial, metadata=metadata) as pdf:
-            for entry in entries:
-                lines = list(_lines(entry))
-                for start in range(0, len(lines), _LINES):
-                    sheet = Drawing(figsize=_SHEET)
-                    for row, (line, weight) in enumerate(lines[start : start + _LINES]):
-                        at = (0.08, 0.95 - 0.0145 * row)
-                        sheet.text(*at, escaped(line), va="top", fontsize=9, weight=weight)
-                    pdf.savefig(sheet)
-                for plot in entry.exhibit.plots if entry.exhibit else ():
-                    _add_figure(pdf, plot)
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)  # this file exists only after an interruption
-
-
-def _lines(entry: Entry) -> Iterator[tuple[str, str]]:
-    """Yield the lines of an entry's sheet and their font weights."""
-    slide = slides()[entry.name]
-    caption = entry.exhibit.caption if entry.exhibit else ""
-    parts = [(slide.title, "bold"), (f"Slide: {slide.slide}", "normal"), (caption, "normal")]
-    for finding in entry.findings:
-        parts.append((f"{_SIGNS[finding.agrees][0][0]} {finding.statement}", "bold"))
-        measured, interval = measured_text(finding)
-        text = f"expected {finding.expected}; measured {measured}"
-        text += f" ({interval})" if interval else ""
-        parts.append((f"{text}. {finding.note}" if finding.note else text, ""))
-    for text, weight in parts:
-        if text and weight and text != slide.title:
-            yield "", "normal"
-        yield from ((line, weight or "normal") for line in textwrap.wrap(text, _COLUMNS))
-
-
-def _add_figure(pdf: PdfPages, plot: Plot) -> None:
-    """Add a figure with its caption below, on a larger sheet."""
-    from mcspectra.plots.backend_matplotlib import draw, escaped
-
-    figure = draw(replace(plot, caption=""))
-    engine = figure.get_layout_engine()
-    if engine is not None:
-        engine.execute(figure)
-        figure.set_layout_engine("none")
-    for legend in figure.legends:  # else legends would move to the border of the sheet
-        legend.set_bbox_to_anchor((0, 0, 1, 1), transform=figure.transFigure)
-    caption = textwrap.fill(plot.caption, int(_PER_INCH * figure.get_figwidth()))
-    figure.text(0.02, -0.02, escaped(caption), va="top", fontsize=8)
-    pdf.savefig(figure, bbox_inches="tight", pad_inches=0.3)  # type: ignore[no-untyped-call]

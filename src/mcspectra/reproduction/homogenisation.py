@@ -12,6 +12,7 @@ from mcspectra.core.checks import Array
 from mcspectra.plots.description import Axis, Dots, Panel, Plot, Segments
 from mcspectra.plots.style import ACCENT, FAINT, GRAY, INK, PALETTE
 from mcspectra.plots.text import number
+from mcspectra.report.page import Slider
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, mean_and_error, normal_limit
 from mcspectra.reproduction.panels import plot_of
 
@@ -84,12 +85,14 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         dots = Dots(x=m, y=l, color=PALETTE[0], size=1.8)
         panels.append(Panel(marks=(dots,), x=x, y=y, title=title, grid=True))
     se = mean_and_error(before.products.real)[1][0]
+    steps = {f"{t:g}": _steps(seed, t) for t in (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)}
     return Exhibit(
         numbers={"N": N, "pair": _PAIR, "c0": c0, "c1": c1},
         plots=(
-            _steps(seed),
+            steps["0.6"],
             plot_of("homogenisation-correlation", *panels),
         ),
+        sliders={"homogenisation-steps": Slider("shift Δ = t · (0.7, 0.5), t =", steps, "0.6")},
         claims=(
             Claim(
                 "All points of a realization are shifted by the same vector on the torus: largest "
@@ -171,9 +174,9 @@ def grid_mean(name: str, realizations: int, seed: int) -> Measured:
     return Measured.mean(_sums(x, np.array((8, 0))).real)
 
 
-def _steps(seed: int) -> Plot:
+def _steps(seed: int, share: float) -> Plot:
     x = mcs.sampler("jittered", 2).draw(16, rng=seed)[0]
-    move = np.array([0.42, 0.3])
+    move = share * np.array([0.7, 0.5])
     outside = (x + move >= 1.0).any(axis=1)
     panels = []
     for at, (dx, dy), title in (
@@ -193,7 +196,7 @@ def _steps(seed: int) -> Plot:
         )
         paths = np.stack([x, x + move], axis=1) if title.startswith("2") else np.zeros((0, 2, 2))
         axes = [
-            Axis(label=label, low=-0.04, high=1.46, ticks={0.0: "0", 1.0: "1"})
+            Axis(label=label, low=-0.04, high=1.74, ticks={0.0: "0", 1.0: "1"})
             for label in ("x₀", "x₁")
         ]
         panels.append(

@@ -12,8 +12,9 @@ import xarray as xr
 import mcspectra as mcs
 from mcspectra.plots.kinds import describe
 from mcspectra.plots.text import number
-from mcspectra.reproduction.claims import Claim, Exhibit, Measured
-from mcspectra.reproduction.panels import in_columns, interval_panel, plot_of
+from mcspectra.reproduction.claims import Claim, Exhibit, Measured, about
+from mcspectra.reproduction.generalised_formula import exact_matrix
+from mcspectra.reproduction.panels import in_columns, interval_panel, matrix_panel, plot_of
 
 __all__ = ["exhibit"]
 
@@ -56,17 +57,27 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             plot_of(
                 "homogenised-formula", interval_panel(rows, ("as they are", "shifted"), x, at=1.0)
             ),
-            replace(in_columns(describe("cross-matrix", matrices)), kind="homogenised-matrix"),
+            plot_of(
+                "homogenised-matrix",
+                *(
+                    matrix_panel(name, exact_matrix(line, name, None, 40).real, y=not k)
+                    for k, name in enumerate(matrices)
+                ),
+            ),
+            replace(in_columns(describe("cross-matrix", matrices)), kind="measured-matrix"),
         ),
         claims=(
-            *(_closed_sum(n) for n in (16, 256)),
-            *(
-                Claim(
-                    f"{name}, shifted: the third term is 0, as a share of the variance.",
-                    Measured.of(data, "cross_term") / float(data["predicted_variance"]),
-                    expected=0.0,
-                )
-                for name, data in shifted.items()
+            *about(
+                "homogenised-matrix",
+                *(_closed_sum(n) for n in (16, 256)),
+                *(
+                    Claim(
+                        f"{name}, shifted: the third term is 0, as a share of the variance.",
+                        Measured.of(data, "cross_term") / float(data["predicted_variance"]),
+                        expected=0.0,
+                    )
+                    for name, data in shifted.items()
+                ),
             ),
             *(
                 Claim(

@@ -9,10 +9,11 @@ import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Dots, Mark, Panel, ReferenceLine, Scale
+from mcspectra.plots.description import Dots, Mark, Panel, Plot, ReferenceLine, Scale
 from mcspectra.plots.scales import log_axis, unit_panel
 from mcspectra.plots.style import INK, PALETTE
 from mcspectra.plots.text import number
+from mcspectra.report.page import Slider
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured
 from mcspectra.reproduction.panels import (
     at_ring,
@@ -63,11 +64,13 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     low, high, dc_random, dc_jittered = (number(claim.value) for claim in (*rings[2:], *dc))
 
     # Draw points above their spectra, and spectra against |m|
-    scale = Scale(label="N · ⟨|S|²⟩", high=1.5 * LEVEL, beyond=True)
-    p, points = mcs.density(DENSITY, 2), []
-    for name in SAMPLERS:
-        x, y = p.sample(mcs.sampler(name, 2).draw(N, rng=seed)[0]).T
-        points.append(unit_panel([Dots(x=x, y=y, color=PALETTE[0], size=1.8)], name))
+    few = realizations // 3
+    frames = {
+        f"{slope:g}": _maps(
+            slope, {name: spectrum(name, few, seed, slope) for name in SAMPLERS}, seed
+        )
+        for slope in (0.0, 0.8)
+    } | {f"{SLOPE:g}": _maps(SLOPE, spectra, seed)}
     radii = np.arange(1, HALF_WIDTH + 1)
     marks: list[Mark] = [ReferenceLine(at=LEVEL, color=INK, width=1.0, label="∫1/p")]
     for k, (name, data) in enumerate(spectra.items()):
@@ -89,16 +92,10 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             "realizations": realizations,
         },
         plots=(
-            plot_of(
-                "importance-spectra",
-                *points,
-                *(
-                    frequency_panel(N * d["power"].values, scale, "", y=not k)
-                    for k, d in enumerate(spectra.values())
-                ),
-            ),
+            frames[f"{SLOPE:g}"],
             plot_of("importance-radial", Panel(marks=tuple(marks), x=x, y=y, grid=True)),
         ),
+        sliders={"importance-spectra": Slider("slope of the density", frames, f"{SLOPE:g}")},
         claims=(
             *rings,
             Claim(
@@ -134,10 +131,28 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     )
 
 
-def spectrum(name: str, realizations: int, seed: int) -> xr.Dataset:
+def _maps(slope: float, spectra: dict[str, xr.Dataset], seed: int) -> Plot:
+    """Return points of a linear density above the spectra of their weighted sums."""
+    scale = Scale(label="N · ⟨|S|²⟩", high=1.5 * LEVEL, beyond=True)
+    p, points = mcs.density(f"linear(slope={slope})", 2), []
+    for name in SAMPLERS:
+        x, y = p.sample(mcs.sampler(name, 2).draw(N, rng=seed)[0]).T
+        points.append(unit_panel([Dots(x=x, y=y, color=PALETTE[0], size=1.8)], name))
+    return plot_of(
+        "importance-spectra",
+        *points,
+        *(
+            frequency_panel(N * d["power"].values, scale, "", y=not k)
+            for k, d in enumerate(spectra.values())
+        ),
+    )
+
+
+def spectrum(name: str, realizations: int, seed: int, slope: float = SLOPE) -> xr.Dataset:
     """Return the expected power of weighted points in two dims."""
     options: dict[str, Any] = {"half_width": HALF_WIDTH, "realizations": realizations, "rng": seed}
-    return mcs.power_spectrum(mcs.sampler(name, 2), N, density=DENSITY, **options)
+    density = f"linear(slope={slope})"
+    return mcs.power_spectrum(mcs.sampler(name, 2), N, density=density, **options)
 
 
 def _closed_ring(name: str, ring: int) -> float:

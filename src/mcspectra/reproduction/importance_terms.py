@@ -10,8 +10,11 @@ import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
+from mcspectra.plots.description import Axis, Dots, Line, Mark, Panel, Plot, ReferenceLine
+from mcspectra.plots.style import GRAY, INK, TERM_COLORS
 from mcspectra.plots.text import number
-from mcspectra.reproduction.claims import Claim, Exhibit, Measured
+from mcspectra.report.page import Slider
+from mcspectra.reproduction.claims import Claim, Exhibit, Measured, about, correction
 from mcspectra.reproduction.panels import plot_of, term_panel
 
 __all__ = ["exhibit"]
@@ -111,6 +114,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     )
     every = [*(data for case, data in of.items() if case != FLAT), shifted]
     found = [Measured.of(data, "power_term") for data in every]
+    frames = {f"{a:g}": _scanned(a) for a in (-0.8, -0.4, 0.0, 0.4, 0.8, 0.95)}
     return Exhibit(
         numbers={
             "line": third[LINE],
@@ -121,70 +125,95 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         },
         plots=(
             plot_of(
-                "importance-terms",
+                "crucial-terms",
+                *(
+                    term_panel(of[case], 1e-3, case.title, "" if k else "terms · 10³")
+                    for k, case in enumerate((LINE, GOOD, FLAT))
+                ),
+            ),
+            frames["0.8"],
+            plot_of(
+                "six-cases",
                 *(
                     term_panel(data, 1e-3, case.title, "" if k % 3 else "terms · 10³")
                     for k, (case, data) in enumerate(of.items())
                 ),
             ),
         ),
+        sliders={"importance-terms": Slider("density p = 1 − a cos 2πx, a =", frames, "0.8")},
         claims=(
-            Claim(
-                f"The second term is always positive: case of {len(every)} (without f = 1, which "
-                "has no second term) whose interval is nearest to 0.",
-                min(found, key=lambda each: each.low / each.value),
-                above=0.0,
-            ),
-            Claim(
-                "For constant PDF the first term is zero: largest value.",
-                max(float(data["dc_term"]) for data in (of[LINE], of[BAR], shifted)),
-                at_most=1e-20,
-            ),
-            _negative(
-                "For constant PDF the third term is negative on f(x) = x, jittered points.",
-                of[LINE],
-            ),
-            # Third term: variance without shift, 2 · ¼/N², minus variance with shift, 2 · 1/(6N²)
-            Claim(
-                "Counterexample: for constant PDF and a bar whose edges halve strata, the third "
-                "term of jittered points is positive: 1/(6N²) in total, here over |m| ≤ 64.",
-                Measured.of(of[BAR], "cross_term"),
-                expected=exact_bar(_MANY),
-                digits=4,
-                note=f"1/(6N²) is {number(1 / (6 * N**2))}.",
-            ),
-            Claim(
-                "Counterexample: for shifted points of constant PDF the third term is zero.",
-                Measured.of(shifted, "cross_term"),
-                expected=0.0,
-            ),
-            *(
+            *about(
+                "importance-terms",
                 Claim(
-                    f"{case.title}: the third term is the covariance of f² and 1/p over the "
-                    "domain, divided by N.",
-                    Measured.of(of[case], "cross_term"),
-                    expected=case.exact_random()[2],
-                    digits=4,
-                )
-                for case in (GOOD, BAD)
-            ),
-            _negative(with_f.format("random"), of[GOOD]),
-            _negative(with_f.format("jittered"), of[STRATIFIED]),
-            Claim(
-                "Counterexample: if the density is low where f is high, the third term is "
-                "positive.",
-                Measured.of(of[BAD], "cross_term"),
-                above=0.0,
+                    f"The second term is always positive: case of {len(every)} (without f = 1, "
+                    "which "
+                    "has no second term) whose interval is nearest to 0.",
+                    min(found, key=lambda each: each.low / each.value),
+                    above=0.0,
+                ),
+                Claim(
+                    "For constant PDF the first term is zero: largest value.",
+                    max(float(data["dc_term"]) for data in (of[LINE], of[BAR], shifted)),
+                    at_most=1e-20,
+                ),
+                _negative(
+                    "For constant PDF the third term is negative on f(x) = x, jittered points.",
+                    of[LINE],
+                ),
+                # Up to the third term the variance is 2 · ¼/N², or 2 · 1/(6N²) with a shift
+                correction(
+                    Claim(
+                        "Counterexample: for constant PDF and a bar whose edges halve strata, "
+                        "the third "
+                        "term of jittered points is positive: 1/(6N²) in total, here over |m| ≤ "
+                        "64.",
+                        Measured.of(of[BAR], "cross_term"),
+                        expected=exact_bar(_MANY),
+                        digits=4,
+                        note=f"1/(6N²) is {number(1 / (6 * N**2))}.",
+                    )
+                ),
+                correction(
+                    Claim(
+                        "Counterexample: for shifted points of constant PDF the third term is "
+                        "zero.",
+                        Measured.of(shifted, "cross_term"),
+                        expected=0.0,
+                    )
+                ),
+                *(
+                    Claim(
+                        f"{case.title}: the third term is the covariance of f² and 1/p over the "
+                        "domain, divided by N.",
+                        Measured.of(of[case], "cross_term"),
+                        expected=case.exact_random()[2],
+                        digits=4,
+                    )
+                    for case in (GOOD, BAD)
+                ),
+                _negative(with_f.format("random"), of[GOOD]),
+                _negative(with_f.format("jittered"), of[STRATIFIED]),
+                correction(
+                    Claim(
+                        "Counterexample: if the density is low where f is high, the third term is "
+                        "positive.",
+                        Measured.of(of[BAD], "cross_term"),
+                        above=0.0,
+                    )
+                ),
+                correction(
+                    Claim(
+                        "The first term does not reduce the variance: I² Var(S₀) is never "
+                        "negative; with "
+                        "importance sampling that follows f it is I² (∫1/p − 1)/N.",
+                        Measured.of(of[GOOD], "dc_term"),
+                        expected=GOOD.exact_random()[0],
+                        digits=4,
+                        note="The slide holds if the third term outweighs the first.",
+                    )
+                ),
             ),
             *(_crucial(case, of[case]) for case in (LINE, GOOD)),
-            Claim(
-                "The first term does not reduce the variance: I² Var(S₀) is never negative; with "
-                "importance sampling that follows f it is I² (∫1/p − 1)/N.",
-                Measured.of(of[GOOD], "dc_term"),
-                expected=GOOD.exact_random()[0],
-                digits=4,
-                note="The statement of the slides holds if the third term outweighs the first.",
-            ),
             Claim(
                 "The first term cannot be ignored for importance sampling: for f = 1 it is the "
                 "whole variance: share minus 1.",
@@ -200,6 +229,45 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             ),
         ),
     )
+
+
+def _scanned(slope: float) -> Plot:
+    """Return f and p = 1 − a cos(2πx), and the exact terms of random points against a."""
+    x = np.linspace(0.0, 1.0, 200)
+    wave = np.cos(2 * np.pi * x)
+    pair = Panel(
+        marks=(
+            Line(x=x, y=1 - wave, color=INK, width=1.8, label="f(x) = 1 − cos 2πx"),
+            Line(x=x, y=1 - slope * wave, color=GRAY, dashes="--", width=1.8, label="density p(x)"),
+        ),
+        x=Axis(label="x (domain, 0 to 1)", low=0.0, high=1.0),
+        y=Axis(low=0.0, high=2.1),
+        title="integrand and density",
+        grid=True,
+    )
+    names = {"dc_term": "first term", "power_term": "second term", "cross_term": "third term"}
+    at = np.linspace(-0.9, 0.97, 80)
+    known = np.array([TermsCase("", "cosine", -a, "random").exact_random() for a in at]) * 1e3
+    here = 1e3 * np.array(TermsCase("", "cosine", -slope, "random").exact_random())
+    marks: list[Mark] = [
+        ReferenceLine(at=0.0, color=INK, width=0.7),
+        ReferenceLine(at=slope, axis="x", color=GRAY, dashes="--"),
+    ]
+    for k, (name, label) in enumerate(names.items()):
+        color = TERM_COLORS[name]
+        marks.append(Line(x=at, y=known[:, k], color=color, width=1.8, label=label))
+        marks.append(Dots(x=np.array([slope]), y=here[k : k + 1], color=color, size=7.0))
+    total = known.sum(axis=1)
+    marks.append(Line(x=at, y=total, color=INK, width=2.4, label="variance (sum)"))
+    marks.append(Dots(x=np.array([slope]), y=here[None].sum(axis=1), color=INK, size=8.0))
+    curves = Panel(
+        marks=tuple(marks),
+        x=Axis(label="a (p as f: a > 0; p against f: a < 0)", low=-0.92, high=1.0),
+        y=Axis(label=f"terms · 10³, {N} random points", low=-170.0, high=270.0),
+        title=f"terms at a = {number(slope, 2)}: variance {number(float(here.sum()) / 1e3)}",
+        grid=True,
+    )
+    return plot_of("importance-terms", pair, curves)
 
 
 def _negative(statement: str, data: xr.Dataset) -> Claim:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -23,6 +24,7 @@ import mcspectra as mcs
 from mcspectra.core.checks import BELOW_ONE, Array
 from mcspectra.plots.description import (
     Axis,
+    BarChart,
     Dots,
     Heatmap,
     Line,
@@ -31,12 +33,21 @@ from mcspectra.plots.description import (
     Plot,
     ReferenceLine,
     Scale,
+    Segments,
     TextMark,
 )
-from mcspectra.plots.scales import unit_panel
-from mcspectra.plots.style import ACCENT, INK, PALETTE
+from mcspectra.plots.scales import log_axis, name_axis, unit_panel
+from mcspectra.plots.style import ACCENT, FAINT, INK, PALETTE
 from mcspectra.plots.text import number
-from mcspectra.reproduction.claims import Claim, Exhibit, Measured, known_rate, rate_text
+from mcspectra.reproduction.claims import (
+    Claim,
+    Exhibit,
+    Measured,
+    about,
+    correction,
+    known_rate,
+    rate_text,
+)
 from mcspectra.reproduction.panels import AXES, plot_of, strata, variance_panel
 
 __all__ = ["exhibit"]
@@ -98,8 +109,54 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         at, text = float(exact[key][1]), f"slope {number(RATES[key], 2)}"
         slope = TextMark(x=float(_COUNTS[1]), y=2.0 * at, text=text)
         curves.append(replace(panel, marks=(*panel.marks, slope)))
+    together = [
+        variance_panel(
+            {_TITLES[m]: cells[m, shifted] for m in _TITLES},
+            exact={_TITLES[m]: exact[m, shifted] for m in _TITLES},
+            title=_WORDS[shifted],
+            x="number of evaluations N",
+            limits=(1e-9, 1e-3),
+        )
+        for shifted in (True, False)
+    ]
+    rates = {
+        shifted: [
+            known_rate(
+                f"Variance of exp(−x² − y²), {_TITLES[m]}, jittered, {_WORDS[h]}: rate.",
+                cell,
+                RATES[m, h],
+                exact[m, h],
+            )
+            for (m, h), cell in cells.items()
+            if h == shifted
+        ]
+        for shifted in (False, True)
+    }
+    harmed = Claim(
+        f"Homogenization harms the original: at N = {_COUNTS[-1]} the shift multiplies its "
+        "variance by more than 1.",
+        moved / last["original", False],
+        above=1.0,
+    )
+    helped = Claim(
+        f"Mirroring helps homogenized sets: at N = {_COUNTS[-1]}, variance of the original "
+        "divided by mirror-uniform, both shifted.",
+        moved / last["uniform", True],
+        above=1.0,
+    )
+    worse = Claim(
+        f"Mirror-random harms: at N = {_COUNTS[-1]} its variance divided by the variance of the "
+        "original, both shifted.",
+        last["random", True] / moved,
+        above=1.0,
+    )
+    harm, help_ = (moved / last[key] for key in (("original", False), ("uniform", True)))
     return Exhibit(
         numbers={
+            "random": shown["random", False],
+            "harm": number(harm.value, 2),
+            "help": number(help_.value, 2),
+            "most": _COUNTS[-1],
             "original": shown["original", False],
             "original_shifted": shown["original", True],
             "uniform": shown["uniform", False],
@@ -108,30 +165,13 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         plots=(
             _integrands(),
             plot_of("mirrored-samples", *panels),
-            plot_of("mirroring-convergence", *curves),
+            plot_of("mirroring-homogenized", *curves[:3]),
+            plot_of("mirroring-plain", *curves[3:]),
+            plot_of("mirroring-convergence", *together),
+            _take_away(last, seed),
         ),
         claims=(
-            *(
-                known_rate(
-                    f"Variance of exp(−x² − y²), {_TITLES[m]}, jittered, {_WORDS[h]}: rate.",
-                    cell,
-                    RATES[m, h],
-                    exact[m, h],
-                )
-                for (m, h), cell in cells.items()
-            ),
-            Claim(
-                f"Homogenization harms the original: at N = {_COUNTS[-1]} the shift multiplies its "
-                "variance by more than 1.",
-                moved / last["original", False],
-                above=1.0,
-            ),
-            Claim(
-                f"Mirroring helps homogenized sets: at N = {_COUNTS[-1]}, variance of the original "
-                "divided by mirror-uniform, both shifted.",
-                moved / last["uniform", True],
-                above=1.0,
-            ),
+            # The integrand that is wrapped around, and mirrored
             Claim(
                 "The original jumps by up to 1 − 1/e where it wraps around.",
                 float(np.abs(original).max()),
@@ -144,7 +184,11 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 float(np.abs(mirrored).max()),
                 at_most=1e-12,
             ),
-            *(_domain(dims) for dims in (1, 2)),
+            *about("mirrored-samples", _unbiased(seed)),
+            *about("mirroring-homogenized", *rates[True], harmed),
+            *about("mirroring-plain", *rates[False]),
+            *about("mirroring-convergence", helped, correction(worse)),
+            *about("take-away", *(_domain(dims) for dims in (1, 2))),
         ),
     )
 
@@ -195,6 +239,19 @@ def among_images() -> float:
     return square - _axis()[0] ** 2
 
 
+def _unbiased(seed: int) -> Claim:
+    """Check that a mirror-uniform set consists of the images of a quarter of its points."""
+    points = mcs.sampler("jittered | mirror(mode='uniform')", 2).draw(64, rng=seed)[0]
+    folded = np.minimum(points, 1.0 - points)
+    distinct = np.unique(np.round(folded, 12), axis=0)
+    return Claim(
+        "Mirror-uniform: 64 points are the four images of 16 points: number of distinct points "
+        "after folding.",
+        float(len(distinct)),
+        expected=16.0,
+    )
+
+
 def _domain(dims: int) -> Claim:
     """Check that 2^d n points have 1/2^d of the variance of n points after mirroring."""
     f = INTEGRAND if dims == 2 else "gaussian(center=0.2, width=0.4, dims=1)"
@@ -208,6 +265,67 @@ def _domain(dims: int) -> Claim:
         images * mirrored / plain - 1.0,
         at_most=1e-9,
     )
+
+
+def _take_away(last: Mapping[tuple[str, bool], Measured], seed: int) -> Plot:
+    """Return the jump and its removal, the domain of both integrands, and the variances."""
+    t = np.linspace(-1.0, 1.0, 801)
+    sections: list[Mark] = []
+    for folded, color, label in (
+        (t % 1.0, ACCENT, "wrapped around: jumps"),
+        (np.abs(t), PALETTE[0], "mirrored: no jump"),
+    ):
+        jumps = np.abs(np.diff(folded, append=folded[-1])) > 0.5
+        y = np.where(jumps, np.nan, np.exp(-(folded**2)))
+        sections.append(Line(x=t, y=y, color=color, width=2.0, label=label))
+    axis = {"low": -1.0, "high": 1.0, "ticks": {-1.0: "−1", 0.0: "0", 1.0: "1"}}
+    cut = Panel(
+        marks=tuple(sections),
+        x=Axis(label="x", **axis),  # type: ignore[arg-type]
+        y=Axis(label="f(x, 0)", low=0.0, high=1.15),
+        title="boundary discontinuities",
+        grid=True,
+    )
+    x, y = 2.0 * mcs.sampler("jittered", 2).draw(64, rng=seed)[0].T
+    lines = [
+        ReferenceLine(at=k / 4, axis=a, color=FAINT, width=0.8) for a in AXES for k in range(9)
+    ]
+    square = np.array(
+        [[(0, 0), (1, 0)], [(1, 0), (1, 1)], [(1, 1), (0, 1)], [(0, 1), (0, 0)]], float
+    )
+    domain = Panel(
+        marks=(
+            *lines,
+            Dots(x=x, y=y, color=PALETTE[0], size=3.5),
+            Segments(ends=square, color=ACCENT, width=2.4),
+        ),
+        x=Axis(label="x", low=0.0, high=2.0, ticks={0.0: "0", 1.0: "1", 2.0: "2"}),
+        y=Axis(label="y", low=0.0, high=2.0, ticks={0.0: "0", 1.0: "1", 2.0: "2"}),
+        title="64 points on 4 times the domain",
+        square=True,
+    )
+    rows = {
+        "original": ("original", False),
+        "shifted": ("original", True),
+        "mirror-random": ("random", True),
+        "mirror-uniform": ("uniform", True),
+    }
+    found = [last[key] for key in rows.values()]
+    value, low, high = np.array([(each.value, each.low, each.high) for each in found]).T
+    least = 10.0 ** math.floor(math.log10(low.min()))
+    bars = BarChart(
+        at=np.arange(4.0), value=value, base=least, low=low, high=high, thickness=0.6, lying=True,
+        color=[PALETTE[6], ACCENT, PALETTE[3], PALETTE[0]],
+    )  # fmt: skip
+    names = ["original", "original, shifted", "mirror-random, shifted", "mirror-uniform, shifted"]
+    variances = Panel(
+        marks=(bars,),
+        x=log_axis("variance", least, float(high.max())),
+        y=name_axis(names),
+        title=f"variance with {_COUNTS[-1]} evaluations",
+        grid=True,
+    )
+    return plot_of("take-away", cut, domain, variances)
 
 
 def _integrands() -> Plot:

@@ -24,7 +24,7 @@ from mcspectra.plots.description import (
     Segments,
     TextMark,
 )
-from mcspectra.plots.scales import count_axis, log_axis, name_axis, unit_panel
+from mcspectra.plots.scales import count_axis, log_axis, name_axis, signed_scale, unit_panel
 from mcspectra.plots.style import (
     FAINT,
     GRAY,
@@ -43,6 +43,7 @@ __all__ = [
     "frequency_panel",
     "in_columns",
     "interval_panel",
+    "matrix_panel",
     "plot_of",
     "primary_panel",
     "ring_mean",
@@ -57,6 +58,10 @@ AXES: tuple[Literal["x", "y"], ...] = ("x", "y")
 _TERMS = {"dc_term": "1st", "power_term": "2nd", "cross_term": "3rd"}
 _RESOLUTION = 256
 _ROUNDING = 1e-12  # fraction of the largest term below which a term is rounding error
+
+
+# Entries of the matrices of f(x) = x with 16 points, in four decades
+_ENTRIES = signed_scale("conj(f_m) f_l C_ml", [np.array([-1e-4, 1e-8, 1e-4])], decades=4)
 
 
 def whiskers(x: Array, y: Array, ends: Array, k: int, label: str, size: float = 4.0) -> Dots:
@@ -173,6 +178,21 @@ def primary_panel(integrand: Callable[[Array], Array], title: str) -> Panel:
 def plot_of(kind: str, *panels: Panel) -> Plot:
     """Return a plot whose layout is given in ``slides.toml``."""
     return Plot(kind=kind, panels=panels)
+
+
+def matrix_panel(title: str, values: Array, *, y: bool = True) -> Panel:
+    """Return a map of conj(f_m) f_l C_ml over m and l, without the entry of m = l = 0."""
+    half = len(values) // 2
+    side = np.arange(-half, half + 1.0)
+    ticks = {float(v): number(float(v), 2) for v in (-half, 0, half)}
+    image = Heatmap(values=values, x=side, y=side, scale=_ENTRIES, name="entry")
+    return Panel(
+        marks=(image,),
+        x=Axis(label="l (cycles per unit)", ticks=ticks),
+        y=Axis(label="m (cycles per unit)" if y else "", ticks=ticks),
+        title=title,
+        square=True,
+    )
 
 
 def in_columns(plot: Plot, first: int = 0) -> Plot:

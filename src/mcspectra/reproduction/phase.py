@@ -11,9 +11,10 @@ import xarray as xr
 import mcspectra as mcs
 from mcspectra.core.checks import Array
 from mcspectra.plots.description import Axis, Line, Mark, Panel, Plot, ReferenceLine
-from mcspectra.plots.style import INK, PALETTE, TERM_COLORS
+from mcspectra.plots.style import GRAY, INK, PALETTE, TERM_COLORS
 from mcspectra.plots.text import number
-from mcspectra.reproduction.claims import Claim, Exhibit, Measured, known_rate, rate_text
+from mcspectra.report.page import Slider
+from mcspectra.reproduction.claims import Claim, Exhibit, Measured, about, known_rate, rate_text
 from mcspectra.reproduction.panels import plot_of, variance_panel, whiskers
 
 __all__ = ["exhibit"]
@@ -73,6 +74,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     label = "exact variance, all frequencies"
     marks.append(Line(x=s, y=known, color=INK, dashes="--", width=1.0, label=label))
     x = Axis(label="offset of the strata (sides)", low=-0.02, high=1.02)
+    terms = Panel(marks=tuple(marks), x=x, y=Axis(label="terms · 10³"), grid=True)
+    frames = {f"{t:g}": _displaced(t, terms) for t in OFFSETS}
     exact = {LABELS[offset]: exact_curve(offset) for offset in curves}
     shown = {LABELS[offset]: curve for offset, curve in curves.items()}
     return Exhibit(
@@ -85,16 +88,14 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             "half_width": HALF_WIDTH,
         },
         plots=(
-            plot_of(
-                "phase-offsets",
-                Panel(marks=tuple(marks), x=x, y=Axis(label="terms · 10³"), grid=True),
-            ),
+            frames["0.5"],
             plot_of(
                 "phase-convergence",
                 variance_panel(shown, exact=exact, title="bar and cosine, jittered points"),
             ),
             _functions(),
         ),
+        sliders={"phase-offsets": Slider("offset of the strata (sides)", frames, "0.5")},
         claims=(
             Claim(
                 "The second term does not depend on the position of the strata, for "
@@ -137,15 +138,18 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 float(np.mean(values) / np.abs(values).max()),
                 at_most=1e-12,
             ),
-            *(
-                known_rate(
-                    "Shifting strata affects convergence: bar and cosine, strata "
-                    f"{LABELS[offset]}: rate {number(rate, 2)}.",
-                    curves[offset],
-                    rate,
-                    exact_curve(offset),
-                )
-                for offset, rate in RATES.items()
+            *about(
+                "phase-convergence",
+                *(
+                    known_rate(
+                        "Shifting strata affects convergence: bar and cosine, strata "
+                        f"{LABELS[offset]}: rate {number(rate, 2)}.",
+                        curves[offset],
+                        rate,
+                        exact_curve(offset),
+                    )
+                    for offset, rate in RATES.items()
+                ),
             ),
             Claim(
                 "Two functions with equal |f_m| have the same second term: relative difference.",
@@ -161,6 +165,33 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             ),
         ),
     )
+
+
+def _displaced(offset: float, terms: Panel) -> Plot:
+    """Return the bar with the borders of the strata at an offset, and the terms at this offset."""
+    places = ((np.arange(N) + offset) / N).tolist()
+    side = 1 / N
+    cut = [(e - (e - offset * side) % side) for e in (0.25, 0.75)] if offset else []
+    strata = [
+        Line(
+            x=np.array([c, c + side]), y=np.array([1.0, 1.0]), low=np.zeros(2), high=np.ones(2),
+            color="#F5C9A9", width=0.0,
+        )
+        for c in cut
+    ]  # fmt: skip
+    x, y = np.array([0.0, 0.25, 0.25, 0.75, 0.75, 1.0]), np.array([0.0, 0, 1, 1, 0, 0])
+    bar = Panel(
+        marks=(
+            *strata,
+            *(ReferenceLine(at=at, axis="x", color=GRAY, width=0.7) for at in places),
+            Line(x=x, y=y, color=INK, width=2.4),
+        ),
+        x=Axis(label="x (domain, 0 to 1)", low=0.0, high=1.0),
+        y=Axis(label="f(x)", low=0.0, high=1.1),
+        title=f"strata displaced by {offset:g} sides",
+    )
+    here = ReferenceLine(at=offset, axis="x", color=INK, dashes="--", width=1.4)
+    return plot_of("phase-offsets", bar, replace(terms, marks=(here, *terms.marks)))
 
 
 def displaced(offset: float) -> str:

@@ -8,10 +8,11 @@ import numpy as np
 import xarray as xr
 
 import mcspectra as mcs
-from mcspectra.plots.description import Scale
+from mcspectra.plots.description import Plot, Scale
 from mcspectra.plots.kinds import describe
 from mcspectra.plots.text import number
-from mcspectra.reproduction.claims import Claim, Exhibit, Measured
+from mcspectra.report.page import Slider
+from mcspectra.reproduction.claims import Claim, Exhibit, Measured, about
 from mcspectra.reproduction.panels import at_ring, frequency_panel, plot_of, ring_mean
 
 __all__ = ["exhibit"]
@@ -49,28 +50,31 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         _exponent("random", random, 0.0),
     )
     low = ", ".join(f"{number(at_ring(d, 1, N).value)} ({name})" for name, d in expected.items())
-    strength = " and ".join(number(c.value) for c in claims[:2])
-    scale = Scale(label="N · |S|²   (random: 1)", high=2.5, beyond=True)
+    averaged = {r: measured_spectra(r, seed) for r in (1, 4, 16, 64)} | {realizations: expected}
+    frames = {str(r): _maps("power-spectra", data) for r, data in averaged.items()}
     return Exhibit(
         numbers={
-            "strength": strength,
+            "speckle": number(claims[0].value),
             "low": low,
             "half_width": HALF_WIDTH,
             "N": N,
             "realizations": realizations,
         },
         plots=(
-            plot_of(
-                "power-spectra",
-                *(
-                    frequency_panel(N * data[name]["power"].values, scale, f"{name}, {what}")
-                    for data, what in ((single, "one set"), (expected, "expected"))
-                    for name in SAMPLERS
-                ),
-            ),
+            _maps("one-set", single),
+            frames[str(realizations)],
             describe("radial", expected),
         ),
-        claims=claims,
+        claims=(*about("one-set", claims[0]), *about("power-spectra", *claims[1:])),
+        sliders={"power-spectra": Slider("sets averaged", frames, str(realizations))},
+    )
+
+
+def _maps(kind: str, data: dict[str, xr.Dataset]) -> Plot:
+    scale = Scale(label="N · |S|²   (random: 1)", high=2.5, beyond=True)
+    return plot_of(
+        kind,
+        *(frequency_panel(N * data[name]["power"].values, scale, name) for name in SAMPLERS),
     )
 
 

@@ -16,11 +16,12 @@ import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Axis, Dots, Line, Mark, Panel
+from mcspectra.plots.description import Axis, Dots, Line, Mark, Panel, Plot, Segments
 from mcspectra.plots.scales import count_axis, log_axis
 from mcspectra.plots.style import ACCENT, INK, PALETTE
 from mcspectra.plots.text import number
-from mcspectra.reproduction.claims import Claim, Exhibit, Measured, known_rate, rate_text
+from mcspectra.report.page import Slider
+from mcspectra.reproduction.claims import Claim, Exhibit, Measured, about, known_rate, rate_text
 from mcspectra.reproduction.panels import plot_of, whiskers
 
 __all__ = ["exhibit"]
@@ -33,6 +34,7 @@ SAMPLERS = {
     "jittered": "jittered | shift",
 }
 RATES = {"f": -2.0, "g": -3.0}
+_SHOWN = 64  # number of points of the figure at first
 _HIGHEST = 2**16  # highest frequency; the tail of f is 12 N / (4π² 2^16) = 0.5 % at N = 1024
 
 
@@ -76,28 +78,26 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         power.append(Dots(x=whole, y=notches, color=ACCENT))
     x = Axis(label="frequency ν (cycles per unit)", low=0.0, high=4.1)
     y_axis = log_axis("⟨|S|²⟩", float(notches.min()), 1.0)
+    combs = {str(n): _comb(n) for n in (4, 16, 64, 256)}
+    here = COUNTS.index(_SHOWN)
+    real, whole_sum = (float(frequency_sums("f", "jittered", step)[here]) for step in (0.5, 1.0))
     return Exhibit(
-        numbers={"rates": rates, "levels": levels},
+        numbers={
+            "rates": rates,
+            "levels": levels,
+            "N": _SHOWN,
+            "real": number(real),
+            "whole": number(whole_sum),
+            "exact": number(float(exact_variances("f", "jittered")[here])),
+        },
+        sliders={"comb": Slider("number of points N", combs, str(_SHOWN))},
         plots=(
+            combs[str(_SHOWN)],
             plot_of("real-and-integer-frequencies", *panels),
             plot_of("spectrum", Panel(marks=tuple(power), x=x, y=y_axis, grid=True)),
         ),
         claims=(
-            *(
-                known_rate(
-                    f"The variance of {name} with {spec} points has the rate {number(rate, 2)}.",
-                    curves[name].sel(sampler=spec),
-                    rate,
-                    exact_variances(name, sampler),
-                )
-                for sampler, spec in reversed(SAMPLERS.items())
-                for name, rate in (
-                    RATES if sampler == "jittered" else dict.fromkeys(NAMES, -1.0)
-                ).items()
-            ),
             *(_integers(*pair) for pair in pairs),
-            *(_real_rate(*pair) for pair in pairs),
-            *(_real_level(name) for name in NAMES),
             Claim(
                 "The power does not vanish between the integers: at ν = ½ the power of 64 jittered "
                 "points is (2/π)² plus a small variance.",
@@ -105,8 +105,53 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 expected=float(mcs.closed_form_power("jittered", 64, [[0.5]])[0]),
                 digits=6,
             ),
+            *about(
+                "real-and-integer-frequencies",
+                *(
+                    known_rate(
+                        f"The variance of {name} with {spec} points has the rate "
+                        f"{number(rate, 2)}.",
+                        curves[name].sel(sampler=spec),
+                        rate,
+                        exact_variances(name, sampler),
+                    )
+                    for sampler, spec in reversed(SAMPLERS.items())
+                    for name, rate in (
+                        RATES if sampler == "jittered" else dict.fromkeys(NAMES, -1.0)
+                    ).items()
+                ),
+                *(_real_rate(*pair) for pair in pairs),
+                *(_real_level(name) for name in NAMES),
+            ),
         ),
     )
+
+
+def _comb(n: int) -> Plot:
+    """Return ⟨P_S⟩ × P_f along the real axis, and its values at the integers as a comb."""
+    nu, whole = np.arange(20, 1640) / 400, np.arange(1.0, 5.0)
+    panels = []
+    for sampler in SAMPLERS:
+        line, teeth = (
+            np.abs(transform("f", at)) ** 2 * mcs.closed_form_power(sampler, n, at[:, None])
+            for at in (nu, whole)
+        )
+        low, high = 1e-8, 1.0
+        stems = np.stack([np.stack([whole, 0 * whole + low], -1), np.stack([whole, teeth], -1)], 1)
+        marks = (
+            Line(x=nu, y=line, low=0 * nu + low, high=line, color="#D9E8F2", width=0.0),
+            Line(x=nu, y=line, color=PALETTE[0], label="real frequencies: ∫ over the line"),
+            Segments(ends=stems, color=ACCENT, width=2.0),
+            Dots(
+                x=whole, y=teeth, color=ACCENT, size=7.0, label="integer frequencies: Σ of the comb"
+            ),
+        )
+        x = Axis(label="frequency ν (cycles per unit)", low=0.0, high=4.2)
+        title = f"{sampler} points, N = {n}"
+        panels.append(
+            Panel(marks=marks, x=x, y=log_axis("⟨P_S⟩ × P_f", low, high), title=title, grid=True)
+        )
+    return plot_of("comb", *panels)
 
 
 def measured(realizations: int, seed: int) -> dict[str, xr.Dataset]:

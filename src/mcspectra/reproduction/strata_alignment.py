@@ -7,11 +7,20 @@ import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Heatmap, Line, Plot, Scale
+from mcspectra.plots.description import Axis, Dots, Heatmap, Line, Panel, Plot, ReferenceLine, Scale
 from mcspectra.plots.scales import unit_panel
-from mcspectra.plots.style import INK
+from mcspectra.plots.style import ACCENT, INK, PALETTE
 from mcspectra.plots.text import number
-from mcspectra.reproduction.claims import Claim, Exhibit, Measured, known_rate, rate_text, slope
+from mcspectra.report.page import Slider
+from mcspectra.reproduction.claims import (
+    Claim,
+    Exhibit,
+    Measured,
+    about,
+    known_rate,
+    rate_text,
+    slope,
+)
 from mcspectra.reproduction.panels import plot_of, strata, variance_panel
 
 __all__ = ["exhibit"]
@@ -21,6 +30,11 @@ COUNTS = (16, 64, 256, 1024)
 PLACES = {"aligned: edge at 1/2": 0.5, "not aligned: edge at 1/3": 1 / 3}
 ALIGNED, CUT = PLACES
 RATES = {ALIGNED: -2.0, CUT: -1.5}
+_KINDS = Scale(
+    kind="names",
+    names=("0", "1, left of the edge", "cut by the edge"),
+    colors=("#FFFFFF", "#D6E6F1", "#F5C9A9"),
+)
 _OBLIQUE = "half-space(normal=[1, 0.618], offset=0.7)"
 
 
@@ -38,6 +52,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     f, place, counts = edge(1 / 3), [[1 / 3], []], COUNTS[-2:]
     known = [float(mcs.exact_variance(mcs.aligned(f, place, n), "jittered", n)) for n in counts]
 
+    frames = {f"{s:g}": _cut(s) for s in (0.0, 0.125, 0.25, 0.375, 0.5, 0.75, 1.0)}
     references = {name: exact(a) for name, a in PLACES.items()}
     after = {name: homogenised() for name in PLACES}
     limits = float(exact(0.5).min()), float(homogenised().max())
@@ -45,6 +60,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     return Exhibit(
         numbers={"a": a, "b": b, "c": c, "d": d},
         plots=(
+            frames["0.5"],
             _strata(),
             plot_of(
                 "strata-alignment-convergence",
@@ -52,16 +68,10 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 variance_panel(shifted, exact=after, title="jittered | shift", limits=limits),
             ),
         ),
+        sliders={
+            "edge-and-strata": Slider("position of the edge in its strata s =", frames, "0.5")
+        },
         claims=(
-            *(
-                known_rate(
-                    f"Jittered points, {name}: the variance has the rate {number(rate, 2)}.",
-                    plain[name],
-                    rate,
-                    references[name],
-                )
-                for name, rate in RATES.items()
-            ),
             *(
                 Claim(
                     f"{name.capitalize()}: the variance is s(1 − s) N^(−3/2) + 1/(12N²) at "
@@ -72,34 +82,49 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 )
                 for name in PLACES
             ),
-            *(
-                known_rate(
-                    f"After a shift, edge at {name.rpartition(' ')[2]}: the rate is −1.5, with or "
-                    "without alignment before.",
-                    curve,
-                    -1.5,
-                    homogenised(),
-                )
-                for name, curve in shifted.items()
-            ),
-            known_rate(
-                "An oblique edge cuts strata at any position: the rate of jittered points is −1.5.",
-                measured(_OBLIQUE, "jittered", realizations, seed),
-                -1.5,
-                oblique,
-            ),
-            Claim(
-                "Strata deformed to have a border at 1/3 restore the rate −2: rate of the exact "
-                f"variances from N = {counts[0]} to {counts[1]}, minus −2.",
-                slope(counts, np.array(known)) + 2.0,
-                # Rounding s/3 to a whole number changes the variance by 1/s², and s is 16 here
-                at_most=1 / 256,
-            ),
             Claim(
                 "Benefit of alignment: variance of the edge at 1/3 divided by the variance of the "
                 f"edge at 1/2, N = {COUNTS[-1]}.",
                 cut / aligned,
                 expected=float(exact(PLACES[CUT])[-1] / exact(PLACES[ALIGNED])[-1]),
+            ),
+            *about(
+                "strata-alignment-convergence",
+                *(
+                    known_rate(
+                        f"Jittered points, {name}: the variance has the rate {number(rate, 2)}.",
+                        plain[name],
+                        rate,
+                        references[name],
+                    )
+                    for name, rate in RATES.items()
+                ),
+                *(
+                    known_rate(
+                        f"After a shift, edge at {name.rpartition(' ')[2]}: the rate is −1.5, "
+                        "with or "
+                        "without alignment before.",
+                        curve,
+                        -1.5,
+                        homogenised(),
+                    )
+                    for name, curve in shifted.items()
+                ),
+                known_rate(
+                    "An oblique edge cuts strata at any position: the rate of jittered points "
+                    "is −1.5.",
+                    measured(_OBLIQUE, "jittered", realizations, seed),
+                    -1.5,
+                    oblique,
+                ),
+                Claim(
+                    "Strata deformed to have a border at 1/3 restore the rate −2: rate of the "
+                    "exact "
+                    f"variances from N = {counts[0]} to {counts[1]}, minus −2.",
+                    slope(counts, np.array(known)) + 2.0,
+                    # Rounding s/3 to a whole number of strata changes the variance by 1/s²; s = 16
+                    at_most=1 / 256,
+                ),
             ),
         ),
     )
@@ -137,11 +162,52 @@ def measured(f: mcs.Integrand | str, sampler: str, realizations: int, seed: int)
     return mcs.convergence(f, sampler, list(COUNTS), realizations=realizations, rng=seed)
 
 
+def _cut(s: float) -> Plot:
+    """Return strata with an edge at the position s in a column, and the variance against s."""
+    side, n = 8, 64
+    a = (4 + s) / side
+    middle = (np.arange(side) + 0.5) / side
+    shares = np.clip(a * side - np.arange(side), 0.0, 1.0)
+    values = np.tile(
+        np.where((shares > 1e-9) & (shares < 1 - 1e-9), 2.0, np.floor(shares + 1e-9)), (side, 1)
+    )
+    picture = unit_panel(
+        (
+            Heatmap(values=values, x=middle, y=middle, scale=_KINDS, name="stratum"),
+            *strata(side),
+            Line(x=np.array([a, a]), y=np.array([0.0, 1.0]), color=INK, width=2.2),
+        ),
+        f"f(x, y) = 1[x < {number(a, 3)}] + y",
+    )
+    at = np.linspace(0.0, 1.0, 101)
+
+    def variance(s: Array) -> Array:
+        return np.asarray(1e4 * (s * (1 - s) / side**3 + 1 / (12 * n**2)))
+
+    here = np.array([s])
+    curve = Panel(
+        marks=(
+            Line(x=at, y=variance(at), color=PALETTE[0], width=1.8, label="jittered"),
+            ReferenceLine(
+                at=float(1e4 * homogenised()[COUNTS.index(n)]),
+                color=ACCENT,
+                dashes="--",
+                width=1.4,
+                label="jittered | shift",
+            ),
+            Dots(x=here, y=variance(here), color=INK, size=9.0),
+        ),
+        x=Axis(label="position s of the edge in its strata", low=-0.02, high=1.02),
+        y=Axis(label="variance · 10⁴", low=0.0),
+        title=f"exact variance, N = {n}",
+        grid=True,
+    )
+    return plot_of("edge-and-strata", picture, curve)
+
+
 def _strata() -> Plot:
     side = 8
     middle, ticks = (np.arange(side) + 0.5) / side, np.arange(side + 1) / side
-    names = ("0", "1, left of the edge", "cut by the edge")
-    scale = Scale(kind="names", names=names, colors=("#FFFFFF", "#D6E6F1", "#F5C9A9"))
     panels = []
     for (low, high), title in (
         ((0.5, 0.5), "aligned: x = 1/2"),
@@ -156,7 +222,7 @@ def _strata() -> Plot:
         panels.append(
             unit_panel(
                 (
-                    Heatmap(values=values, x=middle, y=middle, scale=scale, name="stratum"),
+                    Heatmap(values=values, x=middle, y=middle, scale=_KINDS, name="stratum"),
                     *strata(side),
                     Line(x=np.array([low, high]), y=np.array([0.0, 1.0]), color=INK, width=1.6),
                 ),

@@ -7,9 +7,10 @@ import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Scale
+from mcspectra.plots.description import Plot, Scale
 from mcspectra.plots.scales import log_scale
 from mcspectra.plots.text import number
+from mcspectra.report.page import Slider
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, judge, rate_claim, slope
 from mcspectra.reproduction.panels import frequency_panel, interval_panel, plot_of
 
@@ -46,12 +47,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     known = slope(counts, np.array([exact(sampler, n) for n in counts]))
 
     # Draw spectra and products, and sums relative to the exact or the measured variance
-    bell_power = np.abs(mcs.integrand(BELL, 2).fourier_grid(HALF_WIDTH)) ** 2
-    products = {name: data["power_contribution"].values for name, data in terms.items()}
-    without = np.arange(bell_power.size).reshape(bell_power.shape) != bell_power.size // 2
-    top = 1e6 * max(float(each[without].max()) for each in products.values())
-    above = Scale(label="N · ⟨P_S⟩   (random: 1)", high=2.0, beyond=True)
-    below = log_scale("variance · 10⁶", 1e-4 * top, top)
+    frames = {str(n): _product(n) for n in (16, 36, 64, 144, 256)}
     shown = {name: Measured.of(terms[name], "power_term") / exact(name) for name in SAMPLERS[:2]}
     disk = terms["poisson-disk"]
     power, variance = float(disk["power_term"]), Measured.of(disk, "measured_variance")
@@ -61,21 +57,21 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     shown[f"random, p = {DENSITY}"] = lost
     x = "Σ P_f ⟨P_S⟩ / variance (1: complete)"
     return Exhibit(
-        numbers={"each": each, "density": DENSITY, "missed": number(missed), "N": N},
+        numbers={
+            "each": each,
+            "density": DENSITY,
+            "missed": number(missed),
+            "N": N,
+            "half_width": HALF_WIDTH,
+        },
         plots=(
-            plot_of(
-                "variance-integral",
-                *(
-                    frequency_panel(N * each / bell_power, above, f"⟨P_S⟩, {name}")
-                    for name, each in products.items()
-                ),
-                *(frequency_panel(1e6 * each, below, "⟨P_S⟩ × P_f") for each in products.values()),
-            ),
+            frames[str(N)],
             plot_of(
                 "ratio",
                 interval_panel({name: [each] for name, each in shown.items()}, [""], x, at=1.0),
             ),
         ),
+        sliders={"variance-integral": Slider("number of points N", frames, str(N))},
         claims=(
             *(_closed_sum(name) for name in SAMPLERS[:2]),
             *(
@@ -107,6 +103,29 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             ),
         ),
     )
+
+
+def _product(n: int) -> Plot:
+    """Return maps of ⟨P_S⟩, P_f and their product for random and for jittered, shifted points."""
+    side = np.arange(-HALF_WIDTH, HALF_WIDTH + 1)
+    m = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1)
+    bell = np.abs(mcs.integrand(BELL, 2).fourier_grid(HALF_WIDTH)) ** 2
+    zero = (m == 0).all(axis=-1)
+    top = float(bell[~zero].max())
+    power = Scale(label="", high=1.0 / 16)
+    decades = [log_scale("", 1e-4 * high, high) for high in (top, top / 16)]
+    panels = []
+    for name in SAMPLERS[:2]:
+        sampling = mcs.closed_form_power(name, n, m.reshape(-1, 2)).reshape(bell.shape)
+        total = float((sampling * bell)[~zero].sum())
+        panels += [
+            frequency_panel(sampling, power, f"⟨P_S⟩, {name.replace(' | ', ', ')}"),
+            frequency_panel(bell, decades[0], "× P_f", y=False),
+            frequency_panel(
+                sampling * bell, decades[1], f"= product, Σ = {number(total, 2)}", y=False
+            ),
+        ]
+    return plot_of("variance-integral", *panels)
 
 
 def importance_terms(realizations: int, seed: int) -> xr.Dataset:

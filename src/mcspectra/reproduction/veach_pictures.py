@@ -31,8 +31,8 @@ __all__ = ["exhibit"]
 _SAMPLER = "sobol | owen | decorrelate"
 _SAMPLES = {"light": 4, "bsdf": 4, "mis": 2}  # samples per pixel and technique, 4 in total
 _TITLES = {
-    "light": "light importance sampling, N = 4 spp",
-    "bsdf": "BSDF importance sampling, N = 4 spp",
+    "light": "light sampling, N = 4 spp",
+    "bsdf": "BSDF sampling, N = 4 spp",
     "mis": "MIS, N = 2 + 2 spp",
 }
 _SHORT = {"light": "light sampling", "bsdf": "BSDF sampling", "mis": "MIS"}
@@ -83,7 +83,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     values = ", ".join(f"{number(float(renders.errors(s).mean()))} ({_SHORT[s]})" for s in _SAMPLES)
     spp = renders.reference_spp
     fewer = f" Here the reference has {spp} instead of 1024 samples per pixel and technique."
-    images = {f"reference, N = {spp} + {spp} spp": renders.reference}
+    images = {f"reference, {spp} + {spp} spp": renders.reference}
     images |= {title: renders.repeats[strategy][0] for strategy, title in _TITLES.items()}
     return Exhibit(
         numbers={
