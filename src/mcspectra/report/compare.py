@@ -99,8 +99,10 @@ def verdict(first: Curves, second: Curves) -> str:
         )
         if count
     ]
-    if not (less or more):
-        text = "B has neither less nor more noise than A"
+    if len(same) == len(both):
+        text = "A and B have the same variances"
+    elif not (less or more):
+        text = "No difference between the noise of A and B is significant"
     elif not more:
         text = "B has less noise than A"
     elif not less:
