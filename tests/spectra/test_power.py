@@ -112,6 +112,26 @@ def test_the_points_of_a_spectrum_are_its_first_realization():
     xr.testing.assert_identical(*spectra)
 
 
+def test_points_of_an_estimator_have_pictures_of_f_and_p():
+    f, p = mcs.integrand("gaussian(width=0.3)", dims=2), mcs.density("linear(slope=1)", dims=2)
+    estimator = mcs.Estimator(f, p)
+    found = compute(Points(n=16), Subject(estimator, mcs.sampler("jittered", dims=2)), 5)
+    x = np.stack(np.meshgrid(found["x0"], found["x1"], indexing="ij"), axis=-1)
+    np.testing.assert_array_equal(found["integrand_value"], f(x))
+    np.testing.assert_array_equal(found["density_value"], p.pdf(x))
+
+
+def test_a_function_that_fails_on_the_grid_has_points_without_a_picture():
+    def fails(x):
+        if x.size > 1000:
+            raise ZeroDivisionError("no grid")
+        return x[..., 0]
+
+    estimator = mcs.Estimator(mcs.Integrand.from_function(fails, dims=2))
+    found = compute(Points(n=16), Subject(estimator, mcs.sampler("jittered", dims=2)), 5)
+    assert set(found.data_vars) == {"points"}
+
+
 def test_sums_count_all_sets():
     """Compare with |S|² of every point set by definition."""
     stream, subject = Stream.from_rng(1), Subject(None, mcs.sampler("jittered", dims=2))

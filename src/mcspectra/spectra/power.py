@@ -380,15 +380,19 @@ def _pictures(estimator: Any, density: Density | None) -> dict[str, tuple[tuple[
     """Return values of f and p on a grid of axes 0 and 1; all other coordinates are 1/2.
 
     If the points are not warped by one density, the values are g of the first technique.
+    Costly integrands, and functions that fail on the grid, have no picture.
     """
     f = estimator.primary_integrand() if density is None else estimator.domain_integrand
-    if f is None:
+    if f is None or f.costly:
         return {}
     shape = _picture_shape(f.dims)
     x = np.full((*shape, f.dims), 0.5)
     x[..., : len(shape)] = (np.moveaxis(np.indices(shape), 0, -1) + 0.5) / shape[0]
     names = tuple(f"x{axis}" for axis in range(len(shape)))
-    values = np.asarray(f(x), dtype=float)
+    try:
+        values = np.asarray(f(x), dtype=float)
+    except Exception:  # noqa: BLE001 - a user's f may raise anything; points need no picture of f
+        return {}
     if values.ndim > len(shape):
         found = {"integrand_value": (("channel", *names), np.moveaxis(values, -1, 0))}
     else:
