@@ -243,7 +243,7 @@ MUTATIONS = [
         "half = math.hypot(*((each.high - each.low) / 2 for each in (self, other)))",
         "half = (self.high - self.low) / 2",
     ),
-    ("reproduction", "_VERDICT_Z = 3.7125862298839247", "_VERDICT_Z = 37.125862298839247"),
+    ("reproduction", "_VERDICT_Z = 3.7584590197611987", "_VERDICT_Z = 37.584590197611987"),
     (
         "cli",
         'code, sentence = 2, "Not enough memory; use fewer points, dims or frequencies."',

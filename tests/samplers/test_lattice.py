@@ -11,7 +11,7 @@ from scipy.stats import qmc
 import mcspectra as mcs
 from mcspectra.core.errors import CountError
 from mcspectra.samplers import Fibonacci, Korobov, Kronecker, Rank1Lattice
-from mcspectra.samplers.lattice import golden_steps
+from mcspectra.samplers.lattice import golden_steps, nested_lattices
 
 
 def worst_case_error(vector, n, power=2):
@@ -194,3 +194,13 @@ def test_a_plain_number_is_allowed_in_one_dim():
     np.testing.assert_array_equal(
         Kronecker(dims=1, alpha=0.3).draw(9), Kronecker(dims=1, alpha=[0.3]).draw(9)
     )
+
+
+@pytest.mark.parametrize("at_once", [True, False])
+def test_nested_lattices_contain_the_default_lattice(at_once):
+    nested = nested_lattices(mcs.sampler("rank1-lattice | shift", dims=3), 512, 8, at_once=at_once)
+    small = mcs.sampler("rank1-lattice", dims=3).draw(64)[0]
+    np.testing.assert_allclose(nested.plain.draw(512)[0][::8], small, atol=1e-15)
+    assert [type(step).__name__ for step in nested.randomizations] == ["Shift"]
+    given = mcs.sampler("rank1-lattice(vector=[1, 3, 5])", dims=3)
+    assert nested_lattices(given, 512, 8) is given

@@ -486,7 +486,8 @@ def variance_interval(variance: Array, relative_se: Array) -> Array:
     from scipy.special import gammaincinv
 
     half = 1.0 / np.square(relative_se)
-    low, high = (variance * half / gammaincinv(half, p) for p in (0.975, 0.025))
+    with np.errstate(divide="ignore"):  # a small fraction of a degree gives no upper end
+        low, high = (variance * half / gammaincinv(half, p) for p in (0.975, 0.025))
     return np.stack([low, high], axis=-1)
 
 

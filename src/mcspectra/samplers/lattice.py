@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import lru_cache
 from typing import Any, ClassVar, final
@@ -16,10 +16,10 @@ from mcspectra.core.errors import ParameterError
 from mcspectra.core.fields import settle, whole
 from mcspectra.core.jit import kernel
 from mcspectra.core.registry import DEFAULT_DIMS
-from mcspectra.samplers.base import MAX_COUNT, FixedSet, PlaneSampler, Structure
+from mcspectra.samplers.base import MAX_COUNT, FixedSet, PlaneSampler, Sampler, Structure
 from mcspectra.samplers.law import Fixed, Law
 
-__all__ = ["Fibonacci", "Korobov", "Kronecker", "Rank1Lattice", "golden_steps"]
+__all__ = ["Fibonacci", "Korobov", "Kronecker", "Rank1Lattice", "golden_steps", "nested_lattices"]
 
 _EVALUATIONS = 2**24  # largest number of kernel values per component; about 0.1 s
 _LEAST_CANDIDATES = 16
@@ -129,6 +129,47 @@ def _built_vector(n: int, dims: int) -> tuple[int, ...]:
         # All first components give the same points, so take 1
         options = candidates if j > 1 else candidates[:1]
         errors = [product @ bernoulli[k * z % n] for z in options]
+        best = int(options[_first_least(errors)])
+        product *= 1.0 + bernoulli[k * best % n] / j**2
+        vector.append(best)
+    return tuple(vector)
+
+
+def nested_lattices(sampler: Sampler, n: int, parts: int, *, at_once: bool = False) -> Sampler:
+    """Return a sampler of lattices for n points that contain good lattices of fewer points.
+
+    Parameters
+    ----------
+    sampler
+        A `Rank1Lattice` with randomizations. If it has a vector, it is returned as it is.
+    n, parts
+        Number of points, a multiple of `parts`. Points 0, k, 2k, … are a lattice for each k = 2, 4,
+        … up to `parts`, a power of two, or with `at_once` for k = parts only. The smallest
+        lattice is the default lattice of n/parts points.
+    """
+    plain = sampler.plain
+    if not isinstance(plain, Rank1Lattice) or plain.vector is not None:
+        return sampler
+    vector = tuple(plain._vector(n // parts))
+    steps = [n] if at_once else [n // parts << k for k in range(1, parts.bit_length())]
+    for count in steps:
+        vector = _extended_vector(vector, count, parts if at_once else 2)
+    made: Sampler = replace(plain, vector=vector)
+    for step in sampler.randomizations:
+        made = made.then(step)
+    return made
+
+
+@lru_cache(maxsize=256)
+def _extended_vector(inner: tuple[int, ...], n: int, parts: int) -> tuple[int, ...]:
+    """Return the vector for n points of least P_2 that is `inner` modulo n/parts."""
+    k, bernoulli, factors = np.arange(n), _bernoulli(n), np.arange(parts) * (n // parts)
+    product, vector = np.ones(n), []
+    for j, z in enumerate(inner, 1):
+        options = z + factors
+        whole = options[np.gcd(options, n) == 1]
+        options = whole if whole.size else options
+        errors = [product @ bernoulli[k * option % n] for option in options]
         best = int(options[_first_least(errors)])
         product *= 1.0 + bernoulli[k * best % n] / j**2
         vector.append(best)
