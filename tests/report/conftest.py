@@ -267,12 +267,12 @@ def all_analyses(sampler, dims=1, n=None):
     }
 
 
-def words_alone(figure, *_):
+def words_alone(figure, *_, **__):
     """Return a figure for the template without an image."""
     plot = figure.plot
-    blank = {**dict.fromkeys(("png", "file", "live"), ""), "width": 1, "height": 1}
+    blank = {**dict.fromkeys(("png", "thumbnail", "file", "live"), ""), "width": 1, "height": 1}
     said = {"words": plot.words, "caption": plot.caption}
-    return blank | said | {"wide": plot.wide, "abreast": False}
+    return blank | said | {"wide": plot.wide, "abreast": False, "frames": {}}
 
 
 @pytest.fixture
