@@ -57,7 +57,7 @@ __all__ = [
 class LineSettings:
     """Settings of lines, and limits of the exponents of a pole, a jump, a cusp and a kink.
 
-    Numbers of cases come from ``python -m benchmarks settings``, as in `CauseSettings`.
+    The counts of wrong cases come from ``python -m benchmarks settings``.
     """
 
     # Number of equal steps of a line before steps are halved.
@@ -151,7 +151,7 @@ LINE_SETTINGS = LineSettings()
 class PoleSettings:
     """Settings of the climb to a pole, and of measurements at the pole.
 
-    Numbers of cases come from ``python -m benchmarks settings``, as in `CauseSettings`.
+    The counts of wrong cases come from ``python -m benchmarks settings``.
     """
 
     # Maximum number of halvings of the step of a climb. The first step is the distance between
@@ -172,7 +172,7 @@ class PoleSettings:
     # Number of rays from the top. The median of their exponents is used.
     # Values from 3 to 12 give the same results.
     rays: int = 6
-    # Weight of the last move in the ellipsoid of directions, from 0 to 1.
+    # Weight of each new move when it changes the ellipsoid of directions, from 0 to 1.
     # Values from 0.2 to 0.4 give the same results; with 0.8 one of 18 poles is wrong.
     learning_rate: float = 0.4
     # Radii along the rays, in units of the last step; each is 4 times the previous radius.

@@ -169,7 +169,8 @@ def fit_splines(
     points, values, pdf
         Points (N, d); values (N, channels), not all 0; and the density of the points, (N,).
     setting
-        Cells of each axis; parts of a mixture, or 0 for a flow; weight of the smoothness.
+        Number of cells along each axis, number of parts, and weight of the smoothness penalty.
+        The parts are those of a mixture; 0 stands for a flow.
     defensive
         Share δ of the uniform density.
     generator

@@ -88,10 +88,10 @@ class StageSettings:
     # Least and largest factor by which a stage lengthens the sample.
     # A stage that is a quarter longer confirms the previous stage.
     # After a factor of 4 the kurtosis is twice as accurate, so the next length is better chosen.
-    # With a least factor of 1.1, searches for 10 % end at an error of 10.3 %.
-    # With a least factor of 1.25, they end at an error of 9 %.
-    # A least factor of 1.5 takes 30 % more realizations.
-    # Largest factors from 2 to 8 give the same results
+    # In a search for an error of 10 %, a least factor of 1.1 leads to an error of 10.3 %.
+    # In the same search, a least factor of 1.25 leads to an error of 9 %.
+    # With a least factor of 1.5, the search takes 30 % more realizations.
+    # Values of the largest factor from 2 to 8 give the same results
     # (`python -m benchmarks settings --stages`).
     step: float = 1.25
     leap: float = 4.0

@@ -103,7 +103,8 @@ class SubsetSettings:
     The integrands are smooth functions, a ball in 4-D, a slab, a jump along a line and a kink.
     The samplers are latin-hypercube, rank1-lattice | shift, and sobol with owen or digital-shift.
     The half interval is 63 % for the ball, and 0.2 to 1.3 % for the other integrands.
-    "Only the result for the ball" means less than 8 % for the ball, and nothing for the others.
+    "Only the result for the ball" means that the ball's result changes by less than 8 %.
+    The results for the other integrands do not change in this case.
     "The same results" means changes of less than 1e-6.
 
     Attributes
@@ -128,13 +129,13 @@ class SubsetSettings:
         Number of independent groups of profiles. Their spread is the error.
         Halving or doubling this number changes only the result for the ball.
     fitted
-        Number of replicates to which products are fitted. One more replicate tests the fit.
+        Number of replicates to which products are fitted. One further replicate tests the fit.
         Halving or doubling this number changes only the result for the ball.
     basis, negligible
-        Largest number of functions of an axis, and energy that is neglected.
+        Largest number of basis functions of an axis, and part of the energy that is neglected.
         Halving or doubling either value changes only the result for the ball.
     rank, few_rank
-        Largest number of products, and the same limit for few dims.
+        Largest number of products in many dims, and in at most `few_dims` dims.
         In few dims only functions with jumps across axes need this method.
         More products would not resolve these jumps.
         With three products the half interval of the ball is 86 %, with twelve products 53 %.
@@ -154,9 +155,9 @@ class SubsetSettings:
         A fit is accepted below this residual energy, relative to the variance.
         Halving or doubling this value gives the same results.
     stands_out
-        At a jump, a profile changes more between two nodes than in the neighboring steps.
-        At a kink, the slope of the profile stands out. The value is the least ratio of changes.
-        Halving or doubling it changes only the result for the ball.
+        A profile jumps where its step is this many times as large as the neighboring steps.
+        It has a kink where its slope changes this many times as much as at neighboring nodes.
+        Halving or doubling this value changes only the result for the ball.
     halvings
         Number of bisections of a jump. They reduce steps of 1/128 to 2^-47.
         Values from 20 to 80 give the same results.
@@ -190,8 +191,8 @@ class SubsetSettings:
         Number of sets that are drawn if sets are random before their shift or scramble.
         The spread of the variances of the drawn sets is part of the interval.
     digits
-        Least number of cells of an axis that digits distinguish.
-        If the number of points is larger, digits distinguish as many cells as points.
+        Least number of cells into which digits divide an axis.
+        If there are more than this number of points n, digits divide an axis into n cells or more.
     offsets
         Number of offsets within a stratum over which a uniform offset is averaged.
         The offsets are at the centers of equal parts.

@@ -297,7 +297,7 @@ class Region:
     table
         The same energies from a coarser table of g, or None if the coefficients are exact.
     near
-        Whether drawn sets use this region.
+        Whether this region is also used if the power is estimated from drawn sets.
     """
 
     vectors: Array

@@ -93,7 +93,7 @@ class ProfileSettings:
     # The upper end of the interval of the ratio must also be at most this.
     # At this ratio, standard errors are 20 % larger than for independent draws.
     dependent: float = 0.7
-    # Least number of points of each net in measurements of a change.
+    # Least number of points of each net with which a change of the estimator is measured.
     # With 8, two of 12 profiles did not measure the preintegration of a jump along an axis.
     least_checked: int = 4
     # Largest number of counts at which a sampler is measured: B/2, B/4, …, B/32 of B evaluations.
@@ -820,7 +820,7 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
         curve = replace(curve, rate_se=error, level=level, scatter=_SETTINGS.teeth_scatter)
     known = curve.towards(rate, math.hypot(_SETTINGS.theory_error, third))
     if known is curve and first == "interior-jump" and curve.rate < rate:
-        # Few points do not resolve the jump: let the curve bend toward its limit beyond the counts
+        # Few points do not resolve the jump. Let the rate tend to its limit at larger counts
         return replace(curve, bend=0.5 * (rate - curve.rate))
     return known
 

@@ -304,7 +304,7 @@ class Map(Analysis, frozen=True, kw_only=True):
 
     @property
     def points_dims(self) -> int:
-        """Dims of the points of direct light."""
+        """Number of dims of the points that sample direct light."""
         return DEFAULT_DIMS if self.dims is None else self.dims
 
     @property
