@@ -493,7 +493,7 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
 
     def square(x: Array) -> Array:
         """Return g² at points (..., d), with channels; over the domain return f²/p."""
-        with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # Next to a pole
+        with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # g may be infinite
             if not over_domain:
                 return values_at(g, x) ** 2
             f = values_at(inside.integrand, x)  # type: ignore[attr-defined]

@@ -143,7 +143,7 @@ class LineSettings:
 
 
 LINE_SETTINGS = LineSettings()
-"""Default settings of lines."""
+"""Default settings of the lines on which g is evaluated."""
 
 
 @final
@@ -217,7 +217,7 @@ class PoleSettings:
 
 
 POLE_SETTINGS = PoleSettings()
-"""Default settings of climbs."""
+"""Default settings of the climb to a pole."""
 
 # Distance of the top from a face, if the top is on the face: the spacing of float64 below 1
 _EDGE = 2.0**-53
@@ -397,7 +397,7 @@ def lines_of(
         outer = at(both, straight)
     except BudgetError:
         raise
-    except ParameterError:  # g fails next to the border: omit these ends
+    except ParameterError:  # g raises an error next to the border; omit the ends of these lines
         outer = np.full(both.shape, np.nan)
         for k, row in enumerate(np.flatnonzero(straight)):
             try:
@@ -589,7 +589,7 @@ def pole_of(
     def height(x: Array) -> Array:
         return np.abs(g(x) - centre)
 
-    # Climb only from values that stand out: the largest values of a bounded function are similar
+    # Climb only from exceptional values; the largest values of a bounded function are similar
     measure = settings.rays * len(settings.radii) + d * settings.near + d * (d + 1) // 2
     order = np.argsort(values)
     for largest in sorted((order[::-1], order), key=lambda k: -abs(values[k[0]] - centre)):

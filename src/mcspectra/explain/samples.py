@@ -91,7 +91,7 @@ class CurveSettings:
 
 
 CURVE_SETTINGS = CurveSettings()
-"""Default settings of curves."""
+"""Default settings of curves of variance."""
 
 
 @final

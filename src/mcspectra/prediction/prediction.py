@@ -205,7 +205,7 @@ class TableSettings:
         Total number of points of all sets, which limits the work at large n.
         For n above 420, the limit allows fewer sets than `most_sets`.
     least_sets, most_sets
-        Least and largest number of sets.
+        Least and largest number of sets that are drawn for one variance.
         The variance of R sets has the relative standard error √(2/R), here 10 % and 1.4 %.
     """
 

@@ -119,7 +119,7 @@ class SubsetSettings:
         Number of pairs within strata of each replicate.
         A total of 131,072 pairs gives a half interval of 0.8 % for normal differences.
     profile_work
-        Total evaluations of profiles along all axes.
+        Total number of evaluations of g for the profiles along all axes.
         Halving or doubling this number changes only the result for the ball.
     nodes
         Number of nodes of a profile along an axis.
@@ -292,7 +292,8 @@ def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
         sums = [
             pair_sums(x, rows, mode, pairs.bases[0], first, rest, means, weights) for x in codes
         ]
-        by_set = np.array(sums).mean(axis=1) / n  # Rows: sets. Columns: single axes, products
+        # Each row belongs to a set. The columns are for single axes, and then for products
+        by_set = np.array(sums).mean(axis=1) / n
         sets, mean = by_set[:, 0] + by_set[:, -1], by_set.mean(axis=0)
         ones, more = mean[:-1], mean[-1]
         # The variance of g minus the fit is between zero and twice that of white noise.
@@ -579,7 +580,7 @@ def all_parts(known: Known) -> list[AnovaModel]:
         # Mark the nodes whose two neighboring steps are equal
         even = np.append(np.abs(np.diff(at, 2)) < 1e-9, False)
         # Find undeclared jumps of the mean profile and bisect them.
-        # A jump is a change that stands out between two nodes and that many profiles share.
+        # At a jump, many profiles change far more between two nodes than at neighboring nodes.
         # At jumps that are not across the axis, each profile has its own jump
         steps = np.diff(along, axis=2)
         common = steps.mean(axis=(0, 1))
@@ -605,7 +606,7 @@ def all_parts(known: Known) -> list[AnovaModel]:
                 nearer = abs(value - left)[channel] < abs(value - right)[channel]
                 low, high = (middle, high) if nearer else (low, middle)
             jumps.append(0.5 * (low + high))
-        # Kinks are changes of the slope that stand out.
+        # At a kink, the slope changes far more than at neighboring nodes.
         # A kink lies at the intersection of the lines from both sides
         mean = along.mean(axis=(0, 1))
         slopes = np.diff(mean, axis=0)

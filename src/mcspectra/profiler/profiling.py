@@ -659,7 +659,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     if rival and not enough:
         not_tried.append(f"{rival}: only {left} evaluations remain for it")
     elif rival:
-        with contextlib.suppress(McspectraError):  # too many dims, or too few evaluations
+        with contextlib.suppress(McspectraError):  # the sampler may not support dims or counts
             source, lattice = as_sampler(rival, estimator.dims), rival != _PAIRS
             curve, _, cost = _measured(estimator, source, left, stream.child(97), lattice=lattice)
             calls += cost
@@ -674,13 +674,13 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     # Compare with random points if the given sampler is fixed or was not measured
     fixed = any(cause.name in {"deterministic-set", "correlated-replicates"} for cause in causes)
     if any(cause.name == "deterministic-set" for cause in causes):
-        curves.pop(given.spec, None)  # a fixed set shows no error
+        curves.pop(given.spec, None)  # the estimates of a fixed set have no spread
     reference = "random" if fixed or given.spec not in curves else given.spec
     usable = {name: c for name, c in curves.items() if name == reference or name != given.spec}
     found, changed = list[_FoundSampler](), list[str]()
     if all(c.name != "infinite-variance" or c.kinds for c in causes):  # The integral exists
         # Find the sampler of least variance, and a change of the estimator that answers a cause
-        if len(usable[reference].counts) > 0:  # Otherwise the variance is zero
+        if len(usable[reference].counts) > 0:  # Without counts, the variance is zero
             found = _samplers(Setup(estimator, given), usable, reference, points)
         trusted = [each for name, each in usable.items() if name not in _RIVALS]
         trusted += [usable[name] for name in _RIVALS & {*usable} if _is_known(usable[name], points)]

@@ -106,7 +106,7 @@ _TABLE_NUMBERS = 2**23  # maximum number of values in one table of points, 64 Mi
 _KEPT_NUMBERS = 2**24  # maximum number of values in tables that all tiles share
 _PREDICTED_VALUES = 2**21  # maximum number of integrand values computed at once
 _CHAIN_VALUES = 2**20  # maximum number of path values computed at once
-# Labels of two random streams: samples of predictions, and chains
+# Labels of two random streams: for samples of predictions, and for pairs of paths
 _PREDICTION, _CHAIN = 0x9D1C7, 0xC4A17
 
 

@@ -294,7 +294,7 @@ def _lattices(
         for value, vector in _best_vector(
             m[:most], power[:most], objective.dims, n, stream.generator(1), settings.vectors
         ):
-            if not found:  # A first result, in case of an interruption
+            if not found:  # Yield a first result, because the search may be interrupted
                 yield Design(math.inf, fold / 2, partial(_as_made, made_of(vector, fold)))
             found.append((value, vector))
             report("lattice", (fold + len(found) / settings.vectors) / 2)
