@@ -2,10 +2,11 @@
 
 The page is the default page: 256 jittered points and 129² frequencies.
 A key moves the slider of the strata shift.
+After each move, the server updates all figures in rounds with more and more realizations.
 The page records when bokeh receives new data for the first figure.
-It also records when the last figure of the round with the fewest realizations gets its data.
+It also records when the last figure gets its data in the first of these rounds.
 The processor time of the server is a median over all moves.
-For each move it counts from the key press to the last figure of all rounds.
+For each move, it is measured from the key press to the last figure of all rounds.
 """
 
 from __future__ import annotations

@@ -161,7 +161,7 @@ def print_bits() -> None:
 
 
 def main() -> None:
-    """Print the smallest values of both programs, then whether their results keep their bits."""
+    """Print the minima that both programs find, and which settings change the bits of results."""
     print_values()
     print_bits()
 

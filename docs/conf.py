@@ -68,7 +68,7 @@ html_css_files = ["mcspectra.css"]
 
 
 def setup(_app: Sphinx) -> None:
-    """Set the environment of notebook cells: commands of this environment, plain-text output."""
+    """Let notebook cells find the commands of this environment, and print plain text."""
     commands = str(Path(sys.executable).parent)
     os.environ["PATH"] = os.pathsep.join([commands, os.environ.get("PATH", "")])
     os.environ.update(COLUMNS="90", NO_COLOR="1", TERM="dumb")

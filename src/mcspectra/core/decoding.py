@@ -38,13 +38,13 @@ _MOST_BYTES = 2**31
 _MOST_RATIO = 64  # largest number of bytes of memory for each byte of a file
 # Bytes of memory that any file may take: an uncompressed image of 3840 x 2160 pixels
 _ALWAYS_READ = 2**28
-_CHUNK_BYTES = 4096  # Bytes that a chunk of Zarr counts as memory: many tiny chunks also take time
+_CHUNK_BYTES = 4096  # Bytes assumed for each chunk of Zarr, because many tiny chunks take time
 # Codecs of Zarr that only compress and order numbers and texts; others may run code, such as pickle
 _CODECS = {
     *("blosc", "bytes", "bz2", "crc32c", "gzip", "lz4", "lzma", "shuffle"),
     *("transpose", "vlen-utf8", "zlib", "zstd"),
 }
-_TEXT_BYTES = 64  # Bytes that a text of unknown length counts as memory
+_TEXT_BYTES = 64  # Bytes of memory that are assumed for a text of unknown length
 _NPY_HEADER = 2**14  # largest header of a .npy file in bytes; NumPy itself allows 10,000 characters
 
 

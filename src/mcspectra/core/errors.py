@@ -253,8 +253,9 @@ class NoGainWarning(UserWarning):
 def close_match_hint(
     given: str, allowed: Iterable[str], command: str = ""
 ) -> tuple[str, tuple[str, ...]]:
-    """Return `` Did you mean 'x'?`` (or all names if they are few), and the close names.
+    """Return a hint such as `` Did you mean 'x'?``, and the names that are close to `given`.
 
+    If no name is close, the hint lists all names, or gives their number if there are many.
     `command` prints all names; messages mention this command if there are many names.
     """
     names = sorted(allowed)

@@ -67,7 +67,7 @@ CURVATURE = 0.1
 UNRESOLVED = "not resolved: use more realizations or larger counts"
 """Text that replaces a rate whose interval is too wide; results keep the number."""
 
-_WIDEST = 0.5  # largest half-interval of a reported rate; it separates the rates −1 and −2
+_WIDEST = 0.5  # largest half interval of a reported rate, so that −1 and −2 are distinguished
 _LEAST = 3  # smallest number of counts that can show lack of fit
 
 

@@ -203,7 +203,7 @@ def _evaluate(xs: Array, ys: Array, nodes: Array, x: Array, out: Array) -> None:
 def _column(xs: Array, nodes: Array, sums: Array, j: int, t: float, u: float) -> float:
     """Return x_0 such that the share u of the mass at t between rows j and j+1 lies below x_0."""
     total = _mixed(sums, j, t, xs.size - 1)
-    if total <= 0.0:  # a line without mass gets the identity, which `_flatten` undoes
+    if total <= 0.0:  # a line without mass is mapped to itself, as in `_flatten`
         return u
     target = min(u * total, below(total))
     low, size = 0, xs.size - 1

@@ -72,7 +72,7 @@ _SAME = 1e-9
 # If ∫g² has a larger relative error, g has jumps that boxes did not resolve
 _RESOLVED = 1e-10
 _CENTER = 2**10  # Number of points of the mean that is subtracted from g
-# Next to a pole, g² exceeds the largest value at the probe by this factor
+# Next to a pole, g² exceeds its largest value at the points of `probe` by this factor
 _POLE = 2.0
 # If the relative error is larger, there may be a pole, and all levels are computed
 _SUSPECT = 0.01
@@ -83,7 +83,8 @@ _HIDDEN = 0.1
 _GROWTH_LINES, _STEADY = 4, 0.02
 # Binary logarithm of the inverse distance from 0, from 1 and from a break
 _FAR, _NEAR, _INSIDE = (30, 60, 90, 120), (20, 30, 40, 50), (8, 14, 20, 26)
-# Number of largest values at the probe that are stored, and rank above which the power law is used
+# Number of largest values at the points of `probe` that are stored,
+# and rank above which the power law is used
 _TOP, _RANK = 256, 8
 # Power law t^-a: least a, least ratio of the slopes at high and lower ranks, largest a for ∫g²
 _HEAVY, _AS_POWER, _LARGEST_POWER = 0.1, 0.6, 0.47
@@ -492,7 +493,7 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
 
     def square(x: Array) -> Array:
         """Return g² at points (..., d), with channels; over the domain return f²/p."""
-        with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # Next to a pole
+        with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # g may be infinite
             if not over_domain:
                 return values_at(g, x) ** 2
             f = values_at(inside.integrand, x)  # type: ignore[attr-defined]

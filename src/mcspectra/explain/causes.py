@@ -186,7 +186,7 @@ class CauseSettings:
     # For noise, ⅔ of all places are local extremes.
     # Values from 0.165 to 0.33 give the same results; with ⅔, four of 152 causes are wrong.
     turns: float = 0.33
-    # Least number of waves along a line for an oscillation.
+    # Least number of waves along a line at which g is called oscillating.
     # Smaller numbers of waves are resolved by the 16 steps of a line.
     # Values from 3 to 12 give the same results.
     waves: float = 6.0

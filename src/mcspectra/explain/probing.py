@@ -57,7 +57,7 @@ __all__ = [
 class LineSettings:
     """Settings of lines, and limits of the exponents of a pole, a jump, a cusp and a kink.
 
-    Numbers of cases come from ``python -m benchmarks settings``, as in `CauseSettings`.
+    The counts of wrong cases come from ``python -m benchmarks settings``.
     """
 
     # Number of equal steps of a line before steps are halved.
@@ -143,7 +143,7 @@ class LineSettings:
 
 
 LINE_SETTINGS = LineSettings()
-"""Default settings of lines."""
+"""Default settings of the lines on which g is evaluated."""
 
 
 @final
@@ -151,7 +151,7 @@ LINE_SETTINGS = LineSettings()
 class PoleSettings:
     """Settings of the climb to a pole, and of measurements at the pole.
 
-    Numbers of cases come from ``python -m benchmarks settings``, as in `CauseSettings`.
+    The counts of wrong cases come from ``python -m benchmarks settings``.
     """
 
     # Maximum number of halvings of the step of a climb. The first step is the distance between
@@ -172,7 +172,7 @@ class PoleSettings:
     # Number of rays from the top. The median of their exponents is used.
     # Values from 3 to 12 give the same results.
     rays: int = 6
-    # Weight of the last move in the ellipsoid of directions, from 0 to 1.
+    # Weight of each new move when it changes the ellipsoid of directions, from 0 to 1.
     # Values from 0.2 to 0.4 give the same results; with 0.8 one of 18 poles is wrong.
     learning_rate: float = 0.4
     # Radii along the rays, in units of the last step; each is 4 times the previous radius.
@@ -217,7 +217,7 @@ class PoleSettings:
 
 
 POLE_SETTINGS = PoleSettings()
-"""Default settings of climbs."""
+"""Default settings of the climb to a pole."""
 
 # Distance of the top from a face, if the top is on the face: the spacing of float64 below 1
 _EDGE = 2.0**-53
@@ -397,7 +397,7 @@ def lines_of(
         outer = at(both, straight)
     except BudgetError:
         raise
-    except ParameterError:  # g fails next to the border: omit these ends
+    except ParameterError:  # g raises an error next to the border; omit the ends of these lines
         outer = np.full(both.shape, np.nan)
         for k, row in enumerate(np.flatnonzero(straight)):
             try:
@@ -589,7 +589,7 @@ def pole_of(
     def height(x: Array) -> Array:
         return np.abs(g(x) - centre)
 
-    # Climb only from values that stand out: the largest values of a bounded function are similar
+    # Climb only from exceptional values; the largest values of a bounded function are similar
     measure = settings.rays * len(settings.radii) + d * settings.near + d * (d + 1) // 2
     order = np.argsort(values)
     for largest in sorted((order[::-1], order), key=lambda k: -abs(values[k[0]] - centre)):

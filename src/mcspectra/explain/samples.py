@@ -74,9 +74,9 @@ class CurveSettings:
     # With 6 octaves, intervals contain the true rate in 63 % instead of 93 % of cases.
     octaves: int = 3
     # Candidate standard deviations of the drift of the rate in an octave, weighted by likelihood.
-    # The smallest, 1/20, is for straight curves. The largest changes a rate by 1 to 3,
-    # the usual range of rates, in a few octaves.
-    # With half of these values, intervals contain the true rate in 94 % of cases;
+    # The value 0.05 is for straight curves.
+    # With the value 0.4, a rate changes by 1 to 3 in a few octaves, the usual range.
+    # With half of all values, intervals contain the true rate in 94 % of cases;
     # with double values, or with the value 0.2 alone, intervals contain it in 92 % of cases.
     drifts: tuple[float, ...] = (0.05, 0.1, 0.2, 0.4)
     # If a rate is not known, −1 is used with this standard error.
@@ -91,7 +91,7 @@ class CurveSettings:
 
 
 CURVE_SETTINGS = CurveSettings()
-"""Default settings of curves."""
+"""Default settings of curves of variance."""
 
 
 @final

@@ -63,9 +63,11 @@ class ChangeSettings:
     # With two rounds, the variance of a narrow peak in 3-D is several times as large.
     # Eight rounds are no better than four (`benchmarks improvements`).
     rounds: int = 4
-    # Candidates of `fit_splines`: for joint densities, and for products. Each has three numbers:
-    # cells of each axis; parts of a mixture, or 0 for a flow; weight of the smoothness.
-    # The first joint candidate is also fitted in each round, to place the points of the next round.
+    # Settings with which `fit_splines` fits joint densities, and products of 1-D densities.
+    # The first number is the number of cells along each axis.
+    # The second number counts the parts of a mixture; 0 stands for a flow.
+    # The third number is the weight of the smoothness penalty.
+    # The first joint setting is also fitted in each round, to place the points of the next round.
     # Without the flow, the variance of a ridge across two axes is 17 times as large.
     # Without the product of 24 cells, the fitted density follows a narrow peak less well.
     # Without the joint mixture of 4 parts, all results are the same.
@@ -84,10 +86,10 @@ class ChangeSettings:
     least_spread: float = 1.0
     # Settings of the fits of splines
     splines: LearnSettings = field(default_factory=LearnSettings)
-    # Largest expected share of the variance at which a change is offered, without its cost.
+    # A change is offered if it leaves less than this share of the variance. Its cost is ignored.
     # A pilot estimates which share of the variance a change leaves.
     # In the smallest pilot, this estimate has a relative standard error of √(2/64) = 18 %.
-    # Therefore a change with a larger share may be worse than no change.
+    # A change with an estimate above this limit may therefore be worse than no change.
     most_left: float = 0.8
     # Number of points that are evaluated at once. A table of 256 polynomials then takes 32 MB.
     # Results do not depend on this number.

@@ -169,7 +169,8 @@ def fit_splines(
     points, values, pdf
         Points (N, d); values (N, channels), not all 0; and the density of the points, (N,).
     setting
-        Cells of each axis; parts of a mixture, or 0 for a flow; weight of the smoothness.
+        Number of cells along each axis, number of parts, and weight of the smoothness penalty.
+        The parts are those of a mixture; 0 stands for a flow.
     defensive
         Share δ of the uniform density.
     generator
@@ -281,11 +282,11 @@ class _Seen:
         return softmax(best[:count]), log_softmax(best[count:].reshape(tables.shape), axis=-1)
 
     def flow(self, features: Array, start: Array) -> Array:
-        """Fit the gates of a flow: coefficients by which splines depend on earlier axes."""
+        """Fit the coefficients by which the splines of an axis depend on earlier axes."""
         shape, before = (*start.shape, features.shape[1]), np.tri(len(start), k=-1, dtype=bool)
 
         def loss_of(followed: Array) -> tuple[Array, Callable[[Array], tuple[float, Array]]]:
-            """Return a mask of the gates in use, and the loss, for dependences of axes (d, d)."""
+            """Return a mask of used coefficients, and the loss, for dependences of axes (d, d)."""
             columns = np.insert(np.repeat(followed, DEGREE, axis=1), 0, True, axis=1)
             used = np.broadcast_to(columns[:, None], shape)
             seen = [features[:, c] for c in columns]

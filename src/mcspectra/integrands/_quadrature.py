@@ -143,7 +143,9 @@ class AxisRule:
     Attributes
     ----------
     cells, order
-        The numbers C and q. The first C q nodes are uniform; all others are in pieces of cut cells.
+        Number C of equal cells, and number q of nodes in each cell.
+        The first C q nodes belong to these cells, and are called uniform.
+        All further nodes are in the parts of cells that are cut at a break.
     nodes, weights
         Arrays of shape (P,). Uniform nodes in cut cells have weight 0.
     """
@@ -452,7 +454,7 @@ def search_breaks(
             stays &= beside > _STAYS * here
         places = 0.5 * (low + high)
 
-        # Climb the highest peaks of each line, which grow at a pole
+        # Search for the tops of the highest peaks on each line. At a pole, the values keep growing
         size = np.abs(y_line).max(axis=-1)
         peaks = (size[:, 1:-1] >= size[:, :-2]) & (size[:, 1:-1] >= size[:, 2:])
         top = 1 + np.argpartition(peaks * size[:, 1:-1], -_PEAKS, axis=1)[:, -_PEAKS:]

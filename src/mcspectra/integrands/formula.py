@@ -101,7 +101,8 @@ class Formula(Integrand):
             raise ParameterError(
                 f"The formula is {shown(given)}; give text such as 'exp(-x**2 - y**2)'."
             )
-        steps = np.sqrt(np.arange(self.dims) + 2.5)  # Additive recurrence, off all symmetry planes
+        # Evaluate at points of an additive recurrence, which avoid planes such as x = y and x = ½
+        steps = np.sqrt(np.arange(self.dims) + 2.5)
         self._evaluate(np.arange(1, _PROBES + 1)[:, None] * steps % 1.0)
 
     @property

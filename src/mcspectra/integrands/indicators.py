@@ -446,7 +446,7 @@ def _half_plane_fourier(m: Array, normal: Array, offset: float) -> Array:
         a, b = (0.0, 1.0) if 0 < alpha < 1 else (0.0, 0.0)
     else:
         a, b = np.clip(sorted((-alpha / beta, (1 - alpha) / beta)), 0, 1).tolist()
-    if beta == 0:  # Columns in which the line is above the square
+    if beta == 0:  # Find the x_j at which the line is above the unit square
         full = (0.0, 1.0) if alpha >= 1 else (0.0, 0.0)
     else:
         cross = min(max((1.0 - alpha) / beta, 0.0), 1.0)

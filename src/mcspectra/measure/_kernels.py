@@ -2,7 +2,7 @@
 
 The indices are: r for realizations of a block; c for channels; a for bands; k for half widths.
 Index h is for coefficients: half spectra of all techniques, one technique after another.
-Index j is for real coordinates: one of a real coefficient, two of a complex coefficient.
+Index j is for real numbers: a real coefficient has one, and a complex coefficient has two.
 `double[h]` is 2 for a coefficient that also stands for −m, else 1.
 All sums over h with conj(f_h) S_h are real because the full spectrum is Hermitian.
 
@@ -43,7 +43,7 @@ def band_estimates(
     shells: Array,
     total: Array,
 ) -> None:
-    """Compute Σ_{h in a} double Re conj(f_ch) S_rh for two partitions, and Σ_r S.
+    """Compute Σ_{h in a} double[h] Re(conj(f_ch) S_rh) for two partitions of h, and Σ_r S_rh.
 
     The inputs are s (R, H) and f (C, H), both complex or both real; double (H,);
     and the integers band and shell (H,).

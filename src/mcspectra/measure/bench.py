@@ -337,8 +337,9 @@ def ranks(variance: Array, variance_ci: Array, n: Array) -> tuple[Array, Array]:
     Returns
     -------
     tuple
-        Ranks (sampler, task), where 1 is the least variance, and their ends (sampler, task, 2).
-        The lower end is one more than the number of significantly better samplers.
+        Ranks (sampler, task), where rank 1 has the least variance.
+        Their 95 % intervals have the shape (sampler, task, 2).
+        The lower end of an interval is one more than the number of significantly better samplers.
         The test compares independent estimates of log variance.
         The test uses the Bonferroni correction over all pairs of samplers on all tasks.
     """

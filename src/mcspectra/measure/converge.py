@@ -85,13 +85,13 @@ class StageSettings:
     # The kurtosis of 100 normal estimates has a standard error of √(24/100) = 0.5.
     # Values from 50 to 200 give the same results.
     first: int = 100
-    # Least and largest factor by which a stage lengthens the sample.
+    # Each stage lengthens the sample by a factor between these two limits.
     # A stage that is a quarter longer confirms the previous stage.
     # After a factor of 4 the kurtosis is twice as accurate, so the next length is better chosen.
-    # With a least factor of 1.1, searches for 10 % end at an error of 10.3 %.
-    # With a least factor of 1.25, they end at an error of 9 %.
-    # A least factor of 1.5 takes 30 % more realizations.
-    # Largest factors from 2 to 8 give the same results
+    # In a search for an error of 10 %, a least factor of 1.1 leads to an error of 10.3 %.
+    # In the same search, a least factor of 1.25 leads to an error of 9 %.
+    # With a least factor of 1.5, the search takes 30 % more realizations.
+    # Values of the largest factor from 2 to 8 give the same results
     # (`python -m benchmarks settings --stages`).
     step: float = 1.25
     leap: float = 4.0
@@ -105,7 +105,7 @@ class StageSettings:
 
 
 STAGE_SETTINGS = StageSettings()
-"""Default settings of searches."""
+"""Default settings of searches for the number of realizations."""
 
 # Fields of `Moments` that describe the tail of the distribution of estimates
 _TAIL = ("largest_share", "resolved", "tail_index")

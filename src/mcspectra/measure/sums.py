@@ -272,7 +272,7 @@ class RunningSpread:
 
 @dataclass(frozen=True)
 class Batches:
-    """Terms and variances of each block, and the spread of maps and matrices over blocks."""
+    """Terms and variances of each block, and the spread of covariances over blocks."""
 
     weights: JOIN  # Degrees of freedom of each block: (B,)
     values: JOIN  # dc, power and cross term and measured variance: (B, 4, C)

@@ -374,7 +374,7 @@ class TechniqueSums:
     ) -> TechniqueSums:
         """Return sums of a block. `first` and `sets` are the same as in `Moments.of`."""
         parts = view.spectra(points)
-        # Truncated and full estimates: the part of the estimate from each technique, (R, C, T)
+        # Compute the techniques' parts of the truncated and of the full estimate: (R, C, T) each
         weighted = view.integrand_coefficients.conj() * view.basis.double
         truncated = np.stack(
             [product(s, weighted[:, t].T).real for t, s in enumerate(parts)], axis=2

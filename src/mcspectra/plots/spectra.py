@@ -64,7 +64,7 @@ _FLOOR = 1e-4  # smallest power that is shown; a smaller power means practically
 _LINEAR_TOP = 12.0  # largest power that is shown on a linear axis
 _MOST_NUMBERS, _MOST_NAMES = 7, 13  # largest number of labels along an axis: numbers, names
 _MOST_ENTRIES = 257  # largest number of entries per side of a matrix that is drawn
-_MOST_CHAINS = 6  # largest number of quantities of chains in one plot
+_MOST_CHAINS = 6  # largest number of quantities of Markov chains that one plot shows
 _LEVEL = "expected power relative to random points (∫1/p / n); m = 0 is omitted."
 
 

@@ -208,8 +208,8 @@ def exact_variance(
     tolerance
         Largest relative error of the variance, 1e-12 to 1.
         If f has jumps that it does not declare and that are not across an axis,
-        1e-3 is feasible with random points, and about 0.1 with strata.
-        The error message gives a feasible value.
+        the least possible tolerance is 1e-3 with random points, and about 0.1 with strata.
+        The message of the error gives a tolerance that is possible.
         With 1e-3 or more in at least 4 dims, f may be fitted by a sum of products.
         The factors of these products are functions of one axis.
         The fit is used if the 95 % interval of the variance is within the tolerance.

@@ -105,7 +105,7 @@ class Cells:
         note: str = "",
         channels: int = 1,
     ) -> Cells:
-        """Make a single row. Numbers are (channels,) or equal for all channels."""
+        """Make a single row. Each number is an array (channels,), or a scalar for all channels."""
         numbers = [np.full((1, channels), each) for each in (variance, low, high, share, tail)]
         return Cells(*numbers, *(np.array([text]) for text in (method, how, note)))
 

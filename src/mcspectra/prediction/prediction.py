@@ -159,7 +159,7 @@ class AutoSettings:
         Largest additional count, as a multiple of the last requested count.
         The additional counts show the limit to which the rate tends.
         `most_ahead` is log2 of the largest additional count.
-        Strata use their largest count, because one table of cells makes them cheap.
+        With strata, counts up to this limit are used, because one table serves all counts.
     loose
         Half interval, relative to the variance, above which a larger count is not used for rates.
         Over two octaves such an interval changes a slope by 0.16.
@@ -205,7 +205,7 @@ class TableSettings:
         Total number of points of all sets, which limits the work at large n.
         For n above 420, the limit allows fewer sets than `most_sets`.
     least_sets, most_sets
-        Least and largest number of sets.
+        Least and largest number of sets that are drawn for one variance.
         The variance of R sets has the relative standard error √(2/R), here 10 % and 1.4 %.
     """
 
@@ -540,7 +540,8 @@ def _enough_of_sums(law: Law, known: Known) -> float:
     """
     if _moves_apply(law, known):
         return _AUTO.moved
-    leaf = leaf_of(law)  # The variance of a lattice does not predict that of close counts
+    # The variance of a lattice at one count does not predict its variance at nearby counts
+    leaf = leaf_of(law)
     return math.inf if isinstance(leaf, Fixed) and leaf.even else _AUTO.measured
 
 
@@ -1066,7 +1067,7 @@ def predict(
         Standard errors need at least 4 realizations.
     rng
         Seed (SPEC 7) of methods that draw sets.
-        Sets whose pairs are counted differ from the sets of the method measured.
+        The method pair-correlation draws other sets than the method measured.
     workers
         Number of threads. The default is all processors. It has no effect on results.
     max_evaluations

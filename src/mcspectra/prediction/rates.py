@@ -401,7 +401,8 @@ def rates_of(
 
         Limit: the theoretical bound, if it is certain and the last slope is at least as steep.
         The last slope is over the last four octaves.
-        Otherwise, if this slope hardly changes, it is a nearby exponent of theory, in up to 3 dims.
+        Otherwise, in up to 3 dims, the limit is a theoretical exponent close to the last slope,
+        provided that this slope hardly changes.
         These exponents are −1 − k/d, −2 or −3.
         Here k is 0 for white power, 1 for a jump, 2 for strata and 3 for a kink.
         The exponent −3 may have a factor (log n)^(d − 1).

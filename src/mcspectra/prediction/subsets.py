@@ -103,7 +103,8 @@ class SubsetSettings:
     The integrands are smooth functions, a ball in 4-D, a slab, a jump along a line and a kink.
     The samplers are latin-hypercube, rank1-lattice | shift, and sobol with owen or digital-shift.
     The half interval is 63 % for the ball, and 0.2 to 1.3 % for the other integrands.
-    "Only the result for the ball" means less than 8 % for the ball, and nothing for the others.
+    "Only the result for the ball" means that the ball's result changes by less than 8 %.
+    The results for the other integrands do not change in this case.
     "The same results" means changes of less than 1e-6.
 
     Attributes
@@ -118,7 +119,7 @@ class SubsetSettings:
         Number of pairs within strata of each replicate.
         A total of 131,072 pairs gives a half interval of 0.8 % for normal differences.
     profile_work
-        Total evaluations of profiles along all axes.
+        Total number of evaluations of g for the profiles along all axes.
         Halving or doubling this number changes only the result for the ball.
     nodes
         Number of nodes of a profile along an axis.
@@ -128,13 +129,13 @@ class SubsetSettings:
         Number of independent groups of profiles. Their spread is the error.
         Halving or doubling this number changes only the result for the ball.
     fitted
-        Number of replicates to which products are fitted. One more replicate tests the fit.
+        Number of replicates to which products are fitted. One further replicate tests the fit.
         Halving or doubling this number changes only the result for the ball.
     basis, negligible
-        Largest number of functions of an axis, and energy that is neglected.
+        Largest number of basis functions of an axis, and part of the energy that is neglected.
         Halving or doubling either value changes only the result for the ball.
     rank, few_rank
-        Largest number of products, and the same limit for few dims.
+        Largest number of products in many dims, and in at most `few_dims` dims.
         In few dims only functions with jumps across axes need this method.
         More products would not resolve these jumps.
         With three products the half interval of the ball is 86 %, with twelve products 53 %.
@@ -154,9 +155,9 @@ class SubsetSettings:
         A fit is accepted below this residual energy, relative to the variance.
         Halving or doubling this value gives the same results.
     stands_out
-        At a jump, a profile changes more between two nodes than in the neighboring steps.
-        At a kink, the slope of the profile stands out. The value is the least ratio of changes.
-        Halving or doubling it changes only the result for the ball.
+        A profile jumps where its step is this many times as large as the neighboring steps.
+        It has a kink where its slope changes this many times as much as at neighboring nodes.
+        Halving or doubling this value changes only the result for the ball.
     halvings
         Number of bisections of a jump. They reduce steps of 1/128 to 2^-47.
         Values from 20 to 80 give the same results.
@@ -190,8 +191,8 @@ class SubsetSettings:
         Number of sets that are drawn if sets are random before their shift or scramble.
         The spread of the variances of the drawn sets is part of the interval.
     digits
-        Least number of cells of an axis that digits distinguish.
-        If the number of points is larger, digits distinguish as many cells as points.
+        Least number of cells into which digits divide an axis.
+        If there are more than this number of points n, digits divide an axis into n cells or more.
     offsets
         Number of offsets within a stratum over which a uniform offset is averaged.
         The offsets are at the centers of equal parts.
@@ -291,7 +292,8 @@ def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
         sums = [
             pair_sums(x, rows, mode, pairs.bases[0], first, rest, means, weights) for x in codes
         ]
-        by_set = np.array(sums).mean(axis=1) / n  # Rows: sets. Columns: single axes, products
+        # Each row belongs to a set. The columns are for single axes, and then for products
+        by_set = np.array(sums).mean(axis=1) / n
         sets, mean = by_set[:, 0] + by_set[:, -1], by_set.mean(axis=0)
         ones, more = mean[:-1], mean[-1]
         # The variance of g minus the fit is between zero and twice that of white noise.
@@ -578,7 +580,7 @@ def all_parts(known: Known) -> list[AnovaModel]:
         # Mark the nodes whose two neighboring steps are equal
         even = np.append(np.abs(np.diff(at, 2)) < 1e-9, False)
         # Find undeclared jumps of the mean profile and bisect them.
-        # A jump is a change that stands out between two nodes and that many profiles share.
+        # At a jump, many profiles change far more between two nodes than at neighboring nodes.
         # At jumps that are not across the axis, each profile has its own jump
         steps = np.diff(along, axis=2)
         common = steps.mean(axis=(0, 1))
@@ -604,7 +606,7 @@ def all_parts(known: Known) -> list[AnovaModel]:
                 nearer = abs(value - left)[channel] < abs(value - right)[channel]
                 low, high = (middle, high) if nearer else (low, middle)
             jumps.append(0.5 * (low + high))
-        # Kinks are changes of the slope that stand out.
+        # At a kink, the slope changes far more than at neighboring nodes.
         # A kink lies at the intersection of the lines from both sides
         mean = along.mean(axis=(0, 1))
         slopes = np.diff(mean, axis=0)

@@ -64,12 +64,12 @@ __all__ = [
 @final
 @dataclass(frozen=True)
 class Reach:
-    """Largest counted frequencies for one number of dims.
+    """Ranges of the frequencies that are summed, for one number of dims.
 
     Attributes
     ----------
     box
-        Half width of the box about frequency 0.
+        Half width of the box of frequencies about 0.
     strips
         Ends of strips along the axes, and the half widths of the strips.
         Drawn sets use the first strips only.
@@ -85,7 +85,7 @@ class Reach:
 @final
 @dataclass(frozen=True, kw_only=True)
 class TorusSettings:
-    """Settings for the counted coefficients.
+    """Settings for the Fourier coefficients that are summed.
 
     The changes stated below were measured in seven cases in 2-D and 3-D at n = 64 and 256.
     The integrands are a jump along a line, smooth functions and a disk.
@@ -297,7 +297,7 @@ class Region:
     table
         The same energies from a coarser table of g, or None if the coefficients are exact.
     near
-        Whether drawn sets use this region.
+        Whether this region is also used if the power is estimated from drawn sets.
     """
 
     vectors: Array

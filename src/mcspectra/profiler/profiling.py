@@ -93,7 +93,7 @@ class ProfileSettings:
     # The upper end of the interval of the ratio must also be at most this.
     # At this ratio, standard errors are 20 % larger than for independent draws.
     dependent: float = 0.7
-    # Least number of points of each net in measurements of a change.
+    # Least number of points of each net with which a change of the estimator is measured.
     # With 8, two of 12 profiles did not measure the preintegration of a jump along an axis.
     least_checked: int = 4
     # Largest number of counts at which a sampler is measured: B/2, B/4, …, B/32 of B evaluations.
@@ -659,7 +659,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     if rival and not enough:
         not_tried.append(f"{rival}: only {left} evaluations remain for it")
     elif rival:
-        with contextlib.suppress(McspectraError):  # too many dims, or too few evaluations
+        with contextlib.suppress(McspectraError):  # the sampler may not support dims or counts
             source, lattice = as_sampler(rival, estimator.dims), rival != _PAIRS
             curve, _, cost = _measured(estimator, source, left, stream.child(97), lattice=lattice)
             calls += cost
@@ -674,13 +674,13 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     # Compare with random points if the given sampler is fixed or was not measured
     fixed = any(cause.name in {"deterministic-set", "correlated-replicates"} for cause in causes)
     if any(cause.name == "deterministic-set" for cause in causes):
-        curves.pop(given.spec, None)  # a fixed set shows no error
+        curves.pop(given.spec, None)  # the estimates of a fixed set have no spread
     reference = "random" if fixed or given.spec not in curves else given.spec
     usable = {name: c for name, c in curves.items() if name == reference or name != given.spec}
     found, changed = list[_FoundSampler](), list[str]()
     if all(c.name != "infinite-variance" or c.kinds for c in causes):  # The integral exists
         # Find the sampler of least variance, and a change of the estimator that answers a cause
-        if len(usable[reference].counts) > 0:  # Otherwise the variance is zero
+        if len(usable[reference].counts) > 0:  # Without counts, the variance is zero
             found = _samplers(Setup(estimator, given), usable, reference, points)
         trusted = [each for name, each in usable.items() if name not in _RIVALS]
         trusted += [usable[name] for name in _RIVALS & {*usable} if _is_known(usable[name], points)]
@@ -820,7 +820,7 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
         curve = replace(curve, rate_se=error, level=level, scatter=_SETTINGS.teeth_scatter)
     known = curve.towards(rate, math.hypot(_SETTINGS.theory_error, third))
     if known is curve and first == "interior-jump" and curve.rate < rate:
-        # Few points do not resolve the jump: let the curve bend toward its limit beyond the counts
+        # Few points do not resolve the jump. Let the rate tend to its limit at larger counts
         return replace(curve, bend=0.5 * (rate - curve.rate))
     return known
 

@@ -78,7 +78,8 @@ def nearest_distances(points: object) -> Array:
     Raises
     ------
     ParameterError
-        If there is only one point, or n > 2^21. In at least 7 dims, if n² d > 2^27.
+        If there is only one point, or if there are too many points:
+        n > 2^21 in up to 6 dims, or n² d > 2^27 in 7 dims or more.
     """
     x = as_set(points)
     n, dims = x.shape

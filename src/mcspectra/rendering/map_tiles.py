@@ -6,7 +6,7 @@ Only one number per lane is therefore copied, and memory does not grow with the 
 A lane has the same bits whatever other lanes are computed.
 One evaluation gives the plain and the weighted estimate of a technique.
 The weighted estimate is for multiple importance sampling.
-One lane per sample with a sum over blocks would take 2 to 3 times as long.
+If each sample had its own lane, the program would take 2 to 3 times as long.
 This was measured with two cores and Veach's scene.
 
 Predictions
@@ -106,7 +106,7 @@ _TABLE_NUMBERS = 2**23  # maximum number of values in one table of points, 64 Mi
 _KEPT_NUMBERS = 2**24  # maximum number of values in tables that all tiles share
 _PREDICTED_VALUES = 2**21  # maximum number of integrand values computed at once
 _CHAIN_VALUES = 2**20  # maximum number of path values computed at once
-# Labels of two random streams: samples of predictions, and chains
+# Labels of two random streams: for samples of predictions, and for pairs of paths
 _PREDICTION, _CHAIN = 0x9D1C7, 0xC4A17
 
 
@@ -181,7 +181,10 @@ class Measurement:
 
     @property
     def partitions(self) -> tuple[dict[Any, Array], dict[Any, Array]]:
-        """Masks of the requests for each bounce, and for each decision; empty without chains."""
+        """Masks that select the random numbers of each bounce, and those of each decision.
+
+        Both dictionaries are empty if no shares of the variance are computed.
+        """
         requests = self._requests if self.chains else []
         bounces, decisions = ([each[k] for each in requests] for k in (0, 1))
         both = ({v: np.array([w == v for w in of]) for v in of} for of in (bounces, decisions))
@@ -189,7 +192,7 @@ class Measurement:
 
     @property
     def _requests(self) -> list[tuple[int, str]]:
-        """Bounce and decision of each request, in order."""
+        """Bounce and decision of each request for random numbers, in order."""
         return list(dict.fromkeys((use.bounce, use.decision) for use in self.uses))
 
     def prediction(self) -> Prediction | None:
@@ -276,7 +279,7 @@ class Measurement:
         return found
 
     def _chains(self, pixels: Array) -> Array:
-        """Values (R, K + 1, P) of paths that share their first k requests with another path."""
+        """Values (R, K + 1, P) of paths that share their first random numbers with another path."""
         uses, dims = [(use.bounce, use.decision) for use in self.uses], len(self.uses)
         request = np.array([self._requests.index(each) for each in uses])
         first = np.zeros(1, int)
@@ -350,7 +353,7 @@ class Receivers:
     Attributes
     ----------
     status
-        What each pixel shows, int8 (P,); `RECEIVER` if there is something to estimate.
+        Code of what each pixel shows, int8 (P,); `RECEIVER` means a lit surface.
     pixels
         Pixels that show a receiver, whose light is estimated.
         If there is a single such pixel, it is listed twice, so that sums keep their order.

@@ -304,7 +304,7 @@ class Map(Analysis, frozen=True, kw_only=True):
 
     @property
     def points_dims(self) -> int:
-        """Dims of the points of direct light."""
+        """Number of dims of the points that sample direct light."""
         return DEFAULT_DIMS if self.dims is None else self.dims
 
     @property
@@ -425,17 +425,18 @@ def variance_map(
         Structure in such a map may therefore come from one set of points.
         ``"own"``: every pixel has its own realizations, and the errors are noise.
     smoothing
-        Odd width in pixels of a square window over which rates are averaged, which blurs them.
+        Width of the square window over which rates are averaged: an odd number of pixels.
+        This averaging blurs the map of rates.
         Averages have smaller standard errors only with ``points="own"``.
     predict_every
         Step between the pixels at which the variance at the largest count is predicted.
         A pixel has a prediction if x and y are multiples of this step; 0 gives no predictions.
         Jittered points use stratum quadrature; random points are exact.
         In 2-D, shifted points use the power spectrum, and scrambled nets in base 2 use gains.
-        Other samplers are not predicted.
+        Variances of other samplers are not predicted.
     chains
         Number of pairs of random paths for the shares of the variance of whole paths.
-        By default 128; 0 gives no shares.
+        The default is 128 pairs. With 0, no shares are computed.
         If a path requests random numbers K times, each pair takes K + 1 paths.
     rng
         Seed (SPEC 7).

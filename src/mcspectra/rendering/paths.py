@@ -6,7 +6,8 @@ An integrator requests random numbers from a sampler.
 Our sampler answers these requests in order with the D coordinates of a point u.
 The radiance is therefore a function of u in [0,1)^D.
 Its integral over the cube is the mean over a pixel with a box filter.
-Position in the pixel, lens and time of the shutter come first, as in Mitsuba's own loop.
+The first coordinates choose the position in the pixel, the point on the lens and the time.
+Mitsuba's own loop has the same order.
 The sampler advances for each request, even if a path does not need the number.
 A coordinate therefore has the same meaning for all paths.
 Numbers for bounces that a path does not reach have no effect on that path.
@@ -14,13 +15,13 @@ Numbers for bounces that a path does not reach have no effect on that path.
 A dry run, with the loop evaluated instead of recorded, finds D and the bounce of each number:
 Dr.Jit evaluates the counter of numbers between two iterations of the loop.
 If the requests of a bounce match an integrator of Mitsuba, each number has a known decision.
-The requests of any other integrator are only numbered.
+For any other integrator, decisions are named ``request 1``, ``request 2`` and so on.
 Mitsuba selects a light by stretching the first coordinate of its point.
 The choice of the light and the choice of the point are therefore one decision.
 
 Rare paths need numbers beyond D, as do all paths if fewer dims are requested.
 These numbers are hashed from the last two coordinates.
-The integrand remains a function of u, but the hashed numbers are random for any points.
+The integrand remains a function of u, but the sampler has no influence on the hashed numbers.
 
 Integrators return the radiance of all lights together.
 The choice of paths does not depend on the emission.
@@ -95,7 +96,7 @@ _DIMMED = 2.0**-30  # factor that dims all other lights; exact in float32
 _EMITTED = r"(\w+_)?scale|(radiance|intensity|irradiance)\.(.+\.)?(value|data)"
 _PATH = ((2, "light"), (1, "lobe"), (2, "direction"), (1, "roulette"))
 _ORDERS = {
-    # By class of integrator: all requests of one bounce, as (count of numbers, decision)
+    # Random numbers that a bounce requests, by class of integrator: (their count, decision)
     "PathIntegrator": (_PATH,),
     "PRBIntegrator": (_PATH,),
     # Two orders, because compilers evaluate the arguments of a call in different orders
@@ -494,7 +495,7 @@ def _sampler_class() -> Any:
     mitsuba = load_mitsuba()
 
     class Coordinates(mitsuba.Sampler):  # type: ignore[misc,name-defined]
-        """Returns numbers in order; records the requests' sizes and the start of each iteration."""
+        """Returns coordinates in order; records how many are requested, by iteration."""
 
         def __init__(self, numbers: _Numbers) -> None:
             super().__init__(mitsuba.Properties())
@@ -534,7 +535,10 @@ def dimensions_of(scene: Any) -> Callable[..., tuple[tuple[Dimension, ...], floa
 def _dry_run(
     tracer: Tracer, pixels: tuple[tuple[int, int], ...]
 ) -> tuple[tuple[Dimension, ...], float]:
-    """Follow random paths with evaluated loops, and record the requests of each iteration."""
+    """Follow random paths, and record the random numbers that each iteration requests.
+
+    Dr.Jit evaluates the loop one iteration at a time, instead of recording the whole loop.
+    """
     import drjit
 
     mitsuba = load_mitsuba()
@@ -555,7 +559,7 @@ def _dry_run(
     counts = sampler.count.numpy()
     asked, mean = int(np.max(counts)), float(np.mean(counts))
 
-    # Split the requests into the camera's requests and the requests of each iteration of the loop
+    # Separate the random numbers of the camera and those of each iteration of the loop
     sensor = sensor_of(tracer.scene)
     camera = ["film", *["lens"] * sensor.needs_aperture_sample()]
     camera += ["time"] * (sensor.shutter_open_time() > 0.0)
@@ -565,7 +569,7 @@ def _dry_run(
         if began and turns[-1]:
             turns.append([])
         turns[-1].append(number)
-    # Paths that skip requests have no common order of requests
+    # If some paths skip random numbers, decisions have no common order
     if len(decided) + sum(map(sum, turns)) != asked:
         rest = range(1, asked - len(decided) + 1)
         unknown = (Dimension(1, f"request {k}") for k in rest)

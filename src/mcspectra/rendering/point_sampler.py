@@ -182,7 +182,7 @@ def from_mitsuba(source: Any, dims: int = DEFAULT_DIMS) -> MitsubaObject:
         A sampler object of any variant and class, including plugins in Python.
         Points are drawn from a fork of this object, so the object does not change.
     dims
-        Number of dims; a pair of dims is one request for two numbers.
+        Number of dims. The object is asked for two coordinates at a time.
 
     Returns
     -------

@@ -323,7 +323,7 @@ def _term_sentences(row: SummaryRow, terms: xr.Dataset) -> Iterator[str]:
     if row.dc is None or row.power is None or row.predicted is None or row.measured is None:
         return
     uniform = row.dc <= NEGLIGIBLE * row.power or terms.attrs.get("space") == "primary"
-    # Name the dc term if it dominates dc + power by far more than the sampling error
+    # Name the dc term if its share of dc + power is large, despite sampling errors
     if not uniform and row.dc > _DOMINANT * (row.dc + row.power):
         yield (
             f"Without the cross term, {percent(row.dc / (row.dc + row.power))} of the variance is "

@@ -314,7 +314,7 @@ _TABLES: Mapping[
             "Ratio",
             "95 % interval",
             "Rate",
-            "Verdict",  # aligned like numbers, so that its words do not wrap
+            "Verdict",  # treated as a column of numbers, because text wraps in other columns
             "What to do",
         ),
         (0, 1, -1),

@@ -81,13 +81,13 @@ class Claim:
         Measured value: a number with an interval, a number without sampling error, or words.
         None if nothing could be measured.
     expected
-        Expected value. It agrees if its distance from the verdict interval is at most `tolerance`.
+        Expected value. The claim agrees if this value is at most `tolerance` outside the interval.
     tolerance
         Allowed error of the theory, for example if n is too small for it. `note` gives the reason.
     digits
         Number of digits of the expected value that are shown.
     above, below
-        Bounds. The claim agrees if the whole verdict interval satisfies them.
+        Bounds. The claim agrees if the whole interval of the measured value satisfies them.
         The claim disagrees if the whole interval violates a bound. Otherwise there is no verdict.
     at_most
         Largest allowed magnitude of an error.
@@ -139,7 +139,7 @@ class Finding:
     measured
         A number, words, or None if nothing could be measured.
     interval
-        Verdict interval of the number, or None if the number has no sampling error.
+        Interval that decides the verdict, or None if the number has no sampling error.
     agrees
         The verdict. None if the claim asks for no verdict, or if its bound lies in the interval.
     corrects

@@ -197,7 +197,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 def terms(
     f: mcs.Integrand | mcs.Estimator, sampler: str, realizations: int, seed: int
 ) -> xr.Dataset:
-    """Return the terms with their matrix."""
+    """Return the variance terms with the matrix of the cross term."""
     return mcs.variance_terms(
         f, sampler, N, half_width=HALF_WIDTH, realizations=realizations, rng=seed, cross_matrix=True
     )

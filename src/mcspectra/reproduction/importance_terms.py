@@ -275,7 +275,7 @@ def _negative(statement: str, data: xr.Dataset) -> Claim:
 
 
 def exact_bar(half_width: int) -> float:
-    """Return the bar's third term up to a half width, in closed form; its limit is 1/(6N²)."""
+    """Return the third term of `BAR` up to a half width, in closed form; its limit is 1/(6N²)."""
     m = np.arange(-half_width, half_width + 1)[:, None]
     f = BAR.integrand.fourier(m)
     c = mcs.spectra.closed_form_covariance("jittered", N, m[:, None], m[None])

@@ -34,7 +34,7 @@ _HIGHEST = 12  # highest frequency of the two functions with equal power spectra
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Displace strata relative to edges, and edges relative to strata."""
+    """Displace the strata while f stays fixed, then displace f while the strata stay fixed."""
     realizations = 1000 if quick else 10_000
     scan = {offset: bar_terms(offset, realizations, seed) for offset in OFFSETS}
     curves = {offset: displaced_curve(offset, realizations, seed) for offset in LABELS}
@@ -58,7 +58,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     direct = [_stratified(m, f) for f in functions]
     times = (one_second + one_third) / (other_second + other_third)
 
-    # Draw the terms against the offset
+    # Draw the variance terms against the offset of the strata
     names = {"power_term": "second term", "cross_term": "third term", "predicted_variance": "sum"}
     at, s = np.array(OFFSETS), np.linspace(0.0, 1.0, 100)
     marks: list[Mark] = [ReferenceLine(at=0.0, color=INK, width=0.7)]
@@ -168,7 +168,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def _displaced(offset: float, terms: Panel) -> Plot:
-    """Return the bar with the borders of the strata at an offset, and the terms at this offset."""
+    """Plot f with displaced borders of strata, and the variance terms with this offset marked."""
     places = ((np.arange(N) + offset) / N).tolist()
     side = 1 / N
     cut = [(e - (e - offset * side) % side) for e in (0.25, 0.75)] if offset else []
@@ -200,7 +200,7 @@ def displaced(offset: float) -> str:
 
 
 def bar_terms(offset: float, realizations: int, seed: int) -> xr.Dataset:
-    """Return the terms of the bar."""
+    """Return the variance terms of the interval's indicator for displaced strata."""
     options: dict[str, Any] = {"half_width": HALF_WIDTH, "realizations": realizations, "rng": seed}
     return mcs.variance_terms(mcs.integrand(BAR, 1), displaced(offset), N, **options)
 
@@ -218,7 +218,7 @@ def smooth() -> mcs.Integrand:
 
 
 def displaced_curve(offset: float, realizations: int, seed: int) -> xr.Dataset:
-    """Measure the convergence of bar + cosine."""
+    """Measure the convergence for the indicator of an interval plus a cosine."""
     spec = displaced(offset)
     return mcs.convergence(smooth(), spec, list(COUNTS), realizations=realizations, rng=seed)
 
@@ -229,7 +229,7 @@ def exact_bar(offset: float, n: int) -> float:
 
 
 def exact_curve(offset: float) -> Array:
-    """Return the exact variances of bar + cosine by quadrature on both sides of each cut."""
+    """Return the exact variances for `smooth`, by quadrature on both sides of each edge."""
     node, weight = np.polynomial.legendre.leggauss(8)
     node, weight = (node + 1) / 2, weight / 2
     # The edge cuts a stratum at the fraction 1 − offset of its length

@@ -106,7 +106,7 @@ def _speckle(what: str, spectrum: xr.Dataset, realizations: int) -> Claim:
 
 
 def closed_ring(ring: int) -> float:
-    """Return N times the mean over a ring of the closed form of jittered points."""
+    """Return N times the power of jittered points in closed form, averaged over a ring."""
     return N * ring_mean(lambda m: mcs.closed_form_power("jittered", N, m), HALF_WIDTH, ring)
 
 

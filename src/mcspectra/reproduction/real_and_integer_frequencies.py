@@ -4,7 +4,7 @@ On the unit interval, f(x) = x jumps at the border, and g(x) = (1 − cos 2πx)/
 Half-integers are the frequencies of a domain of twice the length, [0, 2).
 The second half of this domain has neither values of f nor points.
 For Δν = ½ and N → ∞, the sum over half-integers ν ≠ 0 tends to ∫ (f ⋆ box)² − I²/2.
-The reason is that |⟨S_ν⟩|² is the power of the box.
+The reason is that |⟨S_ν⟩|² is the power spectrum of the box, which is 1 on [0, 1) and 0 on [1, 2).
 """
 
 from __future__ import annotations

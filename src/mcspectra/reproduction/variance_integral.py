@@ -129,7 +129,7 @@ def _product(n: int) -> Plot:
 
 
 def importance_terms(realizations: int, seed: int) -> xr.Dataset:
-    """Return the terms of random points with a density, which have correlated frequencies."""
+    """Return the variance terms of random points with a density; frequencies are correlated."""
     return mcs.variance_terms(
         _estimator(), "random", N, half_width=16, realizations=realizations, rng=seed
     )
@@ -145,7 +145,7 @@ def exact_weighted() -> float:
 
 
 def exact(name: str, n: int = N) -> float:
-    """Return the exact variance of the bell."""
+    """Return the exact variance for the integrand `BELL`."""
     return float(mcs.exact_variance(BELL, name, n))
 
 

@@ -291,8 +291,9 @@ def net_quality(points: Array, like: tuple[int, int] | None = None) -> tuple[int
 
 
 def recognized(points: Array, bases: tuple[int, ...] | None) -> Fixed:
-    """Return the law of one given set (n, d), a net in the given bases if there are any.
+    """Return the law of one given set of points (n, d).
 
+    The set is a net in the given bases, unless `bases` is None.
     The set is digital if its digits form a group.
     It is a lattice if its differences form a group on the torus.
     """

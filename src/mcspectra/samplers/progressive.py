@@ -170,8 +170,10 @@ def pairings() -> Array:
 
     Multiples of b^m do not change the first m digits of x or y.
     Each block of 4^m points therefore has one point in each of 2^m × 2^m cells.
-    On its axis, the partner differs from the point only in digit k of x, or of y.
-    The polynomials of the two points therefore differ by t^k, or (t + 1)^k.
+    Partners on the first axis have coordinates x that differ only in digit k.
+    Their polynomials therefore differ by t^k.
+    Partners on the second axis have coordinates y that differ only in digit k.
+    Their polynomials therefore differ by (t + 1)^k.
     """
     even = 0x5555555555555555
     out = np.empty((2, _PASSES), np.uint64)

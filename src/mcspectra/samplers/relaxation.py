@@ -41,8 +41,8 @@ __all__ = [
 
 _NEWTON = 100  # largest number of Newton steps; random points take 10, moved points 2 or 3
 _BALANCED = 1e-3  # tolerance of areas while points move
-_EXACT = 1e-9  # tolerance of areas for the cost; the error of the cost is its square
-_CLOSE = 1e-4  # tolerance of areas if rounding interferes; the error of the cost is 1e-6
+_EXACT = 1e-9  # tolerance of areas for a transport cost, whose error is about (1e-9)²
+_CLOSE = 1e-4  # tolerance of areas if rounding interferes; the transport cost has an error of 1e-6
 # Largest number of visits (see `kernels.Diagram`) for a transport cost; takes some seconds.
 # 8192 random points take 2^24 visits; points in a quarter of the square take more than 2^30.
 _MOST_WORK = 2**32

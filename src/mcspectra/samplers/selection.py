@@ -85,7 +85,7 @@ class Subset(Randomization):
     def draw(
         self, sampler: Sampler, n: int, stream: Stream, own: Stream, first: int, count: int
     ) -> Array:
-        """Draw the whole sets and select points."""
+        """Draw whole sets of points, and select n points of each set at random."""
 
         def pick(points: Array, start: int, out: Array) -> None:
             _pick(own.keys(start, len(out)), self.pick == "run", points, out)

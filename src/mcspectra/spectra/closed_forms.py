@@ -511,9 +511,9 @@ def _place_pairs(net: Fixed, bases: Sequence[int], shifted: bool, m: Array, othe
     """Return (1/n²) Σ over pairs of different points if each digit is changed at random.
 
     With `shifted` a random digit is added at each place.
-    The images of two digits then depend only on their difference.
+    The joint law of two changed digits then depends only on the difference of the digits.
     Otherwise the digits of each place are permuted at random.
-    The images of two digits then depend only on whether the digits are equal.
+    The joint law of two changed digits then depends only on whether the digits are equal.
     The changes at different places are independent, so each place contributes a factor.
     All digits below the scrambled places are shifted by one uniform number.
     If the digits form a group, the pairs that contain one given point represent all pairs.
@@ -529,7 +529,8 @@ def _place_pairs(net: Fixed, bases: Sequence[int], shifted: bool, m: Array, othe
             Function("power_spectrum"),
             ", or ask for fewer.",
         )
-    # Factors (b, frequencies) of each place on each axis, one for each difference of two digits
+    # Each place of an axis contributes a factor that depends on the difference of two digits:
+    # arrays (b, frequencies)
     factors = list[list[Array]]()
     for axis, b in enumerate(bases):
         digit, own = np.arange(b), list[Array]()
@@ -723,7 +724,10 @@ def _strips(m: Array, low: Array, high: Array) -> Array:
 
 
 def _all_offsets(density: Density, sides: int, length: float, highest: int) -> tuple[Array, Array]:
-    """Return a quadrature rule over t in [0, length), split where strata end at 0 or a break."""
+    """Return a quadrature rule over offsets t of the strata in [0, length).
+
+    The rule is split at each t at which a stratum ends at 0, or at a break of the density.
+    """
     breaks = np.array([0.0, *density.breaks[0]])
     ends = np.concatenate([breaks, breaks - 1.0 / sides]) % 1.0 % length
     cells = max(_CELLS, 2 * highest)

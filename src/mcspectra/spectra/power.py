@@ -350,7 +350,7 @@ class Points(_OfPointSets, frozen=True, kw_only=True):
         return Need(cost=self.n + grid, memory=memory_of(self.n, source.dims))
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[xr.Dataset]:
-        """Return the drawing of one set as a computation of one block."""
+        """Return a computation of a single block, which draws one set of points."""
         source, p = _warped(subject)
 
         def points() -> xr.Dataset:

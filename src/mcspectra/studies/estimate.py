@@ -1,7 +1,8 @@
 """Estimate the time, memory and storage of every cell of a study from short trial runs.
 
 A cell with repeated realizations is run twice with few of them and once with more.
-The difference of the times gives the time per realization. Other cells are scaled by their cost.
+The difference of the times gives the time per realization.
+The times of cells that are not run are estimated in proportion to their computed cost.
 """
 
 from __future__ import annotations
@@ -98,7 +99,7 @@ def estimate_study(plan: StudyPlan, *, probe_seconds: float = 10.0) -> list[Cell
             found = within(left + _PATIENCE, functools.partial(_measured, cell, seed, left))
             tried |= {} if found is None else {cell.path: found}
 
-    # Scale the other cells by their cost
+    # Estimate the times of the other cells in proportion to their cost
     known = [(cell, *tried[cell.path]) for cell in plan.cells if cell.path in tried]
     paces = _medians([(each.analysis_name, seconds / each.need.cost) for each, seconds, _ in known])
     sizes = _medians([(each.analysis_name, float(size)) for each, _, size in known])

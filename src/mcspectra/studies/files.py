@@ -521,7 +521,7 @@ def _table(table: Any, place: str) -> dict[str, Any]:
 
 
 def _struct(table: Any, kind: type[Struct], place: str, beside: tuple[str, ...] = ()) -> Struct:
-    """Convert a table to a struct; `beside` lists other keys that are allowed at its place.
+    """Convert a table to a struct; `beside` lists further keys that the table may have.
 
     Raises
     ------

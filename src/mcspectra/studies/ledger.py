@@ -74,8 +74,8 @@ FORMAT = 7
 """Format number of ledgers and stores.
 
 Formats 1 and 2 were zarr stores that grew during a run.
-Format 3 had no scalars. Format 4 read the study's text for every query of failures.
-Format 5 stored its notes only once.
+Format 3 had no scalars. In format 4, every query of failures had to read the study's text.
+Format 5 stored the notes once; later formats store a second copy of the notes.
 """
 
 LEDGER_NAME = "study.sqlite"
@@ -597,7 +597,7 @@ class Ledger:
         if paths is None or _plan_digest(paths) != self._header.plan:
             paths = self._listed_anyway() if self._salvaged else self.paths
         elif not self._salvaged:
-            _ = self.paths  # Compare the list of paths with the tally
+            _ = self.paths  # Compare the list of paths with its stored digest
         return self._surveyed(paths)
 
     def close(self) -> None:
@@ -885,7 +885,7 @@ class Ledger:
 
     @functools.cached_property
     def _listing(self) -> tuple[list[str], dict[str, None]]:
-        """All paths and the paths of finished cells, in order, checked against the tally."""
+        """Paths of all cells, and of finished cells, in order; checksums detect missing rows."""
         paths: list[str] = []
         done: dict[str, None] = {}
         digests, found = bytearray(), ("", "")

@@ -363,8 +363,8 @@ def write_zarr(folder: Path) -> Path | None:
 def export_results(source: str | Path, file: str | Path, select: str | None = None) -> Path:
     """Write results to a file; its extension sets the format.
 
-    A ``.csv`` file is one table of numbers without dims, and of numbers along the counts n.
-    The table also has numbers along dims with named labels, such as channels.
+    A ``.csv`` file is one table. It contains single numbers, and arrays over the counts n.
+    It also contains arrays over dims whose labels are names, such as the channels.
     The columns are estimator, sampler, analysis, n, the named dims, variable, value and unit.
     The columns low and high are the ends of the 95 % interval, and se is the standard error.
     A ``.zarr`` store has all results with their attributes.

@@ -35,7 +35,7 @@ _NO_PLACEHOLDER = ("grid", "seed", "time_limit")  # These keys take no placehold
 # Values in the template for required options that are not counts; counts are "16,64"
 _EXAMPLES = {"target_error": ("0.01",), "budget": ("4096",)}
 _TEMPLATE = Path(__file__).with_name("template.toml")
-_OTHERS = "# {other analyses}\n"  # The template gets all further analyses here
+_OTHERS = "# {other analyses}\n"  # All other analyses replace this line of the template
 
 
 def study_schema() -> dict[str, Any]:

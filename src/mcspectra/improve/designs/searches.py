@@ -138,8 +138,9 @@ class SearchSettings:
     # The search ends after a round that lowers the variance by less than this fraction.
     # The ratio of strata is the same for half or twice the value.
     least_gain: float = 0.003
-    # Whether exchanges also start from the cosets of a digital net. With 64 points in 4-D,
-    # they reach less variance than from random sets (tests/improve/test_design.py).
+    # Whether exchanges also start from the cosets of a digital net.
+    # With 64 points in 4-D, these exchanges end with less variance than those from random sets
+    # (tests/improve/test_design.py).
     cosets: bool = True
     # Number of shapes of strata that are compared, starting with the most even shapes;
     # and number of realizations in each comparison. A variance of 32 realizations has
@@ -293,7 +294,7 @@ def _lattices(
         for value, vector in _best_vector(
             m[:most], power[:most], objective.dims, n, stream.generator(1), settings.vectors
         ):
-            if not found:  # A first result, in case of an interruption
+            if not found:  # Yield a first result, because the search may be interrupted
                 yield Design(math.inf, fold / 2, partial(_as_made, made_of(vector, fold)))
             found.append((value, vector))
             report("lattice", (fold + len(found) / settings.vectors) / 2)
