@@ -214,7 +214,7 @@ def test_two_set_ups_and_the_address_restores_them(page, address):
     wait_for(page, "b.sampler", "random")
     done(page, "B")
     state = state_of(page)
-    for title in ("Points", "Convergence", "Power spectrum", "Terms of the variance"):
+    for title in ("Points", "Power spectrum", "Terms of the variance"):
         places = []
         for side in "AB":
             card = page.get_by_role("group", name=f"{side}: {title}", exact=True)
@@ -223,12 +223,21 @@ def test_two_set_ups_and_the_address_restores_them(page, address):
         # The figures of A and B are side by side, with A on the left
         assert places[0]["y"] == places[1]["y"]
         assert places[0]["x"] + places[0]["width"] <= places[1]["x"]
-    expect(page.get_by_role("group", name=re.compile("^[AB]: "))).to_have_count(18)
+    # The curves of A and B are in one plot
+    both = page.get_by_role("group", name="A and B: Convergence", exact=True)
+    expect(both.get_by_role("heading", name="A and B: Convergence")).to_be_visible()
+    expect(page.get_by_role("group", name=re.compile("^[AB]: "))).to_have_count(16)
     page.reload()
     done(page, "B")
     assert state_of(page) == state
     assert state.b is not None
-    expect(page.get_by_role("group", name=re.compile("^[AB]: "))).to_have_count(18)
+    expect(both).to_be_visible()
+    expect(page.get_by_role("group", name=re.compile("^[AB]: "))).to_have_count(16)
+    # The plot turns gray if one of the two cannot be computed
+    field = page.get_by_label("Sampler spec, A", exact=True)
+    field.fill("no-such")
+    field.press("Enter")
+    expect(both).to_have_css("opacity", "0.35")
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

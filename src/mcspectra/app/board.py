@@ -18,14 +18,15 @@ from mcspectra.core.display import escape_html
 from mcspectra.plots.backend_bokeh import Drawn, draw
 from mcspectra.plots.description import Plot
 
-__all__ = ["JOINT", "Board", "Card", "card_of"]
+__all__ = ["JOINT", "STALE", "Board", "Card", "card_of"]
 
 JOINT = "A and B"
 """Side of a figure that shows both set-ups."""
 
 _FRESH: Any = {"opacity": "1", "filter": "none"}
 _FRAMES = {False: 216, True: 100}  # Width of a panel in pixels, for one set-up and for two set-ups
-_STALE: Any = {"opacity": "0.35", "filter": "grayscale(1)"}
+STALE: Any = {"opacity": "0.35", "filter": "grayscale(1)"}
+"""Style of a figure whose set-up has changed or cannot be computed."""
 
 
 @final
@@ -182,8 +183,7 @@ class Board:
     def _place(self, plot: Plot) -> bool:
         """Show a plot in its card; return True if the card is new."""
         before = self.cards.get(plot.kind)
-        side = self._side if self._paired else ""
-        card = card_of(plot, side, before, self._sheet)
+        card = card_of(plot, self._side, before, self._sheet, named=self._paired)
         if card is before:
             return False
         self._size(plot.kind, card.drawn)
@@ -199,7 +199,7 @@ class Board:
                 del self.cards[kind]
         else:
             for kind in old:
-                self.cards[kind].layout.styles = _STALE
+                self.cards[kind].layout.styles = STALE
         notes: list[str] = list(make_parts(self._setup).notes) if self.latest else []
         notes += [
             str(value.attrs["note"])
@@ -221,10 +221,12 @@ class Board:
         )
 
 
-def card_of(plot: Plot, side: str, before: Card | None, sheet: InlineStyleSheet) -> Card:
-    """Show a plot in the card `before` if it fits, or else in a new card.
+def card_of(
+    plot: Plot, side: str, before: Card | None, sheet: InlineStyleSheet, *, named: bool = True
+) -> Card:
+    """Show a plot of a side in the card `before` if it fits, or else in a new card.
 
-    `side` is named in the heading, unless it is empty.
+    The heading names the side if `named` is true. The label for screen readers always names it.
     """
     words = f'<p>{escape_html(plot.words)}</p><p class="soft">{escape_html(plot.caption)}</p>'
     if before is not None and before.drawn.fits(plot):
@@ -235,14 +237,13 @@ def card_of(plot: Plot, side: str, before: Card | None, sheet: InlineStyleSheet)
     drawn = draw(plot)
     texts = [
         Div(text=t, sizing_mode="stretch_width", stylesheets=[sheet], disable_math=True)
-        for t in (_heading(plot.kind, side), words)
+        for t in (_heading(plot.kind, side if named else ""), words)
     ]
-    title = f"{side}: {FIGURES[plot.kind]}" if side else FIGURES[plot.kind]
     layout = Column(
         children=[texts[0], drawn.model, texts[1]],
         sizing_mode="stretch_width",
         styles=_FRESH,
-        html_attributes={"role": "group", "aria-label": title},
+        html_attributes={"role": "group", "aria-label": f"{side}: {FIGURES[plot.kind]}"},
         css_classes=["joint"] if side == JOINT else ["wide"] if len(plot.panels) > 2 else [],
     )
     return Card(drawn, layout)

@@ -16,7 +16,7 @@ from bokeh.models.widgets.inputs import Checkbox, TextAreaInput
 from bokeh.models.widgets.markups import Div
 from tornado.ioloop import IOLoop
 
-from mcspectra.app.board import JOINT, Board, Card, card_of
+from mcspectra.app.board import JOINT, STALE, Board, Card, card_of
 from mcspectra.app.compute import analyses_of, integrand_specs
 from mcspectra.app.controls import Controls
 from mcspectra.app.figures import FIGURES
@@ -216,6 +216,8 @@ class Explorer:
         if len(curves) < 2:  # Keep the figure while a set-up is computed again
             if self.state.b is None:
                 self._both = None
+            elif before is not None and not any(board.busy for board in self._boards.values()):
+                before.layout.styles = STALE
             return self._both is not before
         self._both = card_of(describe("convergence", curves), JOINT, before, self._sheet)
         return self._both is not before
