@@ -44,7 +44,8 @@ def page(folder):
 def blank(monkeypatch):
     """Replace the contents of figure files by nothing."""
     monkeypatch.setattr(backend_matplotlib, "draw", lambda plot: None)
-    monkeypatch.setattr(backend_matplotlib, "encode", lambda figure, **_: (bytes(24), b""))
+    # A PDF without bytes would count as not drawn
+    monkeypatch.setattr(backend_matplotlib, "encode", lambda figure, **_: (bytes(24), b" "))
     monkeypatch.setattr(backend_bokeh, "packed", lambda model: "")
 
 

@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 
 from mcspectra.reproduction import direct_illumination as direct
-from mcspectra.reproduction.claims import judge, pixel_rate
+from mcspectra.reproduction.claims import VERDICT_WIDENING, judge, pixel_rate
 from mcspectra.reproduction.gallery import make_exhibit
 
 pytestmark = pytest.mark.render
@@ -28,7 +28,9 @@ def test_one_of_eight_curves_is_smooth(made):
 def test_the_two_theories_are_distinguished(made):
     for f in made.findings[:8]:
         assert f.interval is not None
-        curve = xr.Dataset({"rate": f.measured, "rate_ci": ("bound", list(f.interval))})
+        # The interval of a finding is already widened for all verdicts
+        ends = [f.measured + (end - f.measured) / VERDICT_WIDENING for end in f.interval]
+        curve = xr.Dataset({"rate": f.measured, "rate_ci": ("bound", ends)})
         right = -2.0 if f.expected.startswith("−2") else -1.5
         assert judge(pixel_rate("", curve, right)).agrees is True
         assert judge(pixel_rate("", curve, -3.5 - right)).agrees is False
