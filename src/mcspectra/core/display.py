@@ -23,6 +23,7 @@ from typing import Any
 
 __all__ = [
     "QUOTED",
+    "Drawable",
     "counted",
     "csv_cell",
     "escape_html",
@@ -159,6 +160,48 @@ def html_of(component: object) -> str | None:
 def plot_of(component: object, kind: str | None, **options: Any) -> Any:
     """Draw a component; see `mcspectra.plots.components`."""
     return importlib.import_module(_PLOTS).plot(component, kind, **options)
+
+
+class Drawable:
+    """Base of components and estimators, which notebooks show and which can be plotted."""
+
+    def _repr_html_(self) -> str | None:
+        """Return a picture and the main figures as HTML, for notebooks."""
+        return html_of(self)
+
+    def plot(
+        self,
+        kind: str | None = None,
+        *,
+        n: int | None = None,
+        sampler: Any = "jittered",
+        rng: Any = 0,
+        axes: Any = None,
+    ) -> Any:
+        """Draw the component or estimator with Matplotlib.
+
+        Parameters
+        ----------
+        kind
+            A sampler has the plots ``points`` and ``spectrum``.
+            Densities and integrands have the plot ``integrand``: the function, as a curve or a map.
+            An estimator also has ``strata`` (parts of the variance) and ``estimates``.
+            Default: the first of these.
+        n
+            Number of points. Default: about 16 in 1-D, and about 64 in more dims.
+        sampler
+            Sampler or spec of the points that are shown with densities and estimators.
+        rng
+            Seed of the points.
+        axes
+            Matplotlib axes to draw into, one per panel. Default: new axes.
+
+        Returns
+        -------
+        matplotlib.axes.Axes or list of matplotlib.axes.Axes
+            The axes drawn into.
+        """
+        return plot_of(self, kind, n=n, sampler=sampler, rng=rng, axes=axes)
 
 
 @functools.cache

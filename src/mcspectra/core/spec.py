@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from mcspectra.core.display import QUOTED, html_of, plot_of, printable, shown
+from mcspectra.core.display import QUOTED, Drawable, printable, shown
 from mcspectra.core.errors import SpecError
 from mcspectra.core.fields import check_fields
 
@@ -60,7 +60,7 @@ class _NameOfClass:
         return kebab_case(cls.__name__)
 
 
-class Component:
+class Component(Drawable):
     """Common base of samplers, randomizations, densities and integrands: a name and a spec string.
 
     Subclasses are dataclasses. `spec` lists the fields that differ from their defaults.
@@ -79,44 +79,6 @@ class Component:
 
     def _check(self) -> None:
         """Check combinations of parameters; each field has been checked on its own."""
-
-    def _repr_html_(self) -> str | None:
-        """Return a picture and the main figures as HTML, for notebooks."""
-        return html_of(self)
-
-    def plot(
-        self,
-        kind: str | None = None,
-        *,
-        n: int | None = None,
-        sampler: Any = "jittered",
-        rng: Any = 0,
-        axes: Any = None,
-    ) -> Any:
-        """Draw the component with Matplotlib.
-
-        Parameters
-        ----------
-        kind
-            A sampler has the plots ``points`` and ``spectrum``.
-            Densities and integrands have the plot ``integrand``: the function, as a curve or a map.
-            An estimator also has ``strata`` (parts of the variance) and ``estimates``.
-            Default: the first of these.
-        n
-            Number of points. Default: about 16 in 1-D, and about 64 in more dims.
-        sampler
-            Sampler or spec of the points that are shown with densities and estimators.
-        rng
-            Seed of the points.
-        axes
-            Matplotlib axes to draw into, one per panel. Default: new axes.
-
-        Returns
-        -------
-        matplotlib.axes.Axes or list of matplotlib.axes.Axes
-            The axes drawn into.
-        """
-        return plot_of(self, kind, n=n, sampler=sampler, rng=rng, axes=axes)
 
     @property
     def spec(self) -> str:

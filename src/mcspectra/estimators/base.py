@@ -35,7 +35,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol, final, runtime_checka
 import numpy as np
 
 from mcspectra.core.checks import BELOW_ONE, Array, as_choice, as_integer
-from mcspectra.core.display import html_of, plot_of
+from mcspectra.core.display import Drawable
 from mcspectra.core.errors import (
     CountError,
     DependentRealizationsWarning,
@@ -74,7 +74,7 @@ _TECHNIQUE = 1 << 20  # Random stream of the second technique
 _DEAL = (1 << 20) - 1  # Random stream that divides a joint set among the techniques
 
 
-class AbstractEstimator(ABC):
+class AbstractEstimator(Drawable, ABC):
     """An estimator of an integral, which can be combined with any sampler.
 
     Attributes
@@ -90,44 +90,6 @@ class AbstractEstimator(ABC):
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.spec})"
-
-    def _repr_html_(self) -> str | None:
-        """A picture of the estimator with its main numbers, for notebooks."""
-        return html_of(self)
-
-    def plot(
-        self,
-        kind: str | None = None,
-        *,
-        n: int | None = None,
-        sampler: Any = "jittered",
-        rng: Any = 0,
-        axes: Any = None,
-    ) -> Any:
-        """Draw the estimator with Matplotlib.
-
-        Parameters
-        ----------
-        kind
-            A sampler has the plots ``points`` and ``spectrum``.
-            Densities and integrands have the plot ``integrand``: the function, as a curve or a map.
-            An estimator also has ``strata`` (parts of the variance) and ``estimates``.
-            Default: the first of these.
-        n
-            Number of points. Default: about 16 in 1-D, and about 64 in more dims.
-        sampler
-            Sampler or spec of the points that are shown with densities and estimators.
-        rng
-            Seed of the points.
-        axes
-            Matplotlib axes to draw into, one per panel. Default: new axes.
-
-        Returns
-        -------
-        matplotlib.axes.Axes or list of matplotlib.axes.Axes
-            The axes drawn into.
-        """
-        return plot_of(self, kind, n=n, sampler=sampler, rng=rng, axes=axes)
 
     @property
     def sets_label(self) -> str:
