@@ -48,7 +48,7 @@ _ITSELF = f"""@software{{mcspectra,
 @verb(
     option("FIGURE", "figures (default: all)", dest="figures", nargs="*"),
     option("--list", "list the figures and stop"),
-    option("--quick", "fewer realizations and no PDF files: about a minute"),
+    option("--quick", "fewer realizations and no PDF files: one to two minutes"),
     option("-o, --out DIR", "output folder (default out/reproduce)", repeated="once"),
 )
 def reproduce_(options: argparse.Namespace) -> VerbOutput:
