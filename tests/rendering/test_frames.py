@@ -16,7 +16,7 @@ from mcspectra.cli.main import main
 from mcspectra.core.errors import FileFormatError, ParameterError
 from mcspectra.core.images import read_image
 from mcspectra.plots.kinds import PLOT_KINDS, describe, kinds_of
-from mcspectra.rendering import frame_statistics, write_exr, write_png
+from mcspectra.rendering import frame_files, write_exr, write_png
 from mcspectra.report.frames_page import frame_findings
 
 HEIGHT, WIDTH = 96, 128
@@ -57,7 +57,7 @@ def write(folder, noise=white, *, counts=(16, 64), frames=8, seed=1, change=lamb
 def monkeyed_header(samples):
     """EXR headers with a number of samples per pixel, as in pbrt."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(frame_statistics, "exr_attributes", lambda _: {"samplesPerPixel": samples})
+        patch.setattr(frame_files, "exr_attributes", lambda _: {"samplesPerPixel": samples})
         yield
 
 

@@ -11,42 +11,35 @@ Bright corners therefore do not dominate, and white noise has power 1 at all fre
 from __future__ import annotations
 
 import math
-import re
-from collections import defaultdict
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from glob import glob
-from os import PathLike
 from pathlib import Path
 from typing import Any, final
 
 import numpy as np
 import xarray as xr
 
-from mcspectra.core.checks import Array, as_integer, as_real, is_path
+from mcspectra.core.checks import Array, as_integer, as_real
 from mcspectra.core.confidence import CONFIDENCE_Z, student_t
-from mcspectra.core.display import QUOTED, printable
-from mcspectra.core.errors import FileFormatError, Parameter, ParameterError
+from mcspectra.core.errors import ParameterError
 from mcspectra.core.images import (
-    ENCODED_EXTENSIONS,
-    LINEAR_EXTENSIONS,
     Rings,
-    exr_attributes,
     exr_layer,
-    luminance,
-    read_image,
 )
 from mcspectra.core.progress import report
 from mcspectra.core.results import dataset
 from mcspectra.estimators.moments import Moments
+from mcspectra.rendering.frame_files import (
+    MOST_SPP,
+    FrameFiles,
+    FrameReader,
+    Frames,
+    described_paths,
+    frame_files,
+)
 from mcspectra.rendering.map_statistics import fit_lines, interval, ratio, smooth
 
-__all__ = ["Frames", "frames"]
+__all__ = ["frames"]
 
-Frames = str | PathLike[str] | Sequence[str | PathLike[str]]
-"""Frames: a folder, a file name pattern, or a list of files."""
-
-_MOST_SPP = 2**40
 _REACH = 8  # largest lag in pixels, to either side, for which correlations are listed
 _FILTER = 2  # lag in pixels at which a reconstruction filter may correlate errors
 _SAMPLE = 2**14  # number of pixels at which frames are compared with each other
@@ -62,7 +55,6 @@ _ONE_SQUARE = 0.05
 # Rates are averaged over windows, at most 15 pixels wide, until their standard error is below 0.1
 _WIDEST, _KNOWN_RATE = 15, 0.1
 _SLOWEST = -0.5  # slowest rate that is used to extrapolate to a target
-_SPP = re.compile(r"(?<![a-z0-9])(?:spp[_-]?(\d+)|(\d+)[_-]?spp)(?![a-z0-9])", re.IGNORECASE)
 
 
 def frames(
@@ -140,11 +132,11 @@ def frames(
     Memory is about 45 planes of float64 (3 GB at 3840 × 2160), including the result.
     The memory does not depend on the number of frames.
     """
-    spp = None if spp is None else as_integer("spp", spp, least=1, most=_MOST_SPP)
+    spp = None if spp is None else as_integer("spp", spp, least=1, most=MOST_SPP)
     given = {"target": target, "seconds": seconds, "seconds_against": seconds_against}
     for name, value in given.items():
         given[name] = None if value is None else as_real(name, value, above=0.0)
-    read = _FrameReader(layer=layer, tone_mapped=tone_mapped, spp=spp)
+    read = FrameReader(layer=layer, tone_mapped=tone_mapped, spp=spp)
     found = _measured(paths, read)
     best, ns = found[-1], np.array([each.spp for each in found])
     if layer is None and best.files[0].suffix.lower() == ".exr":
@@ -206,7 +198,7 @@ def frames(
         times = given["seconds"], given["seconds_against"]
         compared, said = _compared(found, other, times, read)
         variables |= compared
-        told |= {**said, "against": _said(against)}
+        told |= {**said, "against": described_paths(against)}
     lags = {
         f"lag_{a}": np.arange(k) - k // 2 for a, k in zip("yx", best.correlation.shape, strict=True)
     }
@@ -222,7 +214,7 @@ def frames(
             "radius": best.radius,
             **lags,
         },
-        frames=_said(paths),
+        frames=described_paths(paths),
         target=given["target"],
         layer=layer,
         smoothing=window,
@@ -231,75 +223,6 @@ def frames(
 
 
 _PICTURE = ("picture_variance", "picture_relative_se")
-
-
-@final
-@dataclass(frozen=True, kw_only=True)
-class _FrameReader:
-    """Reads frames according to the options."""
-
-    layer: str | None
-    tone_mapped: bool
-    spp: int | None
-
-    def color(self, file: Path) -> Array:
-        """Return the values of a frame (y, x, 1 or 3), with NaN for nonfinite values."""
-        if file.suffix.lower() in ENCODED_EXTENSIONS and not self.tone_mapped:
-            raise FileFormatError(
-                f"{file} is a tone-mapped picture, which no longer has the renderer's noise; give "
-                "EXR, PFM or .npy, or set tone_mapped=True (--tone-mapped) to undo the sRGB curve."
-            )
-        image = read_image(file, layer=self.layer, finite=False)
-        image[~np.isfinite(image)] = np.nan
-        return image[..., :3] if image.shape[2] > 2 else image[..., :1]
-
-    def plane(self, file: Path, shape: tuple[int, ...] | None) -> tuple[Array, Array]:
-        """Check the shape of a frame, and return its luminance (y, x) and its color."""
-        image = self.color(file)
-        if shape is not None and image.shape != shape:
-            raise ParameterError(
-                f"{file} has the shape {image.shape}, but earlier frames have {shape}; give "
-                "frames of one view."
-            )
-        return luminance(image), image
-
-    def about(self, file: Path) -> tuple[int | None, float | None]:
-        """Return samples per pixel and seconds of a frame, if its name or header contains them."""
-        named = _SPP.search(file.stem) or _SPP.search(file.parent.name)
-        own = int(named[1] or named[2]) if named else None
-        told, seconds = None, None
-        header = exr_attributes(file) if file.suffix.lower() == ".exr" else {}
-        try:
-            for key, value in header.items():
-                if key == "samplesPerPixel" or re.fullmatch(r"cycles\..*\.samples", key):
-                    told = told or int(str(value))
-                elif key == "renderTimeSeconds":
-                    seconds = float(str(value))
-                elif key == "RenderTime":  # Blender's format is [hours:]minutes:seconds
-                    parts = reversed(str(value).split(":"))
-                    seconds = sum(float(part) * 60.0**k for k, part in enumerate(parts))
-        except ValueError:
-            raise FileFormatError(
-                f"{file} has {key} = {value!r} in its header; give ",
-                Parameter("spp"),
-                " and ",
-                Parameter("seconds"),
-                ".",
-            ) from None
-        spp = told if own is None else own
-        if self.spp is None and None not in (own, told) and own != told:
-            raise ParameterError(
-                f"{file} has {own} samples per pixel in its name and {told} in its header; give ",
-                Parameter("spp"),
-                ", or change the name.",
-            )
-        if self.spp is None and spp is not None and not 1 <= spp <= _MOST_SPP:
-            raise ParameterError(
-                f"{file} has {spp} samples per pixel in its name or header; give ",
-                Parameter("spp"),
-                ".",
-            )
-        return spp, seconds if seconds and seconds > 0 else None
 
 
 @final
@@ -333,7 +256,7 @@ class _Group:
         s = np.sqrt(degrees / chdtri(degrees, 0.5) * self.moments.variance)
         return np.asarray(s / positive)
 
-    def within(self, pixels: Array, read: _FrameReader) -> _Group:
+    def within(self, pixels: Array, read: FrameReader) -> _Group:
         """Return the statistics of pixels where both these and the other frames have numbers."""
         mean, m2 = (np.where(pixels, v, np.nan) for v in (self.moments.mean, self.moments.m2))
         means = [float(read.plane(file, None)[0][pixels].mean()) for file in self.files]
@@ -361,103 +284,26 @@ class _Group:
         return np.array([low, high if self.resolved else np.inf])
 
 
-def _measured(paths: Frames, read: _FrameReader) -> list[_Group]:
-    """Group frames by number of samples, ascending, and measure each group."""
-    groups: dict[int | None, list[tuple[Path, float | None]]] = defaultdict(list)
-    for file in _listed(paths):
-        spp, seconds = read.about(file)
-        groups[spp].append((file, seconds))
-    if read.spp is not None:
-        told = sorted(spp for spp in groups if spp is not None)
-        if len(told) > 1:
-            raise ParameterError(
-                Parameter("spp"),
-                f" is {read.spp}, but the frames have {' and '.join(map(str, told))} samples per "
-                "pixel in their names or headers; give frames with one number of samples, or "
-                "leave ",
-                Parameter("spp"),
-                " out.",
-            )
-        groups = {read.spp: [each for members in groups.values() for each in members]}
-    if None in groups and len(groups) > 1:
-        raise ParameterError(
-            f"{groups[None][0][0]} has no number of samples per pixel in its name, but other "
-            "frames do; rename it, such as x_64spp.exr, or give ",
-            Parameter("spp"),
-            ".",
-        )
-    for spp, members in groups.items():
-        if len(members) < 2:
-            count = "" if spp is None else f" of {spp} samples per pixel"
-            raise ParameterError(
-                f"There is one frame{count}, {members[0][0]}; give two or more independent renders "
-                "of each number of samples."
-            )
-    total, done = 2 * sum(map(len, groups.values())), 0
+def _measured(paths: Frames, read: FrameReader) -> list[_Group]:
+    """Measure each group of frames with one number of samples, in ascending order."""
+    groups = frame_files(paths, read)
+    total, done = 2 * sum(len(each.files) for each in groups), 0
     found: list[_Group] = []
-    for spp, members in sorted(groups.items(), key=lambda item: item[0] or 0):
-        files, known = [file for file, _ in members], [s for _, s in members if s is not None]
-        found.append(
-            _group(spp, files, float(np.mean(known)) if known else None, read, done, total)
-        )
-        done += 2 * len(files)
+    for each in groups:
+        found.append(_group(each, read, done, total))
+        done += 2 * len(each.files)
         if found[-1].moments.mean.shape != found[0].moments.mean.shape:
             raise ParameterError(
-                f"{files[0]} has the size {found[-1].moments.mean.shape}, but {found[0].files[0]} "
-                f"has {found[0].moments.mean.shape}; give frames of one view."
+                f"{each.files[0]} has the size {found[-1].moments.mean.shape}, but "
+                f"{found[0].files[0]} has {found[0].moments.mean.shape}; give frames of one view."
             )
     return found
 
 
-def _listed(paths: Any) -> list[Path]:
-    """Return the files of a folder, a pattern or a list, in order."""
-    if not isinstance(paths, str | PathLike):
-        if not isinstance(paths, Sequence) or not paths or not all(map(is_path, paths)):
-            raise ParameterError(f"paths is {paths!r:.80}; give a folder, a pattern or files.")
-        if folder := next((each for each in paths if Path(each).is_dir()), None):
-            raise ParameterError(
-                f"{folder} is a folder in a list; give one folder alone, or files such as "
-                f"{folder}/*.exr."
-            )
-        return [Path(each) for each in paths]
-    place = Path(paths)
-    if not place.is_dir():
-        named = glob(str(paths), recursive=True)  # noqa: PTH207 - Path.glob does not accept absolute patterns
-        matching = sorted(map(Path, named))
-        if not matching:
-            raise FileFormatError(
-                f"There is no {printable(place, QUOTED)}; give a folder of frames, a pattern or "
-                "files."
-            )
-        return matching
-    inside = sorted([*place.glob("*"), *place.glob("*/*")])
-    inside = [f for f in inside if f.name != "frames.exr" or not f.with_suffix(".json").exists()]
-    for kinds in (
-        LINEAR_EXTENSIONS,
-        ENCODED_EXTENSIONS,
-    ):  # PNG and JPEG next to linear frames are previews
-        if files := [file for file in inside if file.suffix.lower() in kinds]:
-            return files
-    raise FileFormatError(
-        f"{place} holds no {', '.join(LINEAR_EXTENSIONS + ENCODED_EXTENSIONS)} files; give a "
-        "folder of frames."
-    )
-
-
-def _said(paths: Frames) -> str:
-    return str(paths) if isinstance(paths, str | PathLike) else ", ".join(map(str, paths))
-
-
-def _group(
-    spp: int | None,
-    files: list[Path],
-    seconds: float | None,
-    read: _FrameReader,
-    done: int,
-    total: int,
-) -> _Group:
+def _group(group: FrameFiles, read: FrameReader, done: int, total: int) -> _Group:
     """Measure the frames of one number of samples; each file is read twice."""
     # Compute moments and ranges of the pixels
+    files = group.files
     count, shape = len(files), None
     moments: Moments | None = None
     low: Any = np.inf
@@ -545,12 +391,12 @@ def _group(
         "relation": _number(relation),
         "repeat": repeat,
         "repeat_correlation": _number(repeated),
-        "spp_known": int(spp is not None),
+        "spp_known": int(group.spp is not None),
         "correlation_error": math.sqrt(alike / (varied.sum() * independent)),
     }
     return _Group(
-        spp=spp or 1,
-        seconds=seconds,
+        spp=group.spp or 1,
+        seconds=group.seconds,
         files=files,
         moments=moments,
         largest_share=share,
@@ -678,7 +524,7 @@ def _compared(
     ours: list[_Group],
     others: list[_Group],
     times: tuple[float | None, float | None],
-    read: _FrameReader,
+    read: FrameReader,
 ) -> tuple[dict[str, tuple[tuple[str, ...], Any]], dict[str, Any]]:
     """Compare the means and the variances of two sets of frames."""
     common = {each.spp for each in ours} & {each.spp for each in others}
