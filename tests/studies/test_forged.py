@@ -446,3 +446,31 @@ if __name__ == "__main__":
         (Path(folder) / "in").mkdir()
         trials = all_trials(made, Path(folder) / "in" / "x", int((*sys.argv, 1)[1]))
         print(json.dumps(dict(sorted(trials.items())), indent=1))
+
+
+HEADERS = {
+    "study_hash": {"study_hash": "0" * 64},
+    "plan": {"plan": "0" * 64},
+    "version": {"versions": {"version_mcspectra": "0.0.1"}},
+}
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("kind", HEADERS)
+def test_verify_and_resume_refuse_the_same_headers(place, honest, kind, capsys):
+    note = StudyNote.of(CONFIG, {})
+    changes = dict(HEADERS[kind])
+    paths = list(reversed(PATHS)) if changes.pop("plan", None) else PATHS
+    changed = msgspec.structs.replace(note, **changes)
+    Ledger.create(place, changed, paths).close()
+    with pytest.raises(StoreError) as refused:
+        Ledger.resume(place, note, PATHS)
+    status = study_status(place, verify=True)
+    assert main(["status", str(place), "--verify"]) == 1
+    told = capsys.readouterr().out
+    assert "keeps the results" not in told
+    if kind == "study_hash":  # The text or the hash may be forged
+        assert "so that --resume may refuse" in status.damaged["the header"]
+    else:
+        assert status.refusal in str(refused.value)
+        assert "--resume refuses this folder" in told

@@ -293,6 +293,7 @@ def status_(options: argparse.Namespace) -> VerbOutput:
     import msgspec
 
     from mcspectra.core.memory import shown_bytes
+    from mcspectra.studies.ledger import LEDGER_NAME
     from mcspectra.studies.results import study_status
 
     status = study_status(options.folder, verify=options.verify)
@@ -335,7 +336,10 @@ def status_(options: argparse.Namespace) -> VerbOutput:
             )
         if len(reasons) > _LISTED:
             lines.append(f"{kind}: … {len(reasons) - _LISTED} more; --json lists all")
-    if any(not name.startswith("the ") for name in status.damaged):
+    lost = any(not name.startswith("the ") for name in status.damaged)
+    if status.refusal is not None and (lost or status.missing):
+        lines.append(f"--resume refuses this folder: {LEDGER_NAME} {status.refusal}")
+    elif lost and "the header" not in status.damaged:
         kept = counted(len(status.done), "cell")
         lines.append(
             f"'mcspectra run STUDY --out {printable(options.folder)} --resume' keeps the results "

@@ -37,7 +37,7 @@ import msgspec
 import numpy as np
 
 from mcspectra.core.analysis import Chunk
-from mcspectra.core.display import shown
+from mcspectra.core.display import QUOTED, printable, shown
 from mcspectra.core.errors import (
     FileFormatError,
     OtherVersionsWarning,
@@ -584,6 +584,19 @@ class Ledger:
                 # A signal cannot interrupt these three assignments, because no call is between them
                 self.tally, self._pending, self._waiting = tally, [], 0
 
+    def refusal(self, study: StudyNote, paths: Sequence[str]) -> str | None:
+        """Return why this ledger cannot continue a study with these cells, or None if it can."""
+        if (study.study_hash, _plan_digest(paths)) != (self.study.study_hash, self._header.plan):
+            return "belongs to another study or another version of this one; give another --out"
+        key = "version_mcspectra"
+        old, new = self.study.versions.get(key, study.versions[key]), study.versions[key]
+        if old != new:
+            return (
+                f"is from mcspectra {printable(old, QUOTED)}, but this is {new}, whose numbers may "
+                "differ: resume it with the version that began it, or give another --out"
+            )
+        return None
+
     def verify(self, paths: Sequence[str] | None = None) -> Survey:
         """Read all rows of the ledger, and return its sound and its damaged parts.
 
@@ -677,26 +690,16 @@ class Ledger:
     def _continue(self, study: StudyNote, paths: Sequence[str], outdated: Collection[str]) -> None:
         """Continue the ledger of this study without its damaged or outdated parts."""
         self._open(salvage=True)
+        reason = self.refusal(study, paths)
+        if reason is not None:
+            raise StoreError(f"{str(self._file)!r} {reason}.")
         whose = f"The results in {str(self.folder)!r} are"
-        if (study.study_hash, _plan_digest(paths)) != (self.study.study_hash, self._header.plan):
-            raise StoreError(
-                f"{str(self._file)!r} belongs to another study or another version of this one; "
-                "give another --out."
-            )
-
-        # Refuse results of another version of this package; warn about other packages
         before = self.study.versions
         others = {
             name.removeprefix("version_"): (before[name], version)
             for name, version in study.versions.items()
             if before.get(name, version) != version
         }
-        if "mcspectra" in others:
-            old, new = others["mcspectra"]
-            raise StoreError(
-                f"{whose} from mcspectra {old}, but this is {new}, whose numbers may differ: "
-                "resume them with the version that began them, or give another --out."
-            )
         if others:
             changes = ", ".join(f"{name} {old} (now {new})" for name, (old, new) in others.items())
             warn(

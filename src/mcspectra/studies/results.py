@@ -43,13 +43,14 @@ from mcspectra.core.errors import (
 from mcspectra.core.memory import available_memory, shown_bytes
 from mcspectra.core.records import unpack
 from mcspectra.core.results import check_variables
-from mcspectra.studies.files import Names, planned_groups
+from mcspectra.studies.files import Names, planned_groups, study_of
 from mcspectra.studies.ledger import (
     FORMAT,
     LEDGER_NAME,
     STORE_NAME,
     Holder,
     Ledger,
+    StudyNote,
     Survey,
     are_paths,
     is_held,
@@ -87,6 +88,8 @@ _FIRST = ("estimator", "sampler", "analysis", "n")
 _LAST = ("variable", "value", "low", "high", "se", "unit")
 _DIGEST = "tree_sha256"
 _DOCUMENT = "zarr.json"
+# Errors of a text that is not a study
+_MALFORMED = (AttributeError, LookupError, TypeError, ValueError, McspectraError)
 # Maximum number of documents copied into the root, because readers load the root as a whole
 _MOST_DOCUMENTS = 100_000
 
@@ -128,6 +131,8 @@ class StudyStatus(msgspec.Struct, frozen=True, kw_only=True):
         Size in bytes of the results, and of the ledger's file.
     verified
         Whether the ledger and ``results.zarr`` were checked completely against their digests.
+    refusal
+        Why this version cannot resume the study, or None if it can or if this was not verified.
     """
 
     title: str
@@ -148,6 +153,7 @@ class StudyStatus(msgspec.Struct, frozen=True, kw_only=True):
     results_bytes: int
     ledger_bytes: int
     verified: bool
+    refusal: str | None = None
 
     @property
     def analyses(self) -> dict[str, AnalysisCount]:
@@ -283,6 +289,7 @@ def study_status(folder: str | Path, *, verify: bool = False) -> StudyStatus:
         raise StoreError(
             f"{str(folder)!r} is an exported store; only a study's folder has a status."
         )
+    refusal = None
     with ledger:
         if verify:  # The checks are the same as for --resume
             study: Any = {}
@@ -295,6 +302,16 @@ def study_status(folder: str | Path, *, verify: bool = False) -> StudyStatus:
             if stranger is not None and "text of the study" not in found.damaged:
                 sentence = f"it has {stranger!r:.120}, which the study does not have"
                 found.damaged["list of cells"] = sentence
+            if "text of the study" not in found.damaged:
+                with contextlib.suppress(*_MALFORMED, RecursionError):
+                    note = StudyNote.of(study_of(study), ledger.study.inputs)
+                    refusal = ledger.refusal(note, paths)
+                    if note.study_hash != ledger.study.study_hash:  # One of the two was forged
+                        found.damaged["the header"] = (
+                            "it names another study than the stored text, so that --resume may "
+                            "refuse the folder"
+                        )
+                        refusal = None
         else:
             done, failed = tuple(ledger.done), ledger.failures()
             missing = tuple(
@@ -332,6 +349,7 @@ def study_status(folder: str | Path, *, verify: bool = False) -> StudyStatus:
         results_bytes=tally.size,
         ledger_bytes=(root / LEDGER_NAME).stat().st_size,
         verified=verify,
+        refusal=refusal,
     )
 
 
@@ -495,7 +513,7 @@ def _planned(study: Any) -> dict[str, tuple[Names, Names]]:
     """Return the parts of the paths of a study's cells; empty if `study` is not a study."""
     try:
         return planned_groups(study)
-    except (AttributeError, LookupError, TypeError, ValueError, McspectraError):
+    except _MALFORMED:
         return {}
 
 
