@@ -442,7 +442,7 @@ def _built(request: str | Path | DictScene, _state: Hashable = None) -> Any:
     try:
         # Do not optimize the scene, because merging would rename shapes and change their order
         scene = load(source, optimize=False)
-    except (RuntimeError, TypeError) as error:
+    except (RuntimeError, TypeError, UnicodeDecodeError) as error:
         raise FileFormatError(
             f"Mitsuba cannot read the scene {shown(name)}: {mitsuba_reason(error)}."
         ) from None
