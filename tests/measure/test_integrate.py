@@ -12,7 +12,7 @@ from tests import oracles
 import mcspectra as mcs
 from mcspectra.cli.main import main
 from mcspectra.core.errors import DomainError, InfiniteVarianceWarning, ParameterError
-from mcspectra.estimators.tails import border_growth
+from mcspectra.estimators.tails import border_growth, tied_error
 
 E = np.e - 1.0
 
@@ -453,3 +453,25 @@ def test_a_budget_that_ends_before_the_tolerance_is_reported():
     for tolerance in (0.0, -1.0, math.nan, math.inf):
         with pytest.raises(ParameterError, match="tolerance"):
             mcs.integrate(jump, dims=2, budget=3000, tolerance=tolerance)
+
+
+@pytest.mark.parametrize("seed", [3, 17, 29, 39])
+def test_equal_estimates_of_a_step_have_an_error(seed):
+    """At these seeds all estimates of the profile or of the integral are equal by chance."""
+    edge = float(np.random.default_rng(3).random(seed + 1)[-1])
+
+    def step(x):
+        return (x[..., 0] < edge) * 1.0
+
+    found = mcs.profile(step, dims=1, budget=4096, rng=seed)
+    result = mcs.integrate(step, dims=1, budget=4096, rng=seed + 1000, profile=found)
+    for low, high in (found.interval, result["interval"].values):
+        assert low <= edge <= high
+        assert high - low < 0.01
+
+
+def test_equal_estimates_of_a_function_without_jumps_are_exact():
+    assert tied_error(np.random.default_rng(1).random((8, 64))) == 0.0
+    assert tied_error(np.ones((8, 64))) == 0.0
+    steps = np.repeat([[0.0, 1.0]], 8, axis=0).repeat(32, axis=1)
+    assert tied_error(steps) == pytest.approx(np.log(20) / steps.size)

@@ -38,6 +38,7 @@ __all__ = [
     "growing_interval",
     "growth_note",
     "tail_note",
+    "tied_error",
     "unsampled_note",
     "unsampled_share",
 ]
@@ -208,6 +209,26 @@ def _growing_quantile(exponent: float, count: int, settings: TailSettings) -> fl
     x = -np.log(u) if exponent == 0.0 else (u**-exponent - 1.0) / exponent
     t = (x.mean(axis=1) - 1.0 / (1.0 - exponent)) / x.std(axis=1, ddof=1) * math.sqrt(count)
     return -float(np.quantile(t, settings.beyond))
+
+
+def tied_error(values: Array) -> float:
+    """Return how far the mean of R equal estimates may be from the integral, from f at all points.
+
+    A function with jumps and few values, such as an indicator, may have equal estimates by chance.
+    Let a point cross the i-th jump with probability p_i in one set of n points.
+    No set has crossed a jump with probability (1 − Σp_i)^R, so that Σp_i < ln(20)/R at 95 %.
+    A crossing changes an estimate by at most the range of f over n.
+    The result is therefore ln(20) times the range over the number of all values, R·n.
+    It is zero for a function whose values differ: its estimates are equal only if they are exact.
+
+    Parameters
+    ----------
+    values
+        Values of f, (R, n).
+    """
+    if 2 * np.unique(values).size > values.size:
+        return 0.0
+    return math.log(20.0) * float(np.ptp(values)) / values.size
 
 
 def few_note(values: Array, settings: TailSettings = TAIL_SETTINGS) -> str | None:

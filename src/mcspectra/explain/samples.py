@@ -32,7 +32,7 @@ from mcspectra.core.confidence import rounding_floor
 from mcspectra.core.images import REC709
 from mcspectra.core.streams import Stream
 from mcspectra.estimators import AbstractEstimator
-from mcspectra.estimators.tails import border_growth, growing_interval
+from mcspectra.estimators.tails import border_growth, growing_interval, tied_error
 from mcspectra.samplers import as_sampler
 
 __all__ = [
@@ -264,7 +264,11 @@ class Sets:
         growths = []
         if len(self.values) == 1:
             growths = border_growth(self.points[0].reshape(-1, self.dims), self.values[0].ravel())
-        return growing_interval(self.estimates, growths)
+        low, high = growing_interval(self.estimates, growths)
+        if self.estimates.var(ddof=1) <= rounding_floor(self.estimates.mean()):
+            error = sum(tied_error(values) for values in self.values)
+            low, high = low - error, high + error
+        return low, high
 
     def curves(
         self, settings: CurveSettings = CURVE_SETTINGS, names: Collection[str] | None = None

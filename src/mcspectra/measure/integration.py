@@ -78,6 +78,7 @@ from mcspectra.estimators.tails import (
     growing_interval,
     growth_note,
     tail_note,
+    tied_error,
 )
 from mcspectra.integrands import Calls, FunctionIntegrand, Integrand
 from mcspectra.measure.setup import Setup, affordable_count
@@ -576,7 +577,10 @@ def _with_profile(
         # except for rounding.
         # The value is within about four standard errors (two half widths) of the profile's mean
         away = math.sqrt(float(rounding_floor(np.array(value))))
-        return value, (value - away, value + away), "all replicates are equal to rounding"
+        error, note = tied_error(found.values), "all replicates are equal to rounding"
+        if error > away:
+            away, note = error, "all replicates are equal, perhaps by chance: f has few values"
+        return value, (value - away, value + away), note
     widths = interval[1] - interval[0], high - low
     if math.isinf(widths[0]) and not math.isinf(widths[1]):
         note = f"the interval is that of the profile, because with the advised points {note}"
