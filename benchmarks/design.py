@@ -119,8 +119,9 @@ def _compare_folded(dims: int, n: int, kinds: tuple[str, ...]) -> None:
 
 
 def _least_error(dims: int, n: int) -> float:
-    """Return the least mean squared error of fixed sets for half-spaces, from three descents.
+    """Optimize a fixed set of n points for random half-spaces, and return its mean squared error.
 
+    The optimization starts from three scrambled Sobol' sets; the least error is returned.
     Along a direction v, u_i = F(v·x_i), where F is the distribution of v·x for uniform x.
     The sorted values are u_(1) ≤ u_(2) ≤ ….
     The mean over offsets is the mean of (u_(i) − (i − ½)/n)² plus 1/(12 n²).

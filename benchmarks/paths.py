@@ -208,7 +208,10 @@ def fog() -> Scene:
 
 
 def sky() -> Scene:
-    """Return rough metal and a plate under a sky map with a sun, through a lens and a shutter."""
+    """Return a scene with a ball of rough metal on a plate, lit by a map of the sky with a sun.
+
+    The camera has a lens with an aperture and a shutter that stays open for some time.
+    """
     mitsuba = load_mitsuba()
     place = mitsuba.ScalarTransform4f
     map_ = np.full((16, 32, 3), 0.3, np.float32)

@@ -243,7 +243,7 @@ def _dispatch(given: list[str]) -> int:
     if unknown:
         parser.error(f"unrecognized arguments: {printable(' '.join(unknown), QUOTED)}")
 
-    # Allow the files and code that specs may name, for all verbs
+    # For all verbs, let specs use the code and the folders that --allow-code and --allow-path name
     folders = getattr(options, "allow_path", ())
     if options.allow_code or folders:
         from mcspectra.core.trust import allow

@@ -265,7 +265,8 @@ def bench_(options: argparse.Namespace) -> VerbOutput:
     given = given_of(options, "counts", "dims", "realizations")
     bench = mcs.sampler_bench(specs, **given, rng=seed)
 
-    # Measure samplers only for pages, at the largest count, because the bench already has the rates
+    # Measure a card of each sampler only if a page is written.
+    # A card is measured at the largest count only, because `bench` already contains the rates
     cards = []
     if any(is_folder(file) or file.endswith(".html") for file in options.out):
         spectra = min(200, options.realizations or 200)

@@ -7,7 +7,7 @@ A result is checked against the variables that the struct declares.
 `ANALYSES` finds analyses by name. Other packages add analyses by the entry points
 ``mcspectra.analyses``.
 
-All analyses are computed in the same way. A `Reduction` cuts realizations into atomic blocks.
+All analyses are computed in the same way. A `Reduction` splits realizations into blocks.
 The number and limits of the blocks depend only on the size of the problem.
 Each block gives a state. States merge in a fixed binary tree over the blocks (`MergeTree`).
 A *chunk* is an aligned run of 2^k blocks, which is a node of the tree.
@@ -100,7 +100,7 @@ State = TypeVar("State")
 Result = TypeVar("Result")
 
 Chunk: TypeAlias = tuple[int, int]
-"""First atomic block of a chunk, and the chunk's number of blocks.
+"""First block of a chunk, and the number of blocks in the chunk.
 
 The number of blocks is a power of two that divides the first block.
 The last chunk may have fewer blocks.
@@ -182,7 +182,8 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         A variable that this registry lacks is given as a `Variable`.
     provenance
         Attributes of the result: ``estimator`` and ``sampler`` hold their spec strings.
-        ``stream_key`` holds the key of the stream, and names of options hold their values.
+        ``stream_key`` holds the key of the stream.
+        The value of an option is held by the attribute with the option's name.
     companions
         Further analyses that a study computes for the same table, such as points for a spectrum.
     pictured
@@ -342,11 +343,11 @@ class Reduction(Generic[State]):
         Type of the states. A state is a record of `mcspectra.core.records`, a list of records,
         an array, a dict of arrays, or a dataset.
     block
-        Function that returns the state of the atomic block with a given number.
+        Function that returns the state of the block with a given number.
     blocks
-        Number of atomic blocks.
+        Number of blocks; a block is the smallest unit of work.
     cost
-        Work of all blocks, relative to the other reductions of the step.
+        Estimated work of all blocks, in a unit that all reductions of the step share.
         Expensive reductions start first, and progress counts by work.
     key
         Name that is unique within the analysis; it identifies stored states.
@@ -598,7 +599,7 @@ class MergeTree(Generic[State]):
         self._next += blocks
 
     def put(self, chunk: Chunk, state: State) -> int:
-        """Add the state of any chunk; return the first block of the node that contains it."""
+        """Add the state of any chunk, and merge it; return the first block of the merged node."""
         first, count = chunk
         while count & (count - 1) == 0 and self.nodes.get(first ^ count, (0,))[0] == count:
             _, other = self.nodes.pop(first ^ count)

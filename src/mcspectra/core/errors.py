@@ -77,7 +77,7 @@ _LONGEST = 1000
 @final
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """An option in a message: ``bins``, or with a value ``bins=100``."""
+    """The name of an option as a part of a message: ``bins``, or with a value ``bins=100``."""
 
     name: str
     value: Any = None
@@ -90,7 +90,7 @@ class Parameter:
 @final
 @dataclass(frozen=True, slots=True)
 class Function:
-    """A public function of `mcspectra` in a message; `name` is its name in that package."""
+    """The name of a public function as a part of a message; `mcspectra` exports this name."""
 
     name: str
 

@@ -272,10 +272,10 @@ def exr_layer(path: str | PathLike[str]) -> str:
 
 
 def _exr_file(name: str, *, header_only: bool) -> Any:
-    """Open an EXR file and suppress the lines that OpenEXR prints for a broken file.
+    """Open an EXR file and suppress the messages that OpenEXR prints for a broken file.
 
-    OpenEXR prints these lines to standard output, where results go, partly through Python.
-    These lines of OpenEXR hold the raw name of the file.
+    OpenEXR prints these messages to standard output, where results go, partly through Python.
+    The messages contain the name of the file without escaping its control characters.
     Lines that other threads print during this time are printed afterwards.
     """
     OpenEXR = load_openexr()

@@ -25,7 +25,7 @@ _NAME = re.compile(r"[a-z][a-z0-9]*(?:-[a-z0-9]+)*")
 _CAPITALS = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")  # boundary between words of a class name
 _WORD = re.compile(r"[A-Za-z_][\w.-]*")
 _NO_NUMBERS = ("nan", "inf", "infinity")
-# Components that run code, and the parameter that takes a first value without a name
+# Components that run code, each with the parameter that its positional argument sets
 _FIRST = {"command": "run", "python": "function"}
 _MAX_LENGTH = 20_000
 _FOLDERS = re.compile(

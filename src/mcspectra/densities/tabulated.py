@@ -210,7 +210,10 @@ class PiecewiseConstant(Density):
 
 
 def _cdf(masses: Array) -> Array:
-    """Return the cdf along the last axis, (..., k+1) from 0 to exactly 1; uniform without mass."""
+    """Return the cdf along the last axis, from 0 to exactly 1, with the shape (..., k+1).
+
+    If all masses are 0, the cdf is that of the uniform density.
+    """
     sums = np.zeros((*masses.shape[:-1], masses.shape[-1] + 1))
     np.cumsum(masses, axis=-1, out=sums[..., 1:])
     total = sums[..., -1:]
@@ -358,7 +361,7 @@ class _Hierarchical:
             axes.append(int(bits[0] >= bits[1]))
             bits[1 - axes[-1]] -= 1
         self.cells, self.axes = cells, np.array(axes, np.int64)
-        # From the cells up, sum pairs of rows (axis 1) or of columns (axis 0)
+        # Start with the cells, and add neighboring rows (axis 1) or columns (axis 0) at each level
         levels = [np.empty(0)]
         for depth in range(len(axes) - 1, -1, -1):
             pairs = (table[0::2], table[1::2]) if axes[depth] else (table[:, 0::2], table[:, 1::2])

@@ -375,8 +375,8 @@ class Moments:
         Second, the tail index of the squared values may exceed 0.64 and the kurtosis 4.
         Above 0.64 the mean is far from normal for any feasible number of values [Vehtari2024]_.
         The limit of the kurtosis excludes values in a few clumps.
-        Third, the values may be means over points that follow a power law,
-        with much of the variance beyond all points.
+        Third, each value may be a mean over points, and g at these points may follow a power law.
+        Values of g larger than all sampled values may then cause much of the variance.
         """
         with np.errstate(invalid="ignore", divide="ignore"):
             few = self._log_errors()[1] ** 2 > _MOST_ERROR

@@ -6,8 +6,9 @@ of which x within 0.005 of 0 and of 1 contributes 99.8 %. One sample in 3e134 ha
 
 If f grows without bound toward a face of the cube,
 the outermost stratum causes most of the variance of stratified points.
-If f ∝ t^−κ at the distance t, the error of a point set is proportional to u^−κ
-with a uniform random u. Student's t of few such errors is skewed.
+If f ∝ t^−κ at the distance t, the error of a point set is proportional to u^−κ,
+where u is a uniform random number.
+For a few point sets, the distribution of Student's t of these errors is skewed.
 The quantiles of this t depend only on κ and on the number of point sets.
 `growing_interval` computes these quantiles by simulation.
 """

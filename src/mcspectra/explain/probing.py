@@ -149,7 +149,10 @@ LINE_SETTINGS = LineSettings()
 @final
 @dataclass(frozen=True)
 class PoleSettings:
-    """Settings of the climb to a pole, and of measurements at the pole.
+    """Settings of the uphill search for a pole, and of measurements at the pole.
+
+    The search is called a climb. It takes steps to places with larger values of |g|.
+    Its last place is called the top.
 
     The counts of wrong cases come from ``python -m benchmarks settings``.
     """
@@ -167,7 +170,8 @@ class PoleSettings:
     group: int = 3
     # Ratio of the last gain to the gain before. Below this value g is bounded, and the climb ends.
     # Near a smooth top, three halvings multiply the gain in height by 4^−3.
-    # For ln r, gains stay equal. Values from 0.15 to 0.6 give the same results.
+    # Near a pole where g grows like ln r, all gains are equal.
+    # Values from 0.15 to 0.6 give the same results.
     bounded: float = 0.3
     # Number of rays from the top. The median of their exponents is used.
     # Values from 3 to 12 give the same results.
@@ -217,7 +221,7 @@ class PoleSettings:
 
 
 POLE_SETTINGS = PoleSettings()
-"""Default settings of the climb to a pole."""
+"""Default settings of the uphill search for a pole, and of measurements at the pole."""
 
 # Distance of the top from a face, if the top is on the face: the spacing of float64 below 1
 _EDGE = 2.0**-53
@@ -387,7 +391,7 @@ def lines_of(
     rows = np.arange(len(axis))
 
     # Examine the ends of lines along the axes.
-    # g grows at an end if it grows up to the end and exceeds all values inside
+    # g grows at an end if |g| increases at each step toward the end and exceeds all other values
     usual, straight = np.abs(y).max(), axis >= 0
     growth, ends = np.full((len(axis), 2), np.nan), np.full(len(axis), np.nan)
     gaps = np.array(settings.ends)

@@ -57,7 +57,7 @@ class AlignmentSettings:
     # An exact variance is a difference of means of g² and squared means, each rounded to 1.1e-16.
     # The factor 100 allows for rounding in the sums of these means.
     exact_rounding: float = 1e-14
-    # Relative standard error of exact variances in the fit of a rate.
+    # Relative standard error that the fit of a rate assumes for exact variances.
     # All counts have this error and therefore equal weights, whatever the value is.
     # Rates and their intervals agree to 9 digits for values from 1e-9 to 1e-3.
     exact_se: float = 1e-6

@@ -104,7 +104,7 @@ class Candidate:
 @final
 @dataclass(frozen=True)
 class CandidateResult:
-    """The error of a candidate at a budget, and its gain in variance over the given set-up.
+    """The error of a candidate for a given budget, and its gain in variance over the given set-up.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ class CandidateResult:
     specs
         The estimator and the sampler after the change, as texts.
     n
-        Number of points of an estimate at the budget.
+        Number of points of one estimate that uses the whole budget.
     rmse, rmse_ci
         Root mean square error of an estimate, and its 95 % interval.
         The interval includes the error of extrapolation beyond the measured counts.
@@ -236,7 +236,7 @@ class Answer:
 
     @property
     def n(self) -> int:
-        """Number of points of an estimate at the budget."""
+        """Number of points of one estimate that uses the whole budget."""
         return self.best.n
 
     @property

@@ -61,7 +61,7 @@ _INSIDE = frozenset(
 @final
 @dataclass(frozen=True)
 class CandidateSettings:
-    """Settings of the changes that are tried."""
+    """Settings that decide which changes of a set-up are tried."""
 
     # Samplers that the kind ``sampler`` tries: the usual sampler of each family in the package
     samplers: tuple[str, ...] = (

@@ -81,7 +81,8 @@ class ChangeSettings:
     # With shares of 0.025, 0.05 and 0.1, a ridge keeps 0.6, 1.1 and 2.2 % of its variance.
     defensive: float = 0.05
     # Least variance of a fitted normal density along any direction.
-    # Variances below 1, the variance of z, would make the density vanish at the border of the cube.
+    # The normal numbers z of uniform points u have variance 1.
+    # With a smaller variance, the density of u would be 0 at the border of the cube.
     # Toward the border, g/q would then grow without bound.
     least_spread: float = 1.0
     # Settings of the fits of splines

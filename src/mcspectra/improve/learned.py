@@ -5,7 +5,7 @@ The points x_k have the density π. The fit minimizes this sum:
 
     log Σ_k ρ_k p(x_k) − Σ_k w_k log p(x_k) + smoothness,   ρ_k = 1/π(x_k),   w_k ∝ ρ_k |f(x_k)|.
 
-The sum without smoothness is the relative entropy of |f| and p.
+Without the smoothness term, the sum is the relative entropy of |f| and p, up to a constant.
 Both integrals of the relative entropy are estimated from the *same* points.
 If |f| belongs to the family, the minimum is |f| itself for any number of points.
 A fit by the mean of log p alone would follow the random density of the points.

@@ -84,7 +84,8 @@ class MeasuredPlanSettings:
     # Number of sets of the first stage.
     # A variance from 32 sets has a relative standard error of 25 %.
     nets: int = 32
-    # After this many stages the number of sets is doubled; in other stages the number of points is.
+    # The number of sets is doubled once in this many stages.
+    # In all other stages, the number of points per set is doubled.
     # With 3, 2^18 evaluations consist of 128 sets, and the variance has a standard error of 12 %.
     # With 2, sets have half as many points, and rates of functions with jumps become uncertain.
     doubling: int = 3

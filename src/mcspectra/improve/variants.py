@@ -125,7 +125,8 @@ def smoothing_scan(
         workers=workers,
     ).rename(estimator="width")
 
-    # Compute ∫ f_δ − ∫ f, (W[, channels]), and an interval of its square from both errors
+    # Compute the bias ∫ f_δ − ∫ f, (W[, channels]).
+    # The errors of the two integrals give an interval of the squared bias
     kept = [g is f or isinstance(g, BoxSmoothed) for g in functions]  # Boxes keep ∫f
     pairs = list(zip(functions, kept, strict=True))
     accuracy = [0.0 if k else integral_accuracy(f)[1] + integral_accuracy(g)[1] for g, k in pairs]

@@ -72,7 +72,7 @@ _INSET = (1e-10, 1e-6)
 _LEAST_INSET = 2.0**-51  # Least distance to a corner, as a fraction of the corner's position
 # At a corner, smooth functions change by at most this multiple of the last coefficients
 _SMOOTH = 100.0
-_LEAST_SEEN = 30  # Least number of nonzero residuals from which their spread estimates an error
+_LEAST_SEEN = 30  # Least number of nonzero residuals whose spread is used as an error estimate
 _LOOKS = 2  # Number of points of the second probe, as a multiple of the first
 # Smallest sizes of a box: relative to its position, and at 0
 _SMALLEST, _TINIEST = 2.0**-44, 2.0**-500
@@ -627,8 +627,8 @@ def lattice_integral(function: QuadratureIntegrand) -> Estimate:
     """Return ∫ f in any number of dims as a mean over 2^20 Kronecker points: value (C,).
 
     The points are ½ + k α mod 1 with the steps α of `golden_vector`.
-    The error is three standard errors of 16 successive parts, shifted copies of each other.
-    Such an error estimate exceeds the true error.
+    The points are split into 16 successive parts, which are shifted copies of each other.
+    The error is three standard errors of the means of these parts; it exceeds the true error.
     """
     alpha, sums = golden_vector(function.dims), []
     for start in range(1, _LATTICE_POINTS, 2**14):

@@ -429,7 +429,7 @@ class Derived(Integrand):
 
 @dataclass(frozen=True, kw_only=True)
 class NamedFunction(Derived):
-    """A test function: the attribute `integrand` of a class, under the name of the class."""
+    """A test function that has the name of its class and the values of its field `integrand`."""
 
     integrand: Integrand = field(init=False, repr=False)
     spec = Component.spec

@@ -47,7 +47,8 @@ from mcspectra.integrands.base import FunctionIntegrand, Integrand
 
 __all__ = ["Calls"]
 
-# Number of points per call of a vectorized function, and of single calls stored together
+# Number of points in one call of a vectorized function.
+# For a function of single points, it is the number of calls whose values are stored together
 _BLOCK, _FEW = 128, 8
 _SAME = 1e-9  # Relative difference up to which a cached value agrees with the function's value
 

@@ -150,7 +150,7 @@ class Image(_Picture):
 
     @cached_property
     def _transform(self) -> Array:
-        """Discrete Fourier transform of the pixels over their number, (h, w[, channels])."""
+        """Discrete Fourier transform, divided by the number of pixels: (h, w[, channels])."""
         height, width = self._pixels.shape[:2]
         return np.asarray(np.fft.fft2(self._pixels, axes=(0, 1)) / (height * width))
 

@@ -191,7 +191,7 @@ class Disk(_Indicator):
 
     @property
     def breaks(self) -> Breaks:
-        """Both ends of a 1-D disk; in more dims, the border is not normal to an axis."""
+        """Ends of a 1-D disk; empty in more dims, where the border is not normal to an axis."""
         inside = tuple(end for end in self._interval if 0.0 < end < 1.0)
         return (inside,) if self.dims == 1 else ((),) * self.dims
 

@@ -195,7 +195,11 @@ class Anova(Counted, frozen=True, kw_only=True):
         return given
 
     def _labelled(self, estimates: Array, subject: Subject) -> xr.Dataset:
-        """Combine the covariances of all subsets with the first subset into a dataset."""
+        """Return the dataset for estimates (S, R, channels), one for each kept subset of axes.
+
+        The first subset has all axes. Shares of the variance are covariances
+        of its estimates with the estimates of the other subsets, relative to the variance.
+        """
         moments, count = Moments.of(estimates[0], tails=True), estimates.shape[1]
         # Products of deviations, whose means over realizations are covariances: (S, R, channels)
         deviation = estimates - estimates.mean(axis=1, keepdims=True)

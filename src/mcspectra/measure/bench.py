@@ -71,7 +71,7 @@ SHARED_SETS = 8
 class BenchSettings:
     """Numbers of sets of a bench, and sizes of its spectra and pictures."""
 
-    # Least number of given sets per count for a measurement without a randomization.
+    # Given sets are measured without a randomization if each count has at least this many sets.
     # The spread of 16 sets gives a variance to 35 %.
     enough_sets: int = 16
     # Half widths of the spectra in 1, 2 and 3 dims, for 513, 16,641 and 68,921 frequencies.
@@ -139,7 +139,8 @@ def sampler_bench(
     ----------
     samplers
         Samplers, spec strings or arrays of points, as in `as_sampler`.
-        Spec strings are built for all dims. Other samplers are used in their own dims.
+        A spec string gives one sampler for each number in `dims`.
+        Sampler objects and arrays are used only in the number of dims that they have.
         Sets that are always the same are randomized before variances are measured:
         digital nets by owen, other sets by shift.
         Given sets are also randomized if there are fewer than 16 sets with the same count.

@@ -565,7 +565,10 @@ class MomentsCell:
             return [of_estimator(e, points) for e in self.estimators]
 
         def of_estimator(e: AbstractEstimator, points: list[Array]) -> tuple[Array, Moments | None]:
-            """Return estimates (R, channels or 1), and for user functions moments of the values."""
+            """Return estimates (R, C), and moments of the values of a user's function.
+
+            C is the number of channels, or 1 for an integrand without channels.
+            """
             if len(points) > 1 or not e.is_black_box:
                 return e.estimate(points).reshape(len(points[0]), -1), None
             values = e.primary_values(0, points[0])

@@ -408,7 +408,7 @@ def _variables(total: TermSums, view: View, partition: Partition) -> Variables:
         "captured_by_half_width": (by_width, sums.truncated.variance / real[:, None]),
     }
 
-    # Maps over frequencies, and pairs of bands
+    # Store maps over frequencies, and covariances of pairs of bands
     diagonal = np.abs(f) ** 2 * (sums.m2 / degrees)
     for name, values in (
         ("contribution", sums.contribution(partition)),

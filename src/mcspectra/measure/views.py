@@ -36,7 +36,7 @@ PARTITIONS = ("radial", "anova", "wedge", "dyadic")
 
 @dataclass(frozen=True)
 class FrequencySettings:
-    """Limits of the default half width, and the number of points for mean squares."""
+    """Settings of the default half width, and of estimates of ∫f² and of mean squared weights."""
 
     # Least default half width.
     # A half width of 64 resolves features of 1/128 of the cube, such as pixels of a thumbnail.
@@ -47,7 +47,7 @@ class FrequencySettings:
     # If a smaller fraction of Σ|f_m|² than this lies outside half the width, the width is halved.
     # The value is about ten roundings of float64.
     rounding: float = 1e-15
-    # Number of points for mean squares of weights and functions.
+    # Number of points that estimate mean squares of weights and of functions.
     # The points give the energy share of a smooth f to 1e-4, and of a discontinuous f to 1 %.
     probes: int = 2**14
 
@@ -181,7 +181,8 @@ class View:
     estimator: AbstractEstimator
     space: str
     basis: Basis
-    transforms: tuple[Coefficients, ...]  # Transform of the points of each technique, or of all
+    # Transforms of points to S_m: one for each technique, or one for the points of all techniques
+    transforms: tuple[Coefficients, ...]
     engine: str
     integrand_coefficients: Array  # Coefficients f^t of each technique t, (C, T, H)
     source: str  # Source of the coefficients

@@ -111,7 +111,8 @@ def signed_axis(
     """Return an axis of signed values, linear if that shows the smallest value, else logarithmic.
 
     The label gives the threshold of the logarithmic part.
-    Finite ends of `whiskers` extend the axis on each side, at most by the range of the values.
+    The axis also shows the finite ends of error bars, `whiskers`.
+    They make the axis longer on each side, but at most by the range of the values.
     """
     low, high, threshold = _signed_range(values, _MOST_DECADES)
     if whiskers is not None:

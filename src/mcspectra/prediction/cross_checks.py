@@ -174,7 +174,7 @@ def of_terms(
 ) -> dict[str, Cells]:
     """Return the results of all methods that use `terms_for`, by name.
 
-    The methods are the sum of the three terms, and the measured variance.
+    The method terms is the sum of the three terms. The method measured is the sample variance.
     If the method homogenized takes its power from realizations, the power term is added.
     """
     share: Any = np.nan

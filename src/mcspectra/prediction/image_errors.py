@@ -53,7 +53,7 @@ class ImageErrorSettings:
         Initial half width. It is doubled until the frequencies capture the power of every band.
         A band is captured if higher frequencies hold less than the fraction `lost` of its power.
         Doubling stops at `most_modes` frequencies, which is half width 724 in 2-D and 63 in 3-D.
-        The fraction of one percent is less than the standard error of 16 images.
+        A loss of 1 % of the power is less than the standard error of 16 images.
     beyond
         A note reports a band if more than this fraction of its power lies beyond the half width.
         Power of this size beyond the half width can change the order of masks.

@@ -91,7 +91,7 @@ class LevelsSettings:
         Half of `clear` adds noise of 0.015 % of a variance; twice the value changes nothing.
     most_error, noise
         The method raises an error above this half interval, relative to the variance.
-        Other methods then have smaller errors, which are below a fifth.
+        Other methods then have smaller relative errors, below 0.2.
         A half interval below `noise` times ∫g² is always accepted.
         Halving or doubling either value changes nothing.
     """
@@ -265,8 +265,9 @@ def _table(
 def _spread(means: Array, squares: Array) -> tuple[Array, Array]:
     """Return the mean variance within cells, (Q, channels), and twice its error.
 
-    Moments are (Q, …, channels). Rules have independent errors in each cell.
-    Means of two rules may agree by chance. The error is the root sum of squares over cells.
+    The moments of g in each cell come from Q = 2 quadrature rules or are exact: (Q, …, channels).
+    The means of two rules over all cells may agree by chance, so the rules are compared per cell.
+    Errors in different cells are independent: the error is the root sum of squares over cells.
     """
     within = np.maximum(squares - means**2, 0.0).reshape(len(means), -1, means.shape[-1])
     error = 2.0 * np.sqrt(((within[-1] - within[0]) ** 2).sum(axis=0)) / within.shape[1]

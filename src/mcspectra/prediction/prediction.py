@@ -1240,7 +1240,7 @@ class Predictor:
                     predicted(source.law(n * c), each, stream.child(t), name)
                     for t, (c, each) in places
                 ]
-            # Compute the weights of the energy shares of the techniques
+            # The energy share of the sum is a weighted mean over techniques; ∫g² are the weights
             squares = [np.ones(len(parts[0].variance))]
             if len(parts) > 1:
                 squares = [each.square[0] for each in known]

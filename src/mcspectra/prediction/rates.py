@@ -75,7 +75,8 @@ class DecaySettings:
         Least number of shells of half an octave in a fit. Fewer shells leave no scatter.
         The limit matters only if rounding noise hides most of the shells.
     bend
-        Change of the exponent over these octaves above which a fit is reported as not settled.
+        Largest change of the exponent over these octaves.
+        A fit with a larger change is reported as not settled.
         For test functions with jumps and kinks, the exponent changes by at most 0.9.
         It changes by 8.6 for a Gaussian of width 0.1, whose kink at the border is still hidden.
     widths, width

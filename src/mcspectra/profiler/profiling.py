@@ -7,8 +7,8 @@ These nets give the variances of several samplers at once.
 A fifth goes to lines that detect discontinuities and kinks (`probing`).
 If the nets do not give the variance of the given sampler, a part goes to this sampler.
 `causes` finds the causes in these evaluations.
-The rest of the budget measures changes that answer the causes, and one more sampler.
-This is a lattice, or antithetic pairs in strata for smooth functions of one dim.
+The rest of the budget is used to measure changes that remove the causes, and one more sampler.
+This sampler is a lattice, or antithetic pairs in strata for smooth functions of one dim.
 """
 
 from __future__ import annotations
@@ -645,8 +645,9 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
 
     causes = causes_of(evidence)
     offers = _offers(evidence, causes, budget, stream.child(98))
-    # Measure a sampler that may gain more than nets do. It gets half of the remaining evaluations.
-    # If a jump is to be removed, it gets all evaluations that this removal does not need
+    # Measure a sampler that may have less variance than nets.
+    # This sampler gets half of the remaining evaluations.
+    # If a change removes a jump, the sampler gets all evaluations that this change does not need
     rival, left = _rival(evidence, causes), budget - calls
     rival = rival if rival != given.spec else ""
     jumps, nets = _shape(causes) in _JUMPS, CAUSE_SETTINGS.nets
@@ -831,10 +832,11 @@ def _is_smooth(causes: Sequence[Cause]) -> bool:
 
 
 def _rival(evidence: Evidence, causes: Sequence[Cause]) -> str:
-    """Return the sampler that may gain more from g than nets do, or "" if no such sampler exists.
+    """Return a sampler that may have less variance than nets for this g, or "".
 
-    Lattices have the rates of Fourier series if g agrees on opposite faces of the cube,
-    or if points are folded [Hickernell2002]_. They also gain from kinks, cusps and waves.
+    The rate of lattices follows from the decay of the Fourier coefficients of g
+    if g agrees on opposite faces of the cube, or if points are folded [Hickernell2002]_.
+    Lattices may also have less variance than nets if g has kinks, cusps or waves.
     For smooth g, antithetic pairs about the centers of strata have the rate −1 − 4/d,
     which is also the rate of cubic stratification of second order.
     """

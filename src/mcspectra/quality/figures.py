@@ -270,6 +270,9 @@ FIGURES: Mapping[str, Callable[..., float | None]] = {
     "worst_projected_diaphony": partial(_projected, diaphony, np.max),
     "mean_projected_diaphony": partial(_projected, diaphony, np.mean),
 }
-"""Figures of a set (n, d) by name. `core.results` describes each figure."""
+"""Functions that compute the figures of quality of a set (n, d), by the name of the figure.
+
+`core.results` describes each figure.
+"""
 
 _OF_DIGITS = ("t_value", "elementary_intervals")  # Figures that use the base of the digits

@@ -20,8 +20,8 @@ __all__ = ["Jumps", "curve_length", "find_jumps", "grid_centers"]
 
 # Number of halvings before slopes are discarded, and number between two later comparisons
 _FIRST, _NEXT = 6, 12
-# Fraction of the change that must remain after the first halvings.
-# For a straight line, 1/64 of the change remains
+# Fraction of the change between two cells that must remain after the first halvings.
+# On a straight line, six halvings of the interval leave 1/64 of the change
 _SLOPE = 1 / 32
 # Fraction of a jump that remains after the last halvings. For a square root, 2^-6 remains
 _STAYS = 0.5

@@ -58,7 +58,7 @@ def rectangle(
 ) -> dict[str, Any]:
     """Return a parallelogram: corners center ± across ± along, normal across × along.
 
-    The vectors across and along are half of the sides, and perpendicular to each other.
+    The vectors across and along are perpendicular. Each is half as long as a side.
     """
     normal = np.cross(across, along)
     columns = [across, along, normal / np.linalg.norm(normal), center]

@@ -487,7 +487,10 @@ def _related(sample: Array, alike: float) -> tuple[tuple[int, int] | None, float
 
 
 def _grubbs(count: int) -> float:
-    """Largest share of one normal value in the squares of all, by Grubbs' test [Grubbs1950]_."""
+    """Return the limit of Grubbs' test for one outlier among `count` values [Grubbs1950]_.
+
+    The largest squared deviation, divided by the sum of all of them, is below this limit.
+    """
     if count < _LEAST_GRUBBS:
         return math.inf
     from scipy.special import stdtrit

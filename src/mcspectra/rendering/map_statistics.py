@@ -112,7 +112,7 @@ def dominant(variance: Array, relative_se: Array) -> Array:
 
 
 def least(variance: Array, relative_se: Array) -> Array:
-    """Index of the sampler with the least variance (S, …), if its ratios to others are certain.
+    """Return the index of the sampler with the least variance; the variances are (S, …).
 
     The index is `UNDECIDED` if the interval of one ratio contains 1.
     The index is NaN if the variance of a sampler is not positive.

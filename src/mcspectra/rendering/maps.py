@@ -437,7 +437,7 @@ def variance_map(
     chains
         Number of pairs of random paths for the shares of the variance of whole paths.
         The default is 128 pairs. With 0, no shares are computed.
-        If a path requests random numbers K times, each pair takes K + 1 paths.
+        A pair costs K + 1 paths if a path requests random numbers from its sampler K times.
     rng
         Seed (SPEC 7).
     workers

@@ -300,7 +300,7 @@ class Tracer:
     def dimensions(
         self, pixels: tuple[tuple[int, int], ...], dims: int | None = None
     ) -> tuple[Dimension, ...]:
-        """Use of each coordinate of random paths through these pixels; `dims` is their number.
+        """Return how paths through these pixels use each of the first `dims` coordinates of u.
 
         By default, the paths determine `dims`, at most 64; the use of later coordinates is unknown.
         """

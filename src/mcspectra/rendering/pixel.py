@@ -43,7 +43,7 @@ With this rule, every density p_t nevertheless integrates to 1.
 
 The integral is the mean over independently scrambled Sobol' points.
 A pixel's integrand jumps along curves that no axis follows, the edges of lights and occluders.
-Boxes of Gauss-Legendre nodes therefore do not converge.
+Gauss-Legendre quadrature on boxes therefore does not converge.
 The scrambled points are unbiased for any integrand.
 The spread of the means of scrambled sets is a reliable error [Owen1997]_.
 """

@@ -286,7 +286,7 @@ class Screen:
     link
         Address of the explorer in the state of the figure, or empty.
     folded
-        Details below the figure, hidden until they are opened and on paper.
+        Details below the figure. They are hidden until a reader opens them, and never printed.
     """
 
     number: str

@@ -87,7 +87,8 @@ def path_tables(tree: xr.DataTree) -> dict[str, html.Table]:
         columns = [found[v].values for v in ("anova_share", "total_share", "truncation_share")]
         columns[0] = columns[0][: len(names)]
         shown = list(zip(names, *columns, strict=True))
-        if kind == "decision":  # decisions are sums over bounces: no cumulative share
+        # One decision is made at many bounces: decisions have no order and no cumulative share
+        if kind == "decision":
             shown = [(name, alone, total, np.nan) for name, alone, total, _ in shown]
         for name, *shares in shown:
             if not np.nan_to_num(shares[:2]).any():

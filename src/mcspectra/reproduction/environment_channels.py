@@ -65,7 +65,11 @@ _COSTS = {"one": 1, "own": 3, "mis": 3}  # evaluations of f per point
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Measure rates of three channels with gray, own and mixed densities, and sample a 2-D map."""
+    """Measure rates of three color channels, each sampled by three densities.
+
+    The densities follow the gray channel, the color channel itself, or all channels by MIS.
+    A 2-D map of the sky is sampled by the first two densities.
+    """
     by = ways()
     options: dict[str, Any] = {"realizations": 400 if quick else 4000, "rng": seed}
     curves = {way: mcs.convergence(by[way], "jittered", COUNTS[way], **options) for way in _WAYS}

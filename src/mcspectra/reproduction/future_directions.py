@@ -134,7 +134,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def _aligned(n: int) -> mcs.Estimator:
-    """Return the integrand with strata that have a border at the edge."""
+    """Return an estimator whose strata have a border at the discontinuity of the integrand."""
     return mcs.aligned(edge(AT), [[AT], []], n)
 
 

@@ -401,7 +401,7 @@ def verdict(slide: Slide, findings: Sequence[Finding]) -> tuple[str, str, Mark]:
     """Return the verdict on a slide in one or two words, its condition, and its color class.
 
     A finding that does not agree overrides the texts of the slide.
-    A slide is corrected only if a finding that corrects it agrees.
+    The verdict is "Corrected" only if a finding that limits or contradicts the slide agrees.
     """
     if any(finding.agrees is False for finding in findings):
         return "Not reproduced", "a finding does not agree", "no"

@@ -226,7 +226,8 @@ def _rank_ones(grid: Any, order: Array) -> None:
     for rank in range(order.size - 1, -1, -1):
         order[rank] = _head(_CLUSTER, grid)
         _flip(order[rank], grid, weights)
-        if rank == again and rank > 0:  # fewer ones are farther apart
+        # The Gaussian of the energy gets wider when the remaining ones are farther apart
+        if rank == again and rank > 0:
             weights, again = _start(grid), again // 2
 
 
@@ -367,7 +368,7 @@ def _relax_in_cells(k0: np.uint64, k1: np.uint64, number: int, step: float, poin
 @kernel
 def _snap_line(low: int, chunk: int, line: int, positions: Array, out: Array) -> None:
     # Divide the width of a line of s cells into s intervals, and assign one interval to each cell.
-    # `positions` (s,) are the coordinates of the cells' points across the line.
+    # `positions` (s,) has one number per cell: its point's coordinate perpendicular to the line.
     # `out` (s,) gets, for each cell, the index of the interval that is assigned to it.
     # The digits of `low` shift the digits of a van der Corput sequence.
     side, digits = positions.size, 0

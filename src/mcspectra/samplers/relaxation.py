@@ -40,9 +40,12 @@ __all__ = [
 ]
 
 _NEWTON = 100  # largest number of Newton steps; random points take 10, moved points 2 or 3
-_BALANCED = 1e-3  # tolerance of areas while points move
-_EXACT = 1e-9  # tolerance of areas for a transport cost, whose error is about (1e-9)²
-_CLOSE = 1e-4  # tolerance of areas if rounding interferes; the transport cost has an error of 1e-6
+_BALANCED = 1e-3  # allowed relative error of the cells' areas while points move
+# Relative error of the cells' areas at which Newton's method stops for a transport cost.
+# The relative error of the cost is about (1e-9)²
+_EXACT = 1e-9
+# Largest relative error of the areas if rounding interferes; a transport cost is off by 1e-6
+_CLOSE = 1e-4
 # Largest number of visits (see `kernels.Diagram`) for a transport cost; takes some seconds.
 # 8192 random points take 2^24 visits; points in a quarter of the square take more than 2^30.
 _MOST_WORK = 2**32

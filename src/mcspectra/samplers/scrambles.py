@@ -259,7 +259,11 @@ class Owen(_OfDigits):
     def draw(
         self, sampler: Sampler, n: int, stream: Stream, own: Stream, first: int, count: int
     ) -> Array:
-        """Draw scrambled points; radical inverses use `stream`, unused by plain inverses."""
+        """Draw scrambled points.
+
+        Radical inverses are drawn and scrambled together, with the random numbers of `stream`.
+        Without scrambling, radical inverses use no random numbers.
+        """
         if self.method == "nested" and isinstance(sampler, RadicalInverses) and sampler.fixed:
             return sampler.draw_nested(n, stream, first, count)
         return _OfDigits.draw(self, sampler, n, stream, own, first, count)

@@ -90,7 +90,7 @@ def count_distances(
         x = coordinates[0, a]
         while end < total and coordinates[0, end] - x <= limit:
             if end >= n and coordinates[0, end] - x == limit:
-                break  # a pair at exactly the limit is counted from its other point
+                break  # a pair exactly at the limit is counted once, when `a` is its other point
             end += 1
         for start in range(a + 1, end, _CHUNK):
             stop = min(start + _CHUNK, end)

@@ -23,9 +23,10 @@ The transform of a grid of s points is A_s(ν) = (1/s) Σ_{j<s} exp(−2πi νj/
   A point paired with itself contributes χ(m − l) on each axis.
   For two different points the axes are independent, given the strata they share.
   On each axis, the two coordinates contribute one of three products, on average:
-  *free* = χ(m) conj χ(l), if both are uniform and independent;
-  *same* = A_s(m − l) χ(m/s) conj χ(l/s), if both are independent in one of s strata;
-  *apart* = (s *free* − *same*) / (s − 1), if both lie in different strata of s.
+  *free* = χ(m) conj χ(l), if the two coordinates are uniform and independent;
+  *same* = A_s(m − l) χ(m/s) conj χ(l/s), if the two coordinates share one of s strata;
+  *apart* = (s *free* − *same*) / (s − 1), if the two coordinates lie in different strata.
+  Within strata, the two coordinates are uniform and independent.
   Determinantal sets also have a known law of pairs.
 
 Importance-sampled points, x = T(u) with weights 1/(n p), are covered for some densities p:
@@ -348,7 +349,7 @@ def _(law: Moved) -> SpectralMoments | None:
 
 
 def _motifs(sides: tuple[int, ...], count: int, motif: Motif) -> SpectralMoments:
-    """Return moments of `count` independent motifs, the same number in each cell."""
+    """Return moments of `count` independent motifs (points or pairs), equally many in each cell."""
     s = np.asarray(sides, float)
 
     def covariance(m: Array, other: Array) -> Array:
@@ -459,7 +460,7 @@ def _nested_pairs(law: Fixed, bases: Sequence[int], m: Array, other: Array) -> A
     """Return (1/n²) Σ over pairs of different points after nested scrambling.
 
     Suppose that two coordinates agree in their first a digits, and differ in the next digit.
-    After scrambling, both lie in the same one of b^a strata, each of which has b parts.
+    After scrambling, the two coordinates share one of b^a strata, each of which has b parts.
     The coordinates are uniform in two different parts of this stratum [Owen1997]_.
     """
     n, levels = law.n, [_levels(law.points[:, j], b) for j, b in enumerate(bases)]

@@ -49,7 +49,7 @@ def gain_coefficients(
         Number of points.
     levels
         Largest level of each axis; by default one more than the digits of n in the smallest base.
-        At higher levels the gains of nets with distinct coordinates are 1.
+        If no two points share a coordinate, all gains at higher levels are 1.
     dims
         Number of dims, if a spec string does not state it.
 

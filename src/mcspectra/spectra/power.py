@@ -489,7 +489,7 @@ class _PolarMeans:
 
     # Cell of each frequency of the half grid: ring · (wedges + 1) + wedge, int64 (H,).
     # The last cell holds m = 0 and the frequencies beyond the rings.
-    # The last wedge lies outside the circle of the half width.
+    # The last wedge holds the frequencies with |m|/step above the half width.
     label: Array
     cells: Array  # number of frequencies in each cell: (rings, wedges + 1)
     radius: Array  # mean |m|/step of each ring

@@ -59,7 +59,7 @@ def within(seconds: float, job: Callable[[], Result]) -> Result:
 
 
 def probed(function: Callable[[Any], Any], *, dims: int, limit: float | None = None) -> Integrand:
-    """Make an integrand of a study's function, safely, with `Integrand.from_function`.
+    """Call `Integrand.from_function` for a function of a study, with limited time.
 
     Parameters
     ----------

@@ -99,7 +99,8 @@ _SCHEMA = (
     "CREATE TABLE results (place INTEGER PRIMARY KEY, payload BLOB)",
     """CREATE TABLE tasks (path TEXT, run TEXT, first INTEGER, blocks INTEGER, digest BLOB,
     payload BLOB, PRIMARY KEY (path, run, first, blocks))""",
-    # A second copy of the notes on another page, because nothing can be recovered without notes
+    # Second copy of the notes, the study's description and tally, on another page of the file.
+    # Nothing can be recovered from a damaged ledger without its notes
     "CREATE TABLE notes (kind TEXT, name TEXT, text TEXT, digest BLOB, PRIMARY KEY (kind, name))",
 )
 # Rows from pages of a damaged file, where contradicting pages can give several rows per key
@@ -983,7 +984,8 @@ class Ledger:
                 self.damaged[path] = "its row cannot be read"
         for path, place, digest in unproven:
             change = None
-            if left == 0:  # The digests of all results give the tally, so none is wrong
+            # If all results together have the digest in the tally, every result is right
+            if left == 0:
                 payloads = [payload for (payload,) in self._rows(_PAYLOADS, (place,))]
                 sound = [
                     (p, digest) for p in payloads if self._digest("result", (path,), p) == digest
@@ -1259,7 +1261,8 @@ def _connected(file: Path, mode: str, patience: float = _BUSY_SECONDS) -> sqlite
         isolation_level=None,
         check_same_thread=False,
     )
-    # Treat a schema as data. Keep pages in memory until the commit, so that readers are not blocked
+    # Do not run functions that the schema of a foreign file may call, and check the sizes of cells.
+    # Keep changed pages in memory until the commit, so that readers are not blocked
     for pragma in ("trusted_schema = OFF", "cell_size_check = ON", "cache_spill = OFF"):
         connection.execute(f"PRAGMA {pragma}")
     return connection

@@ -103,7 +103,8 @@ class Vetting:
         files: dict[Path, str] = {}
         match first.name, first.arguments:
             case "command", {"run": str(run)}:
-                with suppress(ValueError):  # The sampler reports a command that cannot be split
+                # If quotes do not match, the sampler raises an error later
+                with suppress(ValueError):
                     program, *others = shlex.split(run)
                     if "/" in program:
                         file = (self._folder / program).absolute()

@@ -13,8 +13,9 @@ __all__ = ["best_multiple", "flip_tree", "improve_code", "reflect", "span_mean",
 
 @kernel
 def best_multiple(m: Array, power: Array, vector: Array, axis: int, n: int, out: Array) -> None:
-    # For each z_axis = 0 … n−1, sum the power over m·z ≡ 0 modulo n.
-    # The array vector holds the other components of z; the output out is (n,)
+    # Let z be the generating vector of a lattice of n points.
+    # For each z_axis = 0 … n−1, sum the power over frequencies m with m·z ≡ 0 modulo n.
+    # `vector` holds the other components of z. The sums are written to `out` (n,)
     out[:] = 0.0
     for i in range(len(m)):
         rest = 0

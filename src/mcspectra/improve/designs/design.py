@@ -54,8 +54,8 @@ _VERSION = 4  # Version of the searches; the cache ignores samplers of other ver
 class DesignSettings:
     """Settings of the cache of designs and of certificates."""
 
-    # A class is identified in the cache by its text and by the values of members at points,
-    # because a text does not identify a function. The settings are the numbers of both.
+    # The cache identifies a class by its text, and by values of random members at random points,
+    # because a text does not identify a function. These are the numbers of points and members.
     # Values may be 0 outside a small region: disks of radius 0.1 were missed by 64 points.
     # A region of volume 1e-3 is missed by 8192 points with probability 3e-4.
     cache_points: int = 2**13

@@ -104,7 +104,7 @@ class SearchSettings:
     # Exchanges in trees compare all pairs of points, whose number grows as n².
     most_points: int = 2**12
     # Maximum number of bits in the code of a point, for all axes together.
-    # The Walsh table has 2^18 values for each member.
+    # The table of Walsh coefficients has 2^18 values for each function of the class.
     table_bits: int = 18
     # Number of initial matrices in the search of nets: Sobol' and random ones of the same strength.
     # The ratio of nets is the same for 3 and 12 initial matrices.
@@ -136,7 +136,7 @@ class SearchSettings:
     # the ratio is 0.735 with 2, 4 and 8 rounds.
     first_rounds: int = 4
     # The search ends after a round that lowers the variance by less than this fraction.
-    # The ratio of strata is the same for half or twice the value.
+    # The ratio of designs of kind ``strata`` is the same for half or twice this fraction.
     least_gain: float = 0.003
     # Whether exchanges also start from the cosets of a digital net.
     # With 64 points in 4-D, these exchanges end with less variance than those from random sets
@@ -331,7 +331,11 @@ def _axis_bits(n: int, dims: int, most: int) -> int:
 def _tables(
     objective: Objective, bits: int, stream: Stream, settings: SearchSettings, *, owen: bool
 ) -> Iterator[tuple[str, Array]]:
-    """Yield randomizations, each with a table of its kernel κ(code) over the codes of points."""
+    """Yield each randomization with a table of its kernel κ.
+
+    The code of a point consists of the leading bits of its coordinates.
+    For two points with the codes a and b, the kernel is the entry a xor b of the table.
+    """
     dims = objective.dims
     members = min(settings.members, settings.table_values >> dims * bits)
     values = objective.functions(members, stream.generator(0))
@@ -563,7 +567,10 @@ def _cosets(
 
 
 def _of_cells(features: Array, owner: Array, cells: Array, sides: Array, path: Path) -> Sampler:
-    """Choose reflections by the slopes of the features, and make a sampler from the cells."""
+    """Make a sampler from sets of cells, and choose in which cells the offset is reflected.
+
+    In each set, the reflections make the sum of the slopes of the features small.
+    """
     sets = np.argsort(owner, kind="stable").reshape(owner.max() + 1, -1)
     signed = cells[sets] + 1
     table = features.reshape(*sides, -1)
