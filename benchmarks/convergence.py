@@ -45,7 +45,7 @@ def _fused(keys: Array, side: int, rate: float, radius: float, sums: Array) -> N
 
 
 def main() -> None:
-    """Print milliseconds and the ratio, and check that both measure the same variances."""
+    """Print milliseconds and the ratio, and check that package and loop give equal variances."""
     stream = Stream.from_rng(0)
     integrands = [
         mcs.Estimator("gaussian(width=0.25)", dims=2),

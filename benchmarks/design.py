@@ -1,15 +1,15 @@
-"""Designs for classes of integrands compared with the best usual sampler, on held-out members.
+"""Designs for classes of integrands compared with the best usual sampler, on other integrands.
 
 For each class, number of dims and n, suitable kinds of designs are searched.
-The design with the least variance over 400 members is measured over 2,000 other members.
-The members form 20 groups, each with its own 32 realizations.
+The design with the least variance over 400 integrands is measured over 2,000 other integrands.
+The integrands form 20 groups, each with its own 32 realizations.
 Rivals are sobol | owen, pmj02, and shifted Korobov, rank-1 and Fibonacci lattices.
 ``MCSPECTRA_NETS`` may name a folder with direction numbers of OneTwo and quad-optimized nets.
 With such a folder, nets in base 3, scrambled by owen, are also rivals.
 
 The last lines compare with folded lattices, on Gaussians of random orientation.
-In this class, a few narrow members carry half of the mean variance.
-Therefore 20,000 members are measured, with 128 realizations per group.
+In this class, a few narrow Gaussians carry half of the mean variance.
+Therefore 20,000 Gaussians are measured, with 128 realizations per group.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Studies: overhead of a cell, and speedup by two workers.
 
 Cells of about half a second are run through tasks and ledger, and in a bare loop.
-The overhead is the difference of both times.
+The overhead is the time of the study minus the time of the loop.
 Efficiency is the time with one worker divided by w times the time with w workers.
 Tasks that sleep show the cost of scheduling.
 Real tasks also share Python's lock (threads) and a memory bus.

@@ -271,8 +271,8 @@ def _walk(
             spread = (1.0 - defensive) * joint
             spread /= spread + defensive
 
-            # Find the cell of x_i. To sample, compare u_i with the cdf at the right border of cells.
-            # Otherwise compare x_i with the right border itself
+            # Find the cell of x_i. To sample, compare u_i with the cdf at the right end of a cell.
+            # Otherwise compare x_i with the right end itself
             left, c = 0.0, 0
             while c < cells - 1:
                 end = knots[i, c + 1]

@@ -99,7 +99,7 @@ class Combined(DomainEstimator):
 
     @property
     def domain_integrand(self) -> Integrand:
-        """f, or the residual f − Σ α_t p_t for optimal weights; both have the same variance."""
+        """f; for optimal weights the residual f − Σ α_t p_t, which has the same variance."""
         controlled = self.combination.control is not None
         return Residual(self.integrand, self.combination) if controlled else self.integrand
 

@@ -37,7 +37,7 @@ _LEAST_POINTS = 3000  # With fewer points, the 256 farthest values are not a tai
 # Largest allowed share of the variance beyond all values, which is small for bounded values.
 # Each key is the number of farthest values to which a tail is fitted; its value is the limit
 _BEYOND = {16: 0.005, 64: 0.02, 256: 0.15}
-# Largest squared error. For larger ones there is less than one degree of freedom,
+# Largest squared error. Larger errors leave less than one degree of freedom,
 # and the upper end of the variance is above 100 s²
 _MOST_ERROR = 2.0
 # Three limits for tails. If the tail index is above the first number,

@@ -500,7 +500,7 @@ def shares_of(
     share = 1.0 - settings.lines_share - settings.check_share
     share -= settings.given_share if is_apart(estimator, sampler) else 0.0
     # More nets reduce the error of a rate; larger nets do not.
-    # The error of the integral falls with both
+    # The error of the integral falls with the number of nets and with their size
     nets = int(settings.nets * max(1.0, math.sqrt(budget / (each * settings.more_from))))
     n = int(share * budget) // (nets * each)
     if n < 4:

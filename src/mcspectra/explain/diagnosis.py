@@ -37,7 +37,8 @@ class DiagnosisSettings:
     # because all 2^d reflections of each point are evaluated.
     odd_dims: int = 4
     # Number of points at which the odd part is measured.
-    # This number determines the odd part to about 1 % of the variance, enough for both limits.
+    # With this number the odd part has an error of about 1 % of the variance.
+    # This is enough for the limits `mostly` and `partly`.
     odd_points: int = 2**12
 
 

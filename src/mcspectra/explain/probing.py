@@ -9,9 +9,9 @@ The second difference stays constant at a jump, and it grows at a pole.
 Steps shrink faster toward the ends of lines along the axes.
 There the slope of log |g| is the exponent with which g grows at the border.
 
-Another search climbs to poles. It starts at the largest or the smallest known value,
+Another search moves uphill to poles: a climb. It starts at the largest or the smallest known value,
 and it moves in random directions in which |g| grows.
-If no direction climbs, the step is halved.
+If |g| grows in none of the tried directions, the step is halved.
 The ellipsoid of directions adapts to the moves ([Hansen2001]_).
 The climb ends early if the function is bounded.
 A function that grows as r^−a toward a set of codimension k leads the climb to that set.
@@ -125,7 +125,7 @@ class LineSettings:
     groups: int = 3
     # Distances from both ends at which g is evaluated on a line along an axis.
     # Between the last two distances, which have the ratio 2^10, even t^−0.08 grows by 1.7 times.
-    # 2^−40 is still exact next to 1. Half and twice the value give the same results.
+    # 2^−40 is still exact next to 1. Half and twice these distances give the same results.
     ends: tuple[float, ...] = (2.0**-4, 2.0**-12, 2.0**-20, 2.0**-30, 2.0**-40)
     # Distance from an end of a line at which g must be computable.
     # A sample of a few thousand points also has points at this distance from the border.
@@ -181,7 +181,7 @@ class PoleSettings:
     learning_rate: float = 0.4
     # Radii along the rays, in units of the last step; each is 4 times the previous radius.
     # The smallest radius is 16: if the top is off by one step, the distance changes by 6 % at most.
-    # Half and twice the value give the same results.
+    # Half and twice these radii give the same results.
     radii: tuple[float, ...] = (2.0**4, 2.0**6, 2.0**8, 2.0**10, 2.0**12)
     # Number of small radii at which g is also evaluated toward each single face.
     # Three radii determine an exponent, whatever constant is added to g.
@@ -620,7 +620,7 @@ def _climbed(
     rng: np.random.Generator,
     settings: PoleSettings,
 ) -> tuple[Array, float, int]:
-    """Return the top of the climb, its last step (0 if g is bounded), and its evaluations."""
+    """Return the last place of the climb, the last step (0 if g is bounded), and evaluations."""
     d, made, moves, value = len(x), 0, 0, 0.0
     heights, shape = list[float](), np.eye(d)
     while len(heights) < settings.halvings:

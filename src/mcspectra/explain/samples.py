@@ -110,13 +110,13 @@ class Curve:
         Degrees of freedom of the errors.
     drift
         Estimated standard deviation of the change of the slope in an octave.
-        The same drift is assumed at counts beyond the measured ones.
+        The same drift is assumed at counts beyond the measured counts.
     vanishes
         Smallest count at which all sets gave equal estimates.
     level, scatter
         Logarithm of the ratio of the fitted line to the variance at the last count,
         and standard deviation of log variances about the fitted line.
-        Extrapolation of a curve that is not a straight line needs both.
+        A curve that is not a straight line is extrapolated with these two numbers.
     bend
         Expected change of the slope beyond the measured counts, and its standard error.
     """
@@ -155,7 +155,7 @@ class Curve:
         return value, math.hypot(float(self.relative_se[-1]), away * error, walk, self.scatter)
 
     def towards(self, rate: float, error: float) -> Curve:
-        """Return the weighted mean of the rate and a theoretical rate if both agree."""
+        """Return the weighted mean of the measured and a theoretical rate if these rates agree."""
         if not abs(self.rate - rate) <= CURVE_SETTINGS.agrees * math.hypot(self.rate_se, error):
             return self
         share = error**2 / (error**2 + self.rate_se**2)

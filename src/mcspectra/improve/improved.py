@@ -170,7 +170,7 @@ class Evaluations:
 
     @cached_property
     def halves(self) -> tuple[Evaluations, Evaluations]:
-        """Two halves: evaluations with even and with odd numbers, so both contain neighbors."""
+        """Two halves, the evaluations with odd and with even numbers: neighbors are separated."""
         odd = np.arange(len(self.points)) % 2 == 1
         return self.part(odd), self.part(~odd)
 
@@ -661,7 +661,7 @@ def _preintegrated(g: Integrand, seen: Evaluations, settings: ChangeSettings) ->
     The remaining variance has two bounds.
     The lower bound comes from the terms of a regression that do not depend on this axis.
     The upper bound is the variance without the main effect of this axis.
-    The expected variance is the geometric mean of both bounds.
+    The expected variance is the geometric mean of the two bounds.
     Squared coefficients are estimated by products of coefficients from two halves.
     """
     d = g.dims

@@ -352,7 +352,7 @@ def ranks(variance: Array, variance_ci: Array, n: Array) -> tuple[Array, Array]:
     pairs = sum(math.comb(int(k), 2) for k in known.sum(axis=0))
     z = stats.norm.ppf(1.0 - (1.0 - _LEVEL) / (2.0 * max(pairs, 1)))
 
-    # Sampler i is significantly better than k if the intervals of both do not overlap
+    # Sampler i is significantly better than k if the intervals of their variances do not overlap
     with np.errstate(invalid="ignore"):
         gap = logs[None] - logs[:, None]
         sure = gap > z * np.hypot(steps[:, None, :, 1], steps[None, ..., 0])

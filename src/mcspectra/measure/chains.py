@@ -109,7 +109,7 @@ class ChainSettings:
     least_tail: int = 20
     # Smallest allowed magnitude of the largest draw of a quantity.
     # The largest allowed magnitude is the inverse of this value.
-    # Squares of both magnitudes, summed over any number of draws, are within the range of float64.
+    # Within these limits, sums of squares of any number of draws are in the range of float64.
     smallest: float = 1e-100
     # Draws count as too few if the error has fewer degrees of freedom than this.
     # With 6 degrees of freedom the error is accurate to 1/√12 = 29 %.
@@ -390,7 +390,7 @@ def _burn_in(z: Array, settings: ChainSettings) -> int:
     """Return the number of draws of each chain that depend on its start, or n if over half do.
 
     The mean of the first draws, over all chains, is compared with the mean of the last half.
-    The spectrum of the last half at frequency 0 gives the error of both means.
+    The spectrum of the last half at frequency 0 gives the errors of these two means.
     Draws are replaced by normal scores, which have no heavy tails.
     """
     from scipy.special import ndtri

@@ -443,7 +443,7 @@ def _in_one_set(calls: Calls, setup: Setup, stream: Stream, best: Any) -> _Repli
     lattice = isinstance(leaf, Fixed) and leaf.vector is not None
     net = source.sequence and isinstance(source.law(count), Scrambled)
     net &= set(source.digit_bases) == {2}
-    # The rate of the profile, and its end that is least steep
+    # Take the rate of the profile, and the least steep end of the interval of this rate
     rate, surely = (
         float(np.clip(-each, *_RATES)) if math.isfinite(each) else _RATES[0]
         for each in (best.rate, best.rate_ci[1])

@@ -365,7 +365,7 @@ class TechniqueSums:
     mean: Array  # (T, H)
     products: Array  # (T, T, H): Σ_r (S^t − S̄^t) conj(S^s − S̄^s)
     values_mean: Array  # Truncated and full estimates of the techniques, (2, C, T)
-    values_products: Array  # Sums of products of their deviations, (2, C, T, T)
+    values_products: Array  # Sums of products of deviations of these estimates, (2, C, T, T)
     moments: Moments  # Moments of the techniques' full estimates and of their sum: (C, T + 1)
 
     @staticmethod

@@ -249,7 +249,7 @@ class ExtrapolationSettings:
     near_sets, near_points
         Least number of realizations of a count close to n, and least total number of points.
         The number of realizations satisfies both requirements.
-        Halving or doubling both changes variances by less than 4 %.
+        Halving or doubling both settings changes variances by less than 4 %.
         These changes are well within the intervals of 14 to 60 %.
     most_factor
         Largest factor of the reported error of an extrapolation, so that exponentials stay finite.
@@ -1393,7 +1393,10 @@ def _within(counts: Sequence[int], points: int) -> ExtrapolationSettings:
 
 
 def _places(sampler: Sampler, counts: Sequence[int]) -> list[int]:
-    """Return counts with one before a single count and two after the last. Missing ones are 0."""
+    """Return a smaller count, the given counts, and two larger counts.
+
+    The smaller count is added only to a single given count. Missing counts are 0.
+    """
     last = counts[-1]
     half = sampler.nearest_count(max(1, last // 2)) if len(counts) == 1 else last
     ahead, leaf = [_AUTO.ahead * last], leaf_of(sampler.law(last))

@@ -379,7 +379,7 @@ def rates_of(
     slowest: Slowest,
     settings: LimitSettings = _LIMIT,
 ) -> tuple[float, float, float, str]:
-    """Return exponents of a predicted curve, and the position of its bend. Unknown ones are NaN.
+    """Return exponents of a predicted curve, and the position of its bend; NaN if unknown.
 
     Parameters
     ----------

@@ -45,7 +45,7 @@ def warp_quality(density: Density | str, *, resolution: int = 256) -> xr.Dataset
         ``jump_length`` is the length of the jump curves, or the number of jumps in 1-D.
         ``mean_jump`` is the mean size of a jump.
         ``distortion`` compares the image of a small square with a square of the image's area.
-        It is the geometric mean of the ratio of both diameters, and 1 if squares stay squares.
+        It is the geometric mean of the ratio of the two diameters, and 1 if squares stay squares.
         ``neighbor_expansion`` is the distance between images of neighboring cells, in cells.
         This distance is a root mean square over all neighbors, including jumps.
 

@@ -487,9 +487,9 @@ def _related(sample: Array, alike: float) -> tuple[tuple[int, int] | None, float
 
 
 def _grubbs(count: int) -> float:
-    """Return the limit of Grubbs' test for one outlier among `count` values [Grubbs1950]_.
+    """Return the limit of Grubbs' test for outliers among `count` values [Grubbs1950]_.
 
-    The largest squared deviation, divided by the sum of all of them, is below this limit.
+    A value is an outlier if its share of all squared deviations is above this limit.
     """
     if count < _LEAST_GRUBBS:
         return math.inf

@@ -121,7 +121,7 @@ def terms(name: str, realizations: int, seed: int) -> xr.Dataset:
 
 
 def share(data: xr.Dataset) -> Measured:
-    """Return power term / measured variance, with the errors of both."""
+    """Return the power term over the measured variance; the interval includes both errors."""
     variance = Measured.of(data, "measured_variance")
     power = Measured.of(data, "power_term") / variance.value
     half = math.hypot(

@@ -194,7 +194,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def symmetrized(x: Array) -> Array:
-    """Return q, the mean of exp(−x²) over both images of x."""
+    """Return q(x), the mean of exp(−y²) over the two images y = x and y = 1 − x."""
     return np.asarray((np.exp(-(x**2)) + np.exp(-((1 - x) ** 2))) / 2)
 
 

@@ -155,7 +155,7 @@ def _comb(n: int) -> Plot:
 
 
 def measured(realizations: int, seed: int) -> dict[str, xr.Dataset]:
-    """Measure the convergence of both functions with both samplers."""
+    """Measure the convergence of two functions, each with two samplers."""
     samplers = list(SAMPLERS.values())
     return {
         name: mcs.convergence(

@@ -340,7 +340,7 @@ class LarcherPillichshammer(PlaneSampler, _BinaryNet):
     other_dims: ClassVar[str] = "for other dims use sobol or niederreiter"
 
     def direction_numbers(self, n: int) -> Array:
-        """Return the columns of both matrices for n = 2^m points: uint32 (2, 32); 2^31 means ½."""
+        """Return the columns of the two matrices for n = 2^m points: uint32 (2, 32); 2^31 is ½."""
         m = self.check_count(n).bit_length() - 1
         out = np.zeros((2, _BITS), np.uint32)
         for k in range(m):

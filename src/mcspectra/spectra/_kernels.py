@@ -76,7 +76,7 @@ def power_sums(
 
 @kernel
 def pair_mean(packed: Array, total: Array) -> None:
-    """Add both transforms of a pair, packed as F = S1 + i S2, to total (H,); see `split_pair`."""
+    """Add the transforms of a pair, packed as F = S1 + i S2, to total (H,); see `split_pair`."""
     last = packed.size - 1
     for h in range(total.size):
         a = packed[h]

@@ -77,13 +77,13 @@ class DesignSettings:
     # Limits of the comparison of a design with its rivals, before the design is returned:
     # number of members, number of realizations of each group of members,
     # and maximum number of evaluations of each sampler.
-    # The members of a group share realizations. A variance from 20 groups of 32 realizations
+    # The integrands of a group share realizations. A variance from 20 groups of 32 realizations
     # has 620 degrees of freedom and therefore a relative standard error of 6 %.
     check_members: int = 2000
     check_realizations: int = 32
     check_evaluations: int = 2**24
     # Number of groups of members of a certificate. Each group has its own realizations.
-    # Errors have 19 degrees of freedom, so intervals by Student's t are 7 % wider than normal ones.
+    # Errors have 19 degrees of freedom. Student's t makes intervals 7 % wider than a normal law.
     groups: int = 20
 
 

@@ -7,7 +7,7 @@ A digital shift has the same property in the Walsh basis, where κ is the Walsh 
 the variance is (1/n²) Σ_ij κ(x_i xor x_j). For a digital net it is the mean of κ over the points.
 If sets are folded after the shift, both statements hold for g(x) = f(1 − |2x − 1|),
 because this function is continuous on the torus [Hickernell2002]_.
-Each search tries plain sets and folded sets, and keeps the better ones.
+Each search tries plain sets and folded sets, and keeps the kind with less variance.
 
 Sets that divide the cells of a grid among them need no shift. At the centers of cells,
 features are functions φ_t with Σ_t φ_t(x) φ_t(y) = Cov(f(x), f(y)).
@@ -64,23 +64,23 @@ class SearchSettings:
     # Settings of classes
 
     # Maximum number of random members that represent a class.
-    # The ratio of strata is 0.037, 0.031 and 0.027 with 512, 1024 and 2048 members.
-    # The ratio of lattices is the same for these numbers of members.
+    # The variance ratio of strata designs is 0.037, 0.031 and 0.027 with 512, 1024, 2048 members.
+    # The variance ratio of lattices is the same for these numbers of members.
     members: int = 1024
-    # Maximum size of a table with the values of all members at the points of a grid.
+    # Maximum size of a table with the values of all members of the class at the points of a grid.
     # A table of this size takes 128 MB in single precision.
     table_values: int = 2**25
     # Whether a usual sampler that has less variance is returned instead of the design.
     # If this is off, designs of different kinds can be compared with each other.
     return_rival: bool = True
-    # Number of points at which members are evaluated at once.
-    # For 1024 members, this takes 64 MB in double precision.
+    # Number of points at which all members of the class are evaluated at once.
+    # For 1024 members of the class, the values take 64 MB in double precision.
     block: int = 2**13
-    # Number of points and number of members for measurements of samplers during a search.
+    # Numbers of points and of class members with which samplers are measured during a search.
     # The searches that measure samplers are those of nets, and of lattices in three dims or more.
-    # The ratio of nets is 0.167 for half or twice as many points.
-    # The ratio of nets is 0.164 to 0.167 for half or twice as many members.
-    # In 3-D, 128 members choose another lattice, with the ratio 0.313 instead of 0.295.
+    # The variance ratio of nets is 0.167 for half or twice as many points,
+    # and 0.164 to 0.167 for half or twice as many members of the class.
+    # In 3-D, another lattice is chosen with 128 members; its ratio is 0.313 instead of 0.295.
     judge_points: int = 2**16
     judge_members: int = 256
 
@@ -88,14 +88,14 @@ class SearchSettings:
 
     # Number of points of the table from which the spectrum of a class is estimated.
     # Above three dims this number is doubled. With half or twice as many points,
-    # the ratio of lattices is 0.020 to 0.021 in 2-D, and 0.27 to 0.30 in 3-D.
+    # the variance ratio of lattices is 0.020 to 0.021 in 2-D, and 0.27 to 0.30 in 3-D.
     frequencies: int = 2**16
     # Number of initial vectors in the search of lattices in three dims or more.
     # One vector is built axis by axis, and the others are random.
-    # In 3-D the ratio is 0.295 with 24 or 48 vectors, and 0.274 with 96 in twice the time.
+    # In 3-D the variance ratio is 0.295 with 24 or 48 vectors, and 0.274 with 96 in twice the time.
     vectors: int = 48
-    # Number of vectors that are measured: the best ones of this search.
-    # In 3-D the ratio is the same for 6 and 24 vectors.
+    # Number of vectors that are measured: the best vectors of this search.
+    # In 3-D the variance ratio is the same for 6 and 24 measured vectors.
     judged: int = 12
 
     # Settings of nets and of trees
@@ -106,12 +106,13 @@ class SearchSettings:
     # Maximum number of bits in the code of a point, for all axes together.
     # The table of Walsh coefficients has 2^18 values for each function of the class.
     table_bits: int = 18
-    # Number of initial matrices in the search of nets: Sobol' and random ones of the same strength.
-    # The ratio of nets is the same for 3 and 12 initial matrices.
+    # Number of initial matrices in the search of nets: Sobol' matrices, and random matrices
+    # of the same strength.
+    # The variance ratio of nets is the same for 3 and 12 initial matrices.
     net_starts: int = 6
     # Number of trees in a design of kind ``owen``.
     # Errors can be estimated because the trees are independent point sets.
-    # The ratio of trees is 0.235 for 32 trees, and 0.224 for 64 and 128 trees.
+    # The variance ratio of trees is 0.235 for 32 trees, and 0.224 for 64 and 128 trees.
     trees: int = 64
     # Number of trees that decide whether sets are folded; 4 and 16 trees give the same ratio.
     first_trees: int = 8
@@ -119,24 +120,25 @@ class SearchSettings:
     # Settings of sets that share a grid
 
     # Number of cells of the grid. There are cells/n sets of n points, and at least 16 sets.
-    # The ratio of strata is 0.033, 0.031 and 0.033 for half, once and twice as many cells.
+    # The variance ratio of strata designs is 0.033, 0.031 and 0.033 with 2^15, 2^16 and 2^17 cells.
     cells: int = 2**16
     # Number of features of the covariance.
     # If n is larger, n features are used, but at most twice this setting.
-    # The ratio of strata is 0.031 for half or twice as many features.
+    # The variance ratio of strata designs is 0.031 for half or twice as many features.
     features: int = 160
     # Number of exchanges of cells that are tried in a round; the time is proportional to it.
-    # The ratio of strata is 0.035, 0.031 and 0.028 for half, once and twice as many exchanges.
+    # With 2^19, 2^20 and 2^21 exchanges, the variance ratio of strata designs is
+    # 0.035, 0.031 and 0.028.
     trials: int = 2**20
     # Maximum number of rounds of exchanges; the time is proportional to it.
-    # The ratio of strata is 0.037, 0.031 and 0.028 for 12, 24 and 48 rounds.
+    # The variance ratio of strata designs is 0.037, 0.031 and 0.028 for 12, 24 and 48 rounds.
     rounds: int = 24
     # Number of rounds after which the search continues with the best start only.
     # For designs of kind ``points`` and the class ``half-spaces``,
     # the ratio is 0.735 with 2, 4 and 8 rounds.
     first_rounds: int = 4
     # The search ends after a round that lowers the variance by less than this fraction.
-    # The ratio of designs of kind ``strata`` is the same for half or twice this fraction.
+    # The variance ratio of strata designs is the same for half or twice this fraction.
     least_gain: float = 0.003
     # Whether exchanges also start from the cosets of a digital net.
     # With 64 points in 4-D, these exchanges end with less variance than those from random sets
@@ -269,7 +271,7 @@ def _best_vector(
 def _judge(
     objective: Objective, n: int, stream: Stream, settings: SearchSettings
 ) -> Callable[[Sampler], float]:
-    """Return a function that measures samplers with the same members and random numbers."""
+    """Return a function that measures all samplers with the same integrands and random numbers."""
     values = objective.functions(settings.judge_members, stream.generator(4))
     sets, seed = max(2, min(64, settings.judge_points // n)), stream.child(4).key
     return lambda made: float(mean_variances(values, made, n, sets, seed).sum())

@@ -34,7 +34,7 @@ def window(width: int = 48, height: int = 32) -> Array:
 
 
 def main() -> None:
-    """Write both files."""
+    """Write the picture and the set of points."""
     # Encode as 8-bit sRGB, like photographs
     linear = window()
     encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
