@@ -9,7 +9,7 @@ A function agrees with brute force under these conditions:
 
 * `profile`: the interval of the RMSE of the recommended set-up overlaps that by brute force;
 * `remedies`: the recommended set-up is the same as in the profile.
-    A different set-up is accepted if its intervals by `profile` and by `remedies` overlap.
+    A different set-up is accepted if its RMSE intervals by `profile` and `remedies` overlap.
     Examples are a preintegration along some direction, and a regression.
     A different set-up is also accepted if both set-ups have the same RMSE within their intervals;
 * `plan`: with the RMSE by brute force as target, its interval for n overlaps the reference.

@@ -1,7 +1,7 @@
 """SciPy's L-BFGS-B, QR and eigensolver compared with ours: minima, and stability of bits.
 
-The command ``python -m benchmarks descent`` runs both descents for three optimized samplers:
-each descent minimizes the function, such as an energy, that the sampler minimizes.
+The command ``python -m benchmarks descent`` runs L-BFGS-B and our descent:
+they minimize the functions, such as energies, that three optimized samplers minimize.
 It prints the smallest values after as many evaluations as our descent takes.
 The command then repeats the computations of the libraries with other numbers of threads.
 It also repeats them with the kernels of OpenBLAS for other processors.

@@ -347,7 +347,7 @@ class Reduction(Generic[State]):
     blocks
         Number of blocks; a block is the smallest unit of work.
     cost
-        Estimated work of all blocks, in a unit that all reductions of the step share.
+        Work of all blocks, in a unit that all reductions of the step share.
         Expensive reductions start first, and progress counts by work.
     key
         Name that is unique within the analysis; it identifies stored states.

@@ -148,9 +148,9 @@ class _Cut(Derived):
 
 
 def looked_at(g: Integrand) -> Integrand:
-    """Return g with more breaks: line searches along the axes detect further jumps.
+    """Return g with additional breaks: the jumps that line searches along the axes detect.
 
-    Only jumps normal to an axis are added; see `found_breaks`.
+    Only jumps normal to an axis are detected; see `found_breaks`.
     g is returned unchanged if its calls are costly, if it has a closed form or its own rule,
     or if it has more than 5 dims.
     """

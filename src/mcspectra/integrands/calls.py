@@ -48,7 +48,7 @@ from mcspectra.integrands.base import FunctionIntegrand, Integrand
 __all__ = ["Calls"]
 
 # Number of points in one call of a vectorized function.
-# For a function of single points, it is the number of calls whose values are stored together
+# For a function of single points: number of calls whose values are stored together
 _BLOCK, _FEW = 128, 8
 _SAME = 1e-9  # Relative difference up to which a cached value agrees with the function's value
 

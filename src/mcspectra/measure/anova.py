@@ -197,8 +197,8 @@ class Anova(Counted, frozen=True, kw_only=True):
     def _labelled(self, estimates: Array, subject: Subject) -> xr.Dataset:
         """Return the dataset for estimates (S, R, channels), one for each kept subset of axes.
 
-        The first subset has all axes. Shares of the variance are covariances
-        of its estimates with the estimates of the other subsets, relative to the variance.
+        The first subset has all axes.
+        The covariance of its estimates with those of another subset gives this subset's share.
         """
         moments, count = Moments.of(estimates[0], tails=True), estimates.shape[1]
         # Products of deviations, whose means over realizations are covariances: (S, R, channels)

@@ -226,7 +226,7 @@ def _rank_ones(grid: Any, order: Array) -> None:
     for rank in range(order.size - 1, -1, -1):
         order[rank] = _head(_CLUSTER, grid)
         _flip(order[rank], grid, weights)
-        # The Gaussian of the energy gets wider when the remaining ones are farther apart
+        # When half of the ones are left, they are farther apart and need a wider Gaussian
         if rank == again and rank > 0:
             weights, again = _start(grid), again // 2
 

@@ -35,7 +35,7 @@ from mcspectra.samplers.law import (
 __all__ = ["Decorrelate", "Mirror", "RandomRotation", "Shift", "StrataShift", "folded"]
 
 _MOST_IMAGED = 30  # largest number of dims of the uniform mode, which makes 2^d images
-_MASK_KEY = 0x3A5C  # arbitrary seed of the dither mask, which is the same in all realizations
+_MASK_KEY = 0x3A5C  # arbitrary seed of the dither mask; realizations shift the same mask at random
 _FIRST_REACH = 0.6  # half-side of a window of area 1.44, which nearly always has n + 1 points
 _REACH = 1.12  # half-side that always suffices: a disk of radius √5/2 contains two domains
 

@@ -42,7 +42,7 @@ __all__ = [
 _NEWTON = 100  # largest number of Newton steps; random points take 10, moved points 2 or 3
 _BALANCED = 1e-3  # allowed relative error of the cells' areas while points move
 # Relative error of the cells' areas at which Newton's method stops for a transport cost.
-# The relative error of the cost is about (1e-9)²
+# The error of the transport cost is then about (1e-9)²
 _EXACT = 1e-9
 # Largest relative error of the areas if rounding interferes; a transport cost is off by 1e-6
 _CLOSE = 1e-4

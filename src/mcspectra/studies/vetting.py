@@ -103,7 +103,7 @@ class Vetting:
         files: dict[Path, str] = {}
         match first.name, first.arguments:
             case "command", {"run": str(run)}:
-                # If quotes do not match, the sampler raises an error later
+                # If the command cannot be split into words, the sampler raises an error later
                 with suppress(ValueError):
                     program, *others = shlex.split(run)
                     if "/" in program:

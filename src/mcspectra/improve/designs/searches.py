@@ -55,8 +55,8 @@ _FOLD = " | mirror(mode='fold')"
 class SearchSettings:
     """Settings of the searches.
 
-    Larger numbers make searches longer.
-    Comments give ratios. A ratio is the mean variance of designs with another value of a setting,
+    Larger numbers make searches longer. Comments give variance ratios.
+    A ratio is the mean variance of designs with another value of a setting,
     divided by the mean variance of ``sobol | owen``. Unless stated otherwise, it is measured
     with 400 fresh members of the class ``gaussians`` and about 64 points in 2-D.
     """
@@ -106,8 +106,8 @@ class SearchSettings:
     # Maximum number of bits in the code of a point, for all axes together.
     # The table of Walsh coefficients has 2^18 values for each function of the class.
     table_bits: int = 18
-    # Number of initial matrices in the search of nets: Sobol' matrices, and random matrices
-    # of the same strength.
+    # Number of initial matrices in the search of nets. The first ones are Sobol' matrices.
+    # The other initial matrices are random and have the same strength.
     # The variance ratio of nets is the same for 3 and 12 initial matrices.
     net_starts: int = 6
     # Number of trees in a design of kind ``owen``.
@@ -127,8 +127,8 @@ class SearchSettings:
     # The variance ratio of strata designs is 0.031 for half or twice as many features.
     features: int = 160
     # Number of exchanges of cells that are tried in a round; the time is proportional to it.
-    # With 2^19, 2^20 and 2^21 exchanges, the variance ratio of strata designs is
-    # 0.035, 0.031 and 0.028.
+    # The variance ratio of strata designs is 0.035, 0.031 and 0.028
+    # with 2^19, 2^20 and 2^21 exchanges.
     trials: int = 2**20
     # Maximum number of rounds of exchanges; the time is proportional to it.
     # The variance ratio of strata designs is 0.037, 0.031 and 0.028 for 12, 24 and 48 rounds.
