@@ -1,11 +1,13 @@
-"""Coverage of 95 % intervals of variances, captured parts, spectra and ANOVA shares."""
+"""Coverage of 95 % intervals: variances, captured parts, spectra, ANOVA shares and integrals."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from itertools import product
 from typing import Any
 
 import numpy as np
+from scipy.special import ndtri
 
 import mcspectra as mcs
 from mcspectra.estimators.moments import Moments
@@ -41,6 +43,19 @@ RATIOS: dict[str, tuple[float, Callable[[np.ndarray], np.ndarray], int]] = {
     "p ∝ x^0.5, exp(−x)": (0.5, lambda x: np.exp(-x), 2),
     "p ∝ x^0.5, step": (0.5, lambda x: 1.0 * (x < 0.3), 8),
 }
+
+# Number of dims, function and integral
+INTEGRALS: dict[str, tuple[int, Callable[[np.ndarray], np.ndarray], float]] = {
+    "x": (1, lambda x: x[..., 0], 0.5),
+    "exponential": (1, lambda x: -np.log1p(-x[..., 0]), 1.0),
+    "lognormal(1)": (1, lambda x: np.exp(ndtri(np.maximum(x[..., 0], 1e-300))), np.exp(0.5)),
+    "x^-0.3": (1, lambda x: np.maximum(x[..., 0], 1e-300) ** -0.3, 1 / 0.7),
+    "exp(x + y)": (2, lambda x: np.exp(x.sum(axis=-1)), (np.e - 1) ** 2),
+    "disk": (2, lambda x: 1.0 * (((x - 0.5) ** 2).sum(axis=-1) < 0.09), 0.09 * np.pi),
+}
+SETS = ("random", "jittered", "sobol | owen")
+BUDGETS = (512, 4096, 32_768)
+_SEEDS = 600
 
 
 def _of_variances() -> Iterator[tuple[str, ...]]:
@@ -141,6 +156,23 @@ def _of_anova() -> Iterator[tuple[str, ...]]:
             yield str(count), name, f"{100 * np.mean(own):.1f}"
 
 
+def _of_integrals() -> Iterator[tuple[str, ...]]:
+    """Coverage of `mcspectra.integrate`; infinite intervals are counted separately."""
+    for (name, (dims, f, integral)), sampler, budget in product(INTEGRALS.items(), SETS, BUDGETS):
+        ends = np.array(
+            [
+                mcs.integrate(f, dims=dims, budget=budget, sampler=sampler, rng=seed)["interval"]
+                for seed in range(_SEEDS)
+            ]
+        )
+        ends = ends[np.isfinite(ends).all(axis=1)]
+        low, high = 100 * (integral < ends[:, 0]).mean(), 100 * (integral > ends[:, 1]).mean()
+        yield (
+            name, sampler, str(budget), f"{100 - low - high:.1f}", f"{high:.1f}", f"{low:.1f}",
+            f"{100 * (1 - len(ends) / _SEEDS):.1f}",
+        )  # fmt: skip
+
+
 def _print(header: str, rows: Iterator[tuple[str, ...]]) -> None:
     names = header.split(" | ")
     print(f"| {header} |\n|{'---|' * len(names)}")
@@ -156,6 +188,8 @@ def main() -> None:
     _print("realizations | captured | covered | ends' ratio (median)", _of_captured())
     _print("realizations | interval | covered", _of_spectra())
     _print("pairs | interval | covered", _of_anova())
+    columns = "integrand | sampler | budget | covered | truth above | below"
+    _print(f"{columns} | infinite", _of_integrals())
 
 
 if __name__ == "__main__":
