@@ -10,6 +10,7 @@ Bright corners therefore do not dominate, and white noise has power 1 at all fre
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,6 +22,7 @@ import xarray as xr
 from mcspectra.core.checks import Array, as_integer, as_real
 from mcspectra.core.confidence import CONFIDENCE_Z, student_t
 from mcspectra.core.errors import ParameterError
+from mcspectra.core.fits import is_resolved, line_fit
 from mcspectra.core.images import (
     Rings,
     exr_layer,
@@ -49,6 +51,7 @@ _SIGNIFICANCE = 0.05  # significance level of a test of all pixels, frames or la
 _OUTLIER = 1e-3  # significance level of Grubbs' test at each pixel
 _RELATED = 0.1  # smallest correlation of two frames to report, whatever its significance
 _REPEATED = 0.05  # smallest correlation of distant pixels to report
+_LEAST_PAIRED = 16  # smallest number of common pixels at which two sets are compared frame by frame
 _LEAST_GRUBBS = 5  # minimum number of frames for Grubbs' test
 # If one error of one frame exceeds this share of all squares, no upper limit is given
 _ONE_SQUARE = 0.05
@@ -166,6 +169,7 @@ def frames(
 
     # Compute rates over windows that make them precise, and the samples needed for the target
     rate, window = np.full(best.moments.mean.shape, np.nan), None
+    errors = rate[None]
     if len(found) > 1:
         relative, level = np.stack([_log_variance(each.moments) for each in found], axis=1)
         line = fit_lines(
@@ -179,19 +183,14 @@ def frames(
         rate = rates[0]
         variables["rate"] = (("y", "x"), rate)
         variables["rate_ci"] = (("y", "x", "bound"), interval(rate, errors[0]))
-        whole, apart = (np.array([[getattr(each, name) for each in found]]) for name in _PICTURE)
-        line = fit_lines(ns, whole, apart, np.zeros_like(whole), largest_se=np.inf)
-        variables["picture_rate"] = ((), line.rate[0])
-        variables["picture_rate_ci"] = (("bound",), interval(line.rate[0], line.rate_se[0]))
-    if given["target"] is not None:
-        slope = np.where(np.isfinite(rate), np.minimum(rate, _SLOWEST), -1.0)
-        with np.errstate(over="ignore", invalid="ignore"):
-            need = best.spp * (best.relative_rmse / given["target"]) ** (-2.0 / slope)
-        if best.told["spp_known"]:
-            need = np.maximum(need, 1.0)
-        variables["needed_spp"] = (("y", "x"), need)
-
+        slope, slope_se = _picture_rate(found)
+        variables["picture_rate"] = ((), slope)
+        variables["picture_rate_ci"] = (("bound",), interval(slope, slope_se))
     told: dict[str, Any] = {name: [each.told[name] for each in found] for name in best.told}
+    if given["target"] is not None and not _grows(variables):
+        need, spread = _needed(best, given["target"], rate, errors[0], variables)
+        variables["needed_spp"] = (("y", "x"), need)
+        told |= _percentiles(need, spread)
     told["seconds"] = [given["seconds"] or each.seconds for each in found]
     if against is not None:
         other = _measured(against, read)
@@ -225,6 +224,79 @@ def frames(
 _PICTURE = ("picture_variance", "picture_relative_se")
 
 
+def _resolved_rate(variables: dict[str, tuple[tuple[str, ...], Any]]) -> bool:
+    """Whether the rate of the image's variance is known to ± 0.5."""
+    return "picture_rate" in variables and is_resolved(*variables["picture_rate_ci"][1])
+
+
+def _grows(variables: dict[str, tuple[tuple[str, ...], Any]]) -> bool:
+    """Whether the image's variance grows significantly with the number of samples."""
+    return _resolved_rate(variables) and bool(variables["picture_rate_ci"][1][0] > 0.0)
+
+
+def _needed(
+    best: _Group,
+    target: float,
+    rate: Array,
+    rate_se: Array,
+    variables: dict[str, tuple[tuple[str, ...], Any]],
+) -> tuple[Array, Array]:
+    """Return samples that every pixel needs, and the variance of the error of their logarithm.
+
+    Rates of pixels are shrunk to the image's mean rate.
+    Otherwise the few rates near 0 that noise makes would extrapolate to huge numbers.
+    If the rate of the image is not resolved, the variance is assumed to fall as 1/n.
+    """
+    slope, slope_se = np.full_like(rate, -1.0), np.zeros_like(rate)
+    if _resolved_rate(variables):
+        shrunk, shrunk_se = _shrunk(rate, rate_se)
+        slope = np.where(np.isfinite(shrunk), np.minimum(shrunk, _SLOWEST), -1.0)
+        slope_se = np.where(np.isfinite(shrunk), shrunk_se, 0.0)
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        distance = 2.0 * np.log(best.relative_rmse / target)
+        need = best.spp * np.exp(-distance / slope)
+        error = _log_variance(best.moments)[0]
+        spread = (error / slope) ** 2 + (slope_se * distance / slope**2) ** 2
+    return np.maximum(need, 1.0) if best.told["spp_known"] else need, spread
+
+
+def _shrunk(rate: Array, se: Array) -> tuple[Array, Array]:
+    """Shrink the rates of pixels to their mean; return the rates and their standard errors.
+
+    Empirical Bayes estimates: a rate keeps the share τ²/(τ² + se²) of its distance from the mean.
+    The variance τ² of the true rates is the estimate of [DerSimonianLaird1986]_.
+    """
+    known = np.isfinite(rate) & (se > 0)
+    weight, value = se[known] ** -2.0, rate[known]
+    if value.size < 2:
+        return rate, se
+    mean = float(np.average(value, weights=weight))
+    excess = float((weight * (value - mean) ** 2).sum()) - (value.size - 1)
+    tau2 = max(excess / float(weight.sum() - (weight**2).sum() / weight.sum()), 0.0)
+    kept = np.divide(tau2, tau2 + se**2, out=np.full_like(rate, np.nan), where=known)
+    return mean + kept * (rate - mean), np.sqrt(kept) * se
+
+
+def _percentiles(need: Array, spread: Array) -> dict[str, float]:
+    """Return the median and the 95 % point of samples over the pixels, without their scatter.
+
+    Errors of the estimates widen the distribution over pixels.
+    The logarithms are therefore moved towards their median, so that their variance is the
+    variance of the estimates minus the mean variance of the errors [Louis1984]_.
+    """
+    known = np.isfinite(need) & np.isfinite(spread) & (need > 0)
+    if not known.any():
+        return {}
+    logs = np.log(need[known])
+    middle, far = np.percentile(logs, [50, 95])
+    total = float(logs.var())
+    factor = math.sqrt(max(1.0 - float(spread[known].mean()) / total, 0.0)) if total > 0 else 0.0
+    return {
+        "needed_median": math.exp(middle),
+        "needed_95": math.exp(middle + factor * (far - middle)),
+    }
+
+
 @final
 @dataclass(frozen=True, kw_only=True)
 class _Group:
@@ -243,6 +315,8 @@ class _Group:
     correlation: Array
     alike: float
     resolved: bool
+    chosen: Array
+    sample: Array
     told: dict[str, Any]
 
     @property
@@ -340,11 +414,12 @@ def _group(group: FrameFiles, read: FrameReader, done: int, total: int) -> _Grou
     power: Any = 0.0
     tail: Moments | None = None
     curves = np.empty((count, rings.radius.size))
-    chosen = np.flatnonzero(varied)
-    chosen = chosen[np.linspace(0, chosen.size - 1, min(_SAMPLE, chosen.size)).astype(int)]
+    chosen = _scattered(varied)
     sample = np.empty((count, chosen.size))
+    light, gains = np.where(varied, moments.mean, 0.0), np.empty(count)
     for k, file in enumerate(files):
         error = np.where(varied, read.plane(file, shape)[0] - moments.mean, 0.0)
+        gains[k] = float((error * light).sum())
         # Find moments and extremes without a full sort
         values = ends = error[varied]
         if values.size > 2 * _TAIL:
@@ -380,6 +455,13 @@ def _group(group: FrameFiles, read: FrameReader, done: int, total: int) -> _Grou
     outliers = (share > limit) & (above > np.maximum(moments.mean, moments.mean - low))
     expected = _OUTLIER / 2 * int((limit * moments.m2[varied] > moments.mean[varied] ** 2).sum())
     whole = float(np.nansum(moments.variance))
+    energy = float((light**2).sum()) or 1.0
+    drift, drift_share = _drift(
+        np.array(means),
+        gains**2 / energy,
+        float(np.nansum(moments.m2)),
+        float(np.nansum(moments.m2 * light**2)) / energy,
+    )
     told = {
         "frame_count": count,
         "missing": int(np.isnan(moments.mean).sum()),
@@ -389,6 +471,8 @@ def _group(group: FrameFiles, read: FrameReader, done: int, total: int) -> _Grou
         "tail_index": _number(float(tail.tail_index)),
         "related": None if pair is None else [str(files[i]) for i in pair],
         "relation": _number(relation),
+        "drift": drift,
+        "drift_share": drift_share,
         "repeat": repeat,
         "repeat_correlation": _number(repeated),
         "spp_known": int(group.spp is not None),
@@ -408,8 +492,64 @@ def _group(group: FrameFiles, read: FrameReader, done: int, total: int) -> _Grou
         correlation=near,
         alike=alike,
         resolved=float(farthest[varied].max()) < _ONE_SQUARE * float(np.nansum(moments.m2)),
+        chosen=chosen,
+        sample=sample,
         told=told,
     )
+
+
+def _scattered(varied: Array) -> Array:
+    """Return pixels at which frames are compared, from a fixed order of all pixels.
+
+    The order is the same for all sets of frames of one size.
+    Two sets in which almost the same pixels vary therefore share almost all of these pixels.
+    """
+    # Multiples of an odd step near the golden section of the size visit all pixels in mixed order
+    step = next(k for k in itertools.count(int(0.618 * varied.size) | 1) if _coprime(k, varied))
+    order = np.arange(varied.size) * step % varied.size
+    return np.asarray(order[varied.ravel()[order]][:_SAMPLE])
+
+
+def _coprime(step: int, varied: Array) -> bool:
+    return math.gcd(step, varied.size) == 1
+
+
+def _drift(
+    means: Array, gained: Array, squares: float, chance: float
+) -> tuple[float | None, float]:
+    """Return the relative change of the image mean per frame, and its share of the variance.
+
+    Parameters
+    ----------
+    means
+        Image mean of each frame, in order.
+    gained
+        Sum of squares over the pixels that a change of brightness of each frame explains.
+    squares
+        Sum of squared deviations over pixels and frames.
+    chance
+        Expected sum of `gained` if the errors of pixels are independent.
+
+    Returns
+    -------
+    tuple
+        The change is None unless the means follow a line significantly.
+        The share is of all frames, whether or not they follow a line.
+    """
+    count, center = means.size, float(means.mean())
+    share = 0.0
+    if squares > 0 and chance < _RELATED * squares:  # few pixels cannot show a common factor
+        share = min(max(float(gained.sum()) - chance, 0.0) / (squares - chance), 1.0)
+    if count < 3 or center == 0.0 or not means.std():
+        return None, share
+    order = np.arange(count) - (count - 1) / 2
+    fit = line_fit(order, means, np.ones(count))
+    left = float((fit.residuals**2).sum()) / (count - 2)
+    t = math.inf if left == 0 else abs(fit.slope) * math.sqrt(float((order**2).sum()) / left)
+    from scipy.special import stdtr
+
+    sure = 2.0 * stdtr(count - 2, -t) < _OUTLIER
+    return (fit.slope / abs(center) if sure else None), share
 
 
 def _log_variance(moments: Moments) -> tuple[Array, Array]:
@@ -545,16 +685,34 @@ def _compared(
         )
     if not both.all():
         a, b = (each.within(both, read) for each in (a, b))
-    z = _welch(*((each.moments.mean, each.moments.variance, each.moments.count) for each in (a, b)))
-    whole = _welch(
-        *((each.means.mean(), each.means.var(ddof=1), each.means.size) for each in (a, b))
-    )
+    pairs, relation = _paired(a, b)
+    if pairs is None:
+        z = _welch(
+            *((each.moments.mean, each.moments.variance, each.moments.count) for each in (a, b))
+        )
+        whole = _welch(
+            *((each.means.mean(), each.means.var(ddof=1), each.means.size) for each in (a, b))
+        )
+    else:
+        apart = _differences(a, b, pairs, both, read)
+        z = _student(apart.mean, apart.variance, apart.count)
+        apart_means = np.array([a.means[i] - b.means[j] for i, j in pairs])
+        whole = _student(apart_means.mean(), apart_means.var(ddof=1), len(pairs))
     pixels = int((~np.isnan(z)).sum())
     limit = _sidak(pixels)
+    # Scale the variance of the others to the same number of samples, by a measured rate if possible
+    step, (rate, rate_se) = 0.0, (math.nan, 0.0)
+    if a.spp != b.spp and a.told["spp_known"] and b.told["spp_known"]:
+        rate, rate_se = _known_rate(others) or _known_rate(ours) or (-1.0, 0.0)
+        step = math.log(a.spp / b.spp)
+    scale = math.exp(rate * step) if step else 1.0
     with np.errstate(invalid="ignore", divide="ignore"):
-        variances = a.moments.variance / b.moments.variance
-    error = math.hypot(a.picture_relative_se, b.picture_relative_se)
-    level = math.log(a.picture_variance / b.picture_variance)
+        variances = a.moments.variance / b.moments.variance / scale
+    first, second = a.picture_relative_se, b.picture_relative_se
+    # For normal errors of correlation ρ, the errors of the two variances have correlation ρ²
+    shared = 0.0 if pairs is None else 2.0 * relation**2 * first * second
+    error = math.sqrt(max(first**2 + second**2 - shared, 0.0) + (step * rate_se) ** 2)
+    level = math.log(a.picture_variance / b.picture_variance / scale)
     value, bounds = ratio(np.asarray(level), np.asarray(error))
     # If the interval of a variance has no upper end, the ratio is unbounded on that side
     bounds = np.where([b.resolved, a.resolved], bounds, [0.0, np.inf])
@@ -567,11 +725,15 @@ def _compared(
     }
     ours_time, other_time = times[0] or a.seconds, times[1] or b.seconds
     if ours_time and other_time:
-        faster = ours_time / other_time
+        faster = ours_time / other_time * scale
         found["equal_time_ratio"] = ((), value * faster)
         found["equal_time_ratio_ci"] = (("bound",), bounds * faster)
     return found, {
         "compared_n": [a.spp, b.spp],
+        "scaled_rate": _number(rate),
+        "scaled_by": None if not step else "measured" if rate_se else "assumed",
+        "pairs": 0 if pairs is None else len(pairs),
+        "pair_correlation": _number(relation),
         "identical": int(np.array_equal(a.moments.mean, b.moments.mean, equal_nan=True)),
         "biased_pixels": int((np.abs(z) > limit).sum()),
         "compared_pixels": pixels,
@@ -579,6 +741,70 @@ def _compared(
         "mean_difference": float(a.means.mean() / b.means.mean() - 1.0),
         "mean_difference_z": float(whole),
     }
+
+
+def _picture_rate(groups: list[_Group]) -> tuple[Array, Array]:
+    """Return the rate of the image's variance, with its standard error."""
+    whole, apart = (np.array([[getattr(each, name) for each in groups]]) for name in _PICTURE)
+    ns = np.array([each.spp for each in groups])
+    line = fit_lines(ns, whole, apart, np.zeros_like(whole), largest_se=np.inf)
+    return line.rate[0], line.rate_se[0]
+
+
+def _known_rate(groups: list[_Group]) -> tuple[float, float] | None:
+    """Return the rate of the image's variance with its standard error, if it is resolved."""
+    if len(groups) < 2:
+        return None
+    rate, se = _picture_rate(groups)
+    return (float(rate), float(se)) if is_resolved(*interval(rate, se)) else None
+
+
+def _paired(a: _Group, b: _Group) -> tuple[list[tuple[int, int]] | None, float]:
+    """Return pairs of frames of two sets that share their seeds, and their mean correlation.
+
+    Sets are paired if every frame of the smaller set correlates with its own frame of the other.
+    """
+    from scipy.optimize import linear_sum_assignment
+
+    _, first, second = np.intersect1d(a.chosen, b.chosen, return_indices=True)
+    if first.size < _LEAST_PAIRED:
+        return None, math.nan
+    ours, others = a.sample[:, first], b.sample[:, second]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        table = np.nan_to_num(np.corrcoef(ours, others)[: len(ours), len(ours) :])
+    # Deviations from the mean of few frames correlate by chance: compare with other pairings
+    chosen = linear_sum_assignment(-table)
+    found = table[chosen]
+    limit = max(_RELATED, _sidak(table.size) * math.sqrt(max(a.alike, b.alike) / first.size))
+    if float(found.min()) <= limit:
+        return None, math.nan
+    return [(int(i), int(j)) for i, j in zip(*chosen, strict=True)], float(found.mean())
+
+
+def _differences(
+    a: _Group, b: _Group, pairs: list[tuple[int, int]], both: Array, read: FrameReader
+) -> Moments:
+    """Return the moments of the differences of paired frames, at pixels finite in both sets."""
+    moments: Moments | None = None
+    for i, j in pairs:
+        apart = read.plane(a.files[i], None)[0] - read.plane(b.files[j], None)[0]
+        each = Moments.of(np.where(both, apart, np.nan)[None])
+        moments = each if moments is None else moments.merge(each)
+    assert moments is not None
+    return moments
+
+
+def _student(mean: Any, variance: Any, count: int) -> Array:
+    """Mean of paired differences as a normal deviate (Student's test)."""
+    from scipy.special import ndtri, stdtr
+
+    with np.errstate(invalid="ignore", divide="ignore"):
+        t = mean / np.sqrt(variance / count)
+        deviate = -ndtri(np.maximum(stdtr(count - 1, -np.abs(t)), 1e-300)) * np.sign(t)
+    sure = np.inf if count >= _LEAST_GRUBBS else np.nan
+    return np.asarray(
+        np.where(variance == 0, np.where(mean == 0, 0.0, np.copysign(sure, mean)), deviate)
+    )
 
 
 def _welch(a: tuple[Any, Any, int], b: tuple[Any, Any, int]) -> Array:
