@@ -246,6 +246,16 @@ picture_rate | f | 1 | | exponent of the mean variance in samples a pixel
 needed_spp | f | 1 | y x | samples a pixel at which the wanted σ / mean is reached
 error_spectrum | f | 1 | n radius | power of the standardized errors of a frame; white noise: 1
 error_correlation | f | 1 | n lag_y lag_x | correlation of the errors of pixels at a distance
+joint_spectrum | f | 1 | n radius frame_frequency | \
+power of the standardized errors by radial and temporal frequency; white noise: 1
+frame_correlation | f | 1 | n lag_t | correlation of the errors of frames of a sequence at a lag
+boiling | f | 1 | n | power of errors below 1/8 cycle per frame; white noise: 1
+effective_frames | f | 1 | n | independent frames whose mean has the variance of a sequence's mean
+pixel_effective_frames | f | 1 | n y x | the same number for each pixel
+filtered_variance | f | f² | n filter | mean over the pixels of the variance after a filter
+filtered_ratio | f | 1 | n filter | \
+variance after a filter / the same of white noise of the same variance
+filtered_picture_ratio | f | 1 | filter | filtered variance / that of the other frames
 flip | f | 1 | n y x | FLIP of one frame against the mean
 predicted_power | f | f² | radius | \
 power of an image of errors, from spectra; white noise: the variance

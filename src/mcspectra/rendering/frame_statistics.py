@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, final
@@ -21,7 +22,7 @@ import xarray as xr
 
 from mcspectra.core.checks import Array, as_integer, as_real
 from mcspectra.core.confidence import CONFIDENCE_Z, student_t
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.core.fits import is_resolved, line_fit
 from mcspectra.core.images import (
     Rings,
@@ -37,6 +38,21 @@ from mcspectra.rendering.frame_files import (
     Frames,
     described_paths,
     frame_files,
+)
+from mcspectra.rendering.frame_filters import (
+    Chain,
+    Filtered,
+    SpatialPower,
+    chains_of,
+    default_filters,
+    filtered_of,
+)
+from mcspectra.rendering.frame_sequences import (
+    Temporal,
+    TimeStatistics,
+    sequence_files,
+    stored_array,
+    temporal_of,
 )
 from mcspectra.rendering.map_statistics import fit_lines, interval, ratio, smooth
 
@@ -71,6 +87,8 @@ def frames(
     layer: str | None = None,
     tone_mapped: bool = False,
     flip: bool = True,
+    sequence: str | None = None,
+    filters: str | Sequence[str] = (),
 ) -> xr.Dataset:
     """Measure the noise of independent renders of one view, by any renderer.
 
@@ -140,7 +158,8 @@ def frames(
     for name, value in given.items():
         given[name] = None if value is None else as_real(name, value, above=0.0)
     read = FrameReader(layer=layer, tone_mapped=tone_mapped, spp=spp)
-    found = _measured(paths, read)
+    chains = chains_of(filters)
+    found = _measured(paths, read, chains, sequence)
     best, ns = found[-1], np.array([each.spp for each in found])
     if layer is None and best.files[0].suffix.lower() == ".exr":
         layer = exr_layer(best.files[0]) or None
@@ -158,6 +177,28 @@ def frames(
         "error_spectrum_ci": (("radius", "bound"), [each.spectrum_ci for each in found]),
         "error_correlation": (("lag_y", "lag_x"), [each.correlation for each in found]),
     }
+    temporal = [each.temporal for each in found if each.temporal is not None]
+    if temporal:
+        stacked |= {
+            "joint_spectrum": (("radius", "frame_frequency"), [t.joint for t in temporal]),
+            "frame_correlation": (("lag_t",), [t.correlation for t in temporal]),
+            "frame_correlation_ci": (("lag_t", "bound"), [t.correlation_ci for t in temporal]),
+            "boiling": ((), [t.boiling for t in temporal]),
+            "boiling_ci": (("bound",), [t.boiling_ci for t in temporal]),
+            "effective_frames": ((), [t.effective for t in temporal]),
+            "effective_frames_ci": (("bound",), [t.effective_ci for t in temporal]),
+            "pixel_effective_frames": (("y", "x"), [t.pixels for t in temporal]),
+        }
+    # The first filter leaves frames alone
+    specs = best.filtered.specs[1:]
+    if specs:
+        left = [each.filtered for each in found]
+        stacked |= {
+            "filtered_variance": (("filter",), [each.variance[1:] for each in left]),
+            "filtered_variance_ci": (("filter", "bound"), [e.variance_ci[1:] for e in left]),
+            "filtered_ratio": (("filter",), [each.ratio[1:] for each in left]),
+            "filtered_ratio_ci": (("filter", "bound"), [each.ratio_ci[1:] for each in left]),
+        }
     variables: dict[str, tuple[tuple[str, ...], Any]] = {
         name: (("n", *dims), np.stack(of)) for name, (dims, of) in stacked.items()
     }
@@ -193,7 +234,7 @@ def frames(
         told |= _percentiles(need, spread)
     told["seconds"] = [given["seconds"] or each.seconds for each in found]
     if against is not None:
-        other = _measured(against, read)
+        other = _measured(against, read, chains, sequence)
         times = given["seconds"], given["seconds_against"]
         compared, said = _compared(found, other, times, read)
         variables |= compared
@@ -212,11 +253,20 @@ def frames(
             "bound": ["low", "high"],
             "radius": best.radius,
             **lags,
+            **({"filter": list(specs)} if specs else {}),
+            **(
+                {"lag_t": np.arange(best.times), "frame_frequency": temporal[-1].frequency}
+                if temporal
+                else {}
+            ),
         },
         frames=described_paths(paths),
         target=given["target"],
         layer=layer,
         smoothing=window,
+        filters=[each.spec for each in chains] or None,
+        times=best.times if temporal else None,
+        frames_smoothing=temporal[-1].window if temporal else None,
         **told,
     )
 
@@ -300,12 +350,21 @@ def _percentiles(need: Array, spread: Array) -> dict[str, float]:
 @final
 @dataclass(frozen=True, kw_only=True)
 class _Group:
-    """Statistics of the frames with one number of samples; `told` holds result attributes."""
+    """Statistics of the frames with one number of samples; `told` holds result attributes.
+
+    A group has `count` sequences of `times` frames; independent frames are sequences of one frame.
+    The files of a sequence follow each other. The array `means` has one value per sequence,
+    and `averages` is the variance of the average of a sequence.
+    The array `left` (sequence, filter) has the variance that each filter leaves.
+    """
 
     spp: int
     seconds: float | None
     files: list[Path]
+    times: int
+    count: int
     moments: Moments
+    averages: Array
     largest_share: Array
     image: Array
     means: Array
@@ -317,6 +376,8 @@ class _Group:
     resolved: bool
     chosen: Array
     sample: Array
+    filtered: Filtered
+    temporal: Temporal | None
     told: dict[str, Any]
 
     @property
@@ -330,11 +391,22 @@ class _Group:
         s = np.sqrt(degrees / chdtri(degrees, 0.5) * self.moments.variance)
         return np.asarray(s / positive)
 
+    @property
+    def related(self) -> float:
+        """Pixels of one time that have the information of one independent pixel."""
+        frames = 1.0 if self.temporal is None else self.temporal.frames_for_squares
+        return self.alike / frames
+
     def within(self, pixels: Array, read: FrameReader) -> _Group:
         """Return the statistics of pixels where both these and the other frames have numbers."""
         mean, m2 = (np.where(pixels, v, np.nan) for v in (self.moments.mean, self.moments.m2))
         means = [float(read.plane(file, None)[0][pixels].mean()) for file in self.files]
-        return replace(self, moments=replace(self.moments, mean=mean, m2=m2), means=np.array(means))
+        return replace(
+            self,
+            moments=replace(self.moments, mean=mean, m2=m2),
+            averages=np.where(pixels, self.averages, np.nan),
+            means=np.reshape(means, (self.count, self.times)).mean(axis=1),
+        )
 
     @property
     def picture_variance(self) -> float:
@@ -358,13 +430,16 @@ class _Group:
         return np.array([low, high if self.resolved else np.inf])
 
 
-def _measured(paths: Frames, read: FrameReader) -> list[_Group]:
+def _measured(
+    paths: Frames, read: FrameReader, asked: list[Chain], sequence: str | None
+) -> list[_Group]:
     """Measure each group of frames with one number of samples, in ascending order."""
-    groups = frame_files(paths, read)
+    groups = sequence_files(frame_files(paths, read), sequence)
+    _check_times(groups, asked)
     total, done = 2 * sum(len(each.files) for each in groups), 0
     found: list[_Group] = []
     for each in groups:
-        found.append(_group(each, read, done, total))
+        found.append(_group(each, read, asked, done, total))
         done += 2 * len(each.files)
         if found[-1].moments.mean.shape != found[0].moments.mean.shape:
             raise ParameterError(
@@ -374,36 +449,75 @@ def _measured(paths: Frames, read: FrameReader) -> list[_Group]:
     return found
 
 
-def _group(group: FrameFiles, read: FrameReader, done: int, total: int) -> _Group:
-    """Measure the frames of one number of samples; each file is read twice."""
-    # Compute moments and ranges of the pixels
-    files = group.files
-    count, shape = len(files), None
-    moments: Moments | None = None
-    low: Any = np.inf
-    high: Any = -np.inf
+def _check_times(groups: list[FrameFiles], asked: list[Chain]) -> None:
+    """Check that all groups have sequences of one length, and that filters in time have them."""
+    times = sorted({each.times for each in groups})
+    if len(times) > 1:
+        raise ParameterError(
+            f"The sequences have {' and '.join(map(str, times))} frames; give sequences of one "
+            "length."
+        )
+    if times == [1]:
+        for each in asked:
+            if each.temporal:
+                raise ParameterError(
+                    f"The filter {each.spec} acts over frames, but {groups[0].files[0]} and the "
+                    "others are not sequences; name them like shot_s1_t001.exr, or give ",
+                    Parameter("sequence"),
+                    ".",
+                )
+
+
+def _group(
+    group: FrameFiles, read: FrameReader, asked: list[Chain], done: int, total: int
+) -> _Group:
+    """Measure the frames of one number of samples; each file is read twice.
+
+    Errors are deviations from the mean over the sequences at the same time.
+    """
+    # Compute moments and ranges of the pixels, at each time for itself
+    files, times = group.files, group.times
+    count, shape = len(files) // times, None
+    pooled: Moments | None = None
+    above: Any = 0.0
+    below: Any = 0.0
     image_sum: Any = 0.0
-    means = []
-    for k, file in enumerate(files):
-        plane, image = read.plane(file, shape)
-        each, shape = Moments.of(plane[None]), image.shape
-        moments = each if moments is None else moments.merge(each)
-        low, high, image_sum = np.fmin(low, plane), np.fmax(high, plane), image_sum + image
-        if not np.isfinite(plane).any():
-            raise ParameterError(f"{file} has no finite pixel; leave it out.")
-        means.append(np.nanmean(plane))
-        report("frames", (done + k) / total)
-    assert moments is not None
+    centers: Any = None
+    means = np.empty((count, times))
+    for t in range(times):
+        moments: Moments | None = None
+        low: Any = np.inf
+        high: Any = -np.inf
+        for k in range(count):
+            file = files[k * times + t]
+            plane, image = read.plane(file, shape)
+            each, shape = Moments.of(plane[None]), image.shape
+            moments = each if moments is None else moments.merge(each)
+            low, high, image_sum = np.fmin(low, plane), np.fmax(high, plane), image_sum + image
+            if not np.isfinite(plane).any():
+                raise ParameterError(f"{file} has no finite pixel; leave it out.")
+            means[k, t] = np.nanmean(plane)
+            report("frames", (done + t * count + k) / total)
+        assert moments is not None
+        if centers is None:
+            kind = np.float64 if times == 1 else np.float32
+            centers = stored_array((times, *moments.mean.shape), kind)
+        centers[t] = moments.mean
+        above = np.fmax(above, high - moments.mean)
+        below = np.fmax(below, moments.mean - low)
+        pooled = moments if pooled is None else _pooled(pooled, moments)
+    assert pooled is not None
+    moments = replace(pooled, mean=pooled.mean / times)
     varied = moments.variance > 0
     if not varied.any():
         reason = (
             "are the same to the last bit" if np.isfinite(moments.mean).any() else "hold only NaN"
         )
         raise ParameterError(
-            f"The {count} frames like {files[0]} {reason}; give independent renders, each with a "
-            "seed of its own."
+            f"The {len(files)} frames like {files[0]} {reason}; give independent renders, each "
+            "with a seed of its own."
         )
-    farthest = np.maximum(high - moments.mean, moments.mean - low) ** 2
+    farthest = np.maximum(above, below) ** 2
     share = np.divide(farthest, moments.m2, out=np.full_like(farthest, np.nan), where=varied)
 
     # Compute statistics of the deviations: power, tails, and correlations between frames
@@ -411,15 +525,25 @@ def _group(group: FrameFiles, read: FrameReader, done: int, total: int) -> _Grou
     unit = np.zeros((height, width))
     np.divide(math.sqrt(count / (count - 1)), np.sqrt(moments.variance), out=unit, where=varied)
     rings = Rings(height, width)
+    chains = [Chain(()), *asked]
+    chains += [
+        each
+        for each in default_filters(height, width, times)
+        if each.spec not in [other.spec for other in chains]
+    ]
+    space = SpatialPower(chains, height, width)
+    over_time = None if times == 1 else TimeStatistics(times, space, rings, int(varied.sum()))
     power: Any = 0.0
     tail: Moments | None = None
-    curves = np.empty((count, rings.radius.size))
-    chosen = _scattered(varied)
-    sample = np.empty((count, chosen.size))
-    light, gains = np.where(varied, moments.mean, 0.0), np.empty(count)
-    for k, file in enumerate(files):
-        error = np.where(varied, read.plane(file, shape)[0] - moments.mean, 0.0)
-        gains[k] = float((error * light).sum())
+    curves = np.zeros((count, rings.radius.size))
+    chosen = _scattered(varied, times)
+    sample = np.empty((count, times, chosen.size))
+    light, gains = np.where(varied, moments.mean, 0.0), np.empty((count, times))
+    left, noise = np.empty((count, len(chains))), np.zeros(len(chains))
+    for k, t in np.ndindex(count, times):
+        file = files[k * times + t]
+        error = np.where(varied, read.plane(file, shape)[0] - centers[t], 0.0)
+        gains[k, t] = float((error * light).sum())
         # Find moments and extremes without a full sort
         values = ends = error[varied]
         if values.size > 2 * _TAIL:
@@ -427,49 +551,70 @@ def _group(group: FrameFiles, read: FrameReader, done: int, total: int) -> _Grou
             ends = np.concatenate([parts[:_TAIL], parts[-_TAIL:]])
         each = replace(Moments.of(values), extremes=np.sort(ends))
         tail = each if tail is None else tail.merge(each)
-        error *= unit
-        sample[k] = error.flat[chosen]
-        own = np.abs(np.fft.rfft2(error)) ** 2 / varied.sum()
-        power, curves[k] = power + own / count, rings.mean(own)
-        report("frames", (done + count + k) / total)
+        raw = space.transform(error)
+        square = np.abs(raw) ** 2
+        if over_time is None:
+            left[k] = space.left(square)
+        noise += space.noise(square) / len(files)
+        ones = np.fft.rfft2(error * unit)
+        if over_time is not None:
+            over_time.add(t, raw, ones, error)
+            if t == times - 1:
+                over_time.finish()
+        sample[k, t] = (error * unit).flat[chosen]
+        own = np.abs(ones) ** 2 / varied.sum()
+        power = power + own / len(files)
+        curves[k] += rings.mean(own) / times
+        report("frames", (done + len(files) + k * times + t) / total)
     assert tail is not None
     half = student_t(count) * curves.std(axis=0, ddof=1) / math.sqrt(count)
 
+    # Frames of a sequence are not independent: correct the number of independent values
+    temporal, frames_per = None, 1.0
+    if over_time is not None:
+        temporal = temporal_of(over_time, rings, moments.m2, count)
+        frames_per = temporal.frames_for_squares
+        moments = _recounted(moments, 1 + max(round((count - 1) * frames_per), 1))
+    fields = (count - 1) * frames_per  # number of independent images of errors
+
     # Compute correlations without bias, and their spectrum
     every = np.fft.irfft2(power, s=(height, width))
-    every, loss = _unbiased(every / every[0, 0], count)
+    every, loss = _unbiased(every / every[0, 0], 1 + (count - 1) * times)
     measured, curve = rings.mean(power), np.maximum(rings.mean(np.fft.rfft2(every).real), 0.0)
     half *= np.divide(curve, measured, out=np.ones_like(curve), where=measured > 0)
     # With two frames, one deviation is the negative of the other and has no spread of its own.
     # The error is at least that of normal noise. For normal noise, each pair of frequencies
     # m and −m gives (R − 1) independent exponential values, whose mean is the power
-    independent = (count - 1) * loss**2
+    independent = fields * loss**2
     half = np.maximum(half, CONFIDENCE_Z * measured * np.sqrt(2.0 / (rings.sizes * independent)))
     # The sum of squared correlations also contains the squares of their errors.
     # The mean of a squared error is: true sum / (pixels · (R − 1) · loss²)
     alike = max(1.0, float((every**2).sum()) / (1.0 + 1.0 / independent))
     near, repeat, repeated = _lags(every, alike / (varied.sum() * independent))
-    pair, relation = _related(sample, alike)
+    pair, relation = _related(sample.reshape(count, -1), alike * times / frames_per)
     # Count outliers that are larger than twice the mean, and their expected number for normal noise
-    above, limit = high - moments.mean, _grubbs(count)
-    outliers = (share > limit) & (above > np.maximum(moments.mean, moments.mean - low))
-    expected = _OUTLIER / 2 * int((limit * moments.m2[varied] > moments.mean[varied] ** 2).sum())
+    limit = _grubbs(len(files))
+    outliers = (share > limit) & (above > np.maximum(moments.mean, below))
+    expected = _OUTLIER / 2 * int((limit * pooled.m2[varied] > moments.mean[varied] ** 2).sum())
     whole = float(np.nansum(moments.variance))
     energy = float((light**2).sum()) or 1.0
-    drift, drift_share = _drift(
-        np.array(means),
-        gains**2 / energy,
-        float(np.nansum(moments.m2)),
-        float(np.nansum(moments.m2 * light**2)) / energy,
-    )
+    drift, drift_share = (None, 0.0)
+    if times == 1:
+        drift, drift_share = _drift(
+            means[:, 0],
+            gains[:, 0] ** 2 / energy,
+            float(np.nansum(moments.m2)),
+            float(np.nansum(moments.m2 * light**2)) / energy,
+        )
+    resolved = float(farthest[varied].max()) < _ONE_SQUARE * float(np.nansum(pooled.m2))
     told = {
-        "frame_count": count,
+        "frame_count": len(files),
         "missing": int(np.isnan(moments.mean).sum()),
-        "outliers": int(outliers.sum()) if count >= _LEAST_GRUBBS else None,
+        "outliers": int(outliers.sum()) if len(files) >= _LEAST_GRUBBS else None,
         "outliers_expected": expected,
         "outlier_share": float(moments.variance[outliers].sum()) / whole,
         "tail_index": _number(float(tail.tail_index)),
-        "related": None if pair is None else [str(files[i]) for i in pair],
+        "related": None if pair is None else [str(files[i * times]) for i in pair],
         "relation": _number(relation),
         "drift": drift,
         "drift_share": drift_share,
@@ -478,27 +623,67 @@ def _group(group: FrameFiles, read: FrameReader, done: int, total: int) -> _Grou
         "spp_known": int(group.spp is not None),
         "correlation_error": math.sqrt(alike / (varied.sum() * independent)),
     }
+    if over_time is not None:
+        told["sequences"] = count
+    # The errors of pixels of unequal variance are fewer independent values
+    variances = moments.variance[varied]
+    uneven = varied.sum() * float((variances**2).sum()) / float(variances.sum()) ** 2
     return _Group(
         spp=group.spp or 1,
         seconds=group.seconds,
         files=files,
+        times=times,
+        count=count,
         moments=moments,
+        averages=moments.variance if over_time is None else over_time.sums / (count - 1),
         largest_share=share,
-        image=image_sum / count,
-        means=np.array(means),
+        image=image_sum / len(files),
+        means=means.mean(axis=1),
         radius=rings.radius,
         spectrum=curve,
         spectrum_ci=np.stack([np.maximum(curve - half, 0.0), curve + half], axis=-1),
         correlation=near,
         alike=alike,
-        resolved=float(farthest[varied].max()) < _ONE_SQUARE * float(np.nansum(moments.m2)),
+        resolved=resolved,
         chosen=chosen,
         sample=sample,
+        filtered=filtered_of(
+            chains,
+            np.stack(over_time.left) if over_time is not None else left[:, :, None],
+            uneven * noise,
+            varied.size / np.isfinite(moments.mean).sum() * count / (count - 1),
+            resolved,
+        ),
+        temporal=temporal,
         told=told,
     )
 
 
-def _scattered(varied: Array) -> Array:
+def _pooled(a: Moments, b: Moments) -> Moments:
+    """Add moments about separate means, such as those of two times; means are added."""
+    return replace(
+        a,
+        count=a.count + b.count - 1,  # variances have a divisor of this number − 1
+        mean=a.mean + b.mean,
+        m2=a.m2 + b.m2,
+        m3=a.m3 + b.m3,
+        m4=a.m4 + b.m4,
+    )
+
+
+def _recounted(moments: Moments, count: int) -> Moments:
+    """Return moments of the same variance and kurtosis, from `count` independent values."""
+    factor = (count - 1) / (moments.count - 1)
+    return replace(
+        moments,
+        count=count,
+        m2=moments.m2 * factor,
+        m3=moments.m3 * factor,
+        m4=moments.m4 * (factor**2 * moments.count / count),
+    )
+
+
+def _scattered(varied: Array, times: int) -> Array:
     """Return pixels at which frames are compared, from a fixed order of all pixels.
 
     The order is the same for all sets of frames of one size.
@@ -507,7 +692,7 @@ def _scattered(varied: Array) -> Array:
     # Multiples of an odd step near the golden section of the size visit all pixels in mixed order
     step = next(k for k in itertools.count(int(0.618 * varied.size) | 1) if _coprime(k, varied))
     order = np.arange(varied.size) * step % varied.size
-    return np.asarray(order[varied.ravel()[order]][:_SAMPLE])
+    return np.asarray(order[varied.ravel()[order]][: max(_SAMPLE // times, _LEAST_PAIRED)])
 
 
 def _coprime(step: int, varied: Array) -> bool:
@@ -672,6 +857,11 @@ def _compared(
         max((each for each in both if not common or each.spp in common), key=lambda each: each.spp)
         for both in (ours, others)
     )
+    if a.times != b.times:
+        raise ParameterError(
+            f"{b.files[0]} is of a sequence of {b.times} frames, but {a.files[0]} of {a.times}; "
+            "give sequences of one length."
+        )
     if a.moments.mean.shape != b.moments.mean.shape:
         raise ParameterError(
             f"{b.files[0]} has the size {b.moments.mean.shape}, but {a.files[0]} has "
@@ -687,9 +877,7 @@ def _compared(
         a, b = (each.within(both, read) for each in (a, b))
     pairs, relation = _paired(a, b)
     if pairs is None:
-        z = _welch(
-            *((each.moments.mean, each.moments.variance, each.moments.count) for each in (a, b))
-        )
+        z = _welch(*((each.moments.mean, each.averages, each.count) for each in (a, b)))
         whole = _welch(
             *((each.means.mean(), each.means.var(ddof=1), each.means.size) for each in (a, b))
         )
@@ -723,6 +911,17 @@ def _compared(
         "picture_ratio": ((), value),
         "picture_ratio_ci": (("bound",), bounds),
     }
+    if len(a.filtered.specs) > 1:
+        # Filtered errors of paired frames are correlated too, which makes the intervals too wide
+        halves = np.hypot(a.filtered.half, b.filtered.half)[1:]
+        halves = np.hypot(halves, CONFIDENCE_Z * step * rate_se)
+        left = a.filtered.variance[1:] / b.filtered.variance[1:] / scale
+        found["filtered_picture_ratio"] = (("filter",), left)
+        found["filtered_picture_ratio_ci"] = (
+            ("filter", "bound"),
+            np.stack([left * np.exp(-halves), left * np.exp(halves)], axis=-1)
+            * np.where([b.resolved, a.resolved], 1.0, [0.0, np.inf]),
+        )
     ours_time, other_time = times[0] or a.seconds, times[1] or b.seconds
     if ours_time and other_time:
         faster = ours_time / other_time * scale
@@ -767,15 +966,16 @@ def _paired(a: _Group, b: _Group) -> tuple[list[tuple[int, int]] | None, float]:
     from scipy.optimize import linear_sum_assignment
 
     _, first, second = np.intersect1d(a.chosen, b.chosen, return_indices=True)
-    if first.size < _LEAST_PAIRED:
+    if first.size < _LEAST_PAIRED or a.times != b.times:
         return None, math.nan
-    ours, others = a.sample[:, first], b.sample[:, second]
+    ours = a.sample[:, :, first].reshape(a.count, -1)
+    others = b.sample[:, :, second].reshape(b.count, -1)
     with np.errstate(invalid="ignore", divide="ignore"):
         table = np.nan_to_num(np.corrcoef(ours, others)[: len(ours), len(ours) :])
     # Deviations from the mean of few frames correlate by chance: compare with other pairings
     chosen = linear_sum_assignment(-table)
     found = table[chosen]
-    limit = max(_RELATED, _sidak(table.size) * math.sqrt(max(a.alike, b.alike) / first.size))
+    limit = max(_RELATED, _sidak(table.size) * math.sqrt(max(a.related, b.related) / first.size))
     if float(found.min()) <= limit:
         return None, math.nan
     return [(int(i), int(j)) for i, j in zip(*chosen, strict=True)], float(found.mean())
@@ -787,8 +987,11 @@ def _differences(
     """Return the moments of the differences of paired frames, at pixels finite in both sets."""
     moments: Moments | None = None
     for i, j in pairs:
-        apart = read.plane(a.files[i], None)[0] - read.plane(b.files[j], None)[0]
-        each = Moments.of(np.where(both, apart, np.nan)[None])
+        apart: Any = 0.0
+        for t in range(a.times):
+            first, second = a.files[i * a.times + t], b.files[j * b.times + t]
+            apart = apart + read.plane(first, None)[0] - read.plane(second, None)[0]
+        each = Moments.of(np.where(both, apart / a.times, np.nan)[None])
         moments = each if moments is None else moments.merge(each)
     assert moments is not None
     return moments
