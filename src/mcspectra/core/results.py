@@ -256,6 +256,12 @@ filtered_variance | f | f² | n filter | mean over the pixels of the variance af
 filtered_ratio | f | 1 | n filter | \
 variance after a filter / the same of white noise of the same variance
 filtered_picture_ratio | f | 1 | filter | filtered variance / that of the other frames
+gaussian_variance | f | f² | n sigma | variance after a Gaussian filter of σ pixels
+gaussian_ratio | f | 1 | n sigma | that variance / the same of white noise of the same variance
+gaussian_picture_ratio | f | 1 | sigma | that variance / that of the other frames
+average_variance | f | f² | n alpha | variance after an exponential moving average of weight α
+average_ratio | f | 1 | n alpha | that variance / the same of white noise of the same variance
+average_picture_ratio | f | 1 | alpha | that variance / that of the other frames
 flip | f | 1 | n y x | FLIP of one frame against the mean
 predicted_power | f | f² | radius | \
 power of an image of errors, from spectra; white noise: the variance

@@ -39,7 +39,7 @@ __all__ = [
     "Filtered",
     "SpatialPower",
     "chains_of",
-    "default_filters",
+    "curve_filters",
     "filtered_of",
 ]
 
@@ -76,7 +76,7 @@ class Filter(Component, ABC):
 class Gaussian(Filter):
     """Gaussian of standard deviation `sigma` pixels, cut at 4σ as in scipy.ndimage."""
 
-    sigma: float = real(1.5, least=0.1, most=100.0)
+    sigma: float = real(least=0.1, most=100.0)
 
     def weights(self) -> Array:
         reach = int(_REACH * self.sigma + 0.5)
@@ -89,7 +89,7 @@ class Gaussian(Filter):
 class Box(Filter):
     """Mean over a square of `width` × `width` pixels."""
 
-    width: int = whole(3, least=1, most=1000)
+    width: int = whole(least=1, most=1000)
 
     def weights(self) -> Array:
         return np.full(self.width, 1.0 / self.width)
@@ -105,7 +105,7 @@ class ATrous(Filter):
     """
 
     name = "a-trous"
-    levels: int = whole(5, least=1, most=10)
+    levels: int = whole(least=1, most=10)
 
     def weights(self) -> Array:
         weights = np.ones(1)
@@ -127,7 +127,7 @@ class Ema(Filter):
     """
 
     temporal = True
-    alpha: float = real(0.1, least=0.001, most=1.0)
+    alpha: float = real(least=0.001, most=1.0)
 
     def weights(self) -> Array:
         old = 1.0 - self.alpha
@@ -139,7 +139,7 @@ class Ema(Filter):
 FILTERS = Registry(
     "filter",
     "mcspectra.filters",
-    classes_of({"rendering.frame_filters": "ATrous Box Ema Gaussian"}),
+    classes_of({"rendering.frame_filters": "a-trous=ATrous Box Ema Gaussian"}),
     base=Filter,
 )
 """Filters of frames that spec strings can name."""
@@ -225,17 +225,16 @@ def chains_of(filters: object) -> list[Chain]:
     return list({each.spec: each for each in found}.values())
 
 
-def default_filters(height: int, width: int, times: int) -> list[Chain]:
-    """Return the filters of the curves: Gaussians that fit the image, and averages over frames."""
-    found: list[Chain] = [
-        Chain((Gaussian(sigma=sigma),))
-        for sigma in _SIGMAS
-        if 4 * Gaussian(sigma=sigma).weights().size <= min(height, width)
-    ]
+def curve_filters(height: int, width: int, times: int) -> dict[str, dict[float, Chain]]:
+    """Return the filters of curves: Gaussians by σ that fit the image, and averages by α."""
+    side = min(height, width)
+    gaussians = (Gaussian(sigma=sigma) for sigma in _SIGMAS)
+    found = {"sigma": {g.sigma: Chain((g,)) for g in gaussians if 4 * g.weights().size <= side}}
     if times > 1:
         # With weights that reach far beyond the sequence, the correlations needed are unknown
-        found += [Chain((Ema(alpha=a),)) for a in _ALPHAS if (1 - a) ** times < _LEFT_OUT]
-    return found
+        known = (a for a in _ALPHAS if (1 - a) ** times < _LEFT_OUT)
+        found["alpha"] = {alpha: Chain((Ema(alpha=alpha),)) for alpha in known}
+    return {name: chains for name, chains in found.items() if len(chains) > 1}
 
 
 _LEFT_OUT = 0.1  # largest weight of frames beyond the sequence in a curve

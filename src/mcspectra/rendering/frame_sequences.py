@@ -69,7 +69,7 @@ def sequence_files(groups: list[FrameFiles], pattern: str | None) -> list[FrameF
     return [_arranged(group, search, pattern) for group in groups]
 
 
-def _compiled(pattern: str) -> re.Pattern[str]:
+def _compiled(pattern: object) -> re.Pattern[str]:
     parts = re.split(r"\{(\w*)\}", pattern) if isinstance(pattern, str) else []
     if sorted(parts[1::2]) != ["frame", "seed"]:
         raise ParameterError(
@@ -166,15 +166,13 @@ class Temporal:
     frames_for_squares: float
 
 
-def temporal_of(found: TimeStatistics, rings: Rings, m2: Array, count: int) -> Temporal:
+def temporal_of(found: TimeStatistics, m2: Array, count: int) -> Temporal:
     """Return correlations over time.
 
     Parameters
     ----------
     found
         Statistics of all sequences.
-    rings
-        Rings of radial frequency.
     m2
         Sum over frames and sequences of the squared errors of each pixel, (y, x).
     count
@@ -184,8 +182,9 @@ def temporal_of(found: TimeStatistics, rings: Rings, m2: Array, count: int) -> T
     -----
     With correlations ρ_k, the mean of T frames has the variance σ² / T · (1 + 2 Σ (1 − k/T) ρ_k).
     """
-    times, lags = found.times, np.arange(found.times)
+    times, lags, rings = found.times, np.arange(found.times), found.rings
     each = np.stack(found.joint)
+    each *= m2.size / float(each[:, :, 0].sum(axis=1).mean())  # the mean power is 1
     pooled = each.mean(axis=0)
     whole = each.sum(axis=1) / float(pooled[:, 0].sum())  # correlations of each sequence
     fade = 1.0 - lags / times
@@ -203,8 +202,11 @@ def temporal_of(found: TimeStatistics, rings: Rings, m2: Array, count: int) -> T
     frames_for_squares = float(np.clip(times / squares, 1.0, times))
 
     def ends(values: Array, floor: Array | float) -> tuple[Array, Array]:
-        half = student_t(count) * values.std(axis=0, ddof=1) / math.sqrt(count)
-        return values.mean(axis=0), np.maximum(half, CONFIDENCE_Z * floor)
+        """Return ratios to the power of white noise, and half intervals of the ratios."""
+        mean = values.mean(axis=0)
+        apart = values - np.multiply.outer(whole[:, 0], mean)
+        half = student_t(count) * apart.std(axis=0, ddof=1) / math.sqrt(count)
+        return mean, np.maximum(half, CONFIDENCE_Z * floor)
 
     rho, half = ends(whole, one * np.sqrt(times / frames_for_squares / (times - lags)))
     half[0] = 0.0
@@ -257,14 +259,22 @@ class TimeStatistics:
         for every filter in space (sequence, filter, lag). The first filter leaves pixels alone.
     joint
         For each sequence, sum over rings of the covariance of transforms at each lag in frames,
-        of errors divided by their standard deviation (sequence, radius, lag).
+        of errors divided by a standard deviation (sequence, radius, lag).
+        The standard deviation is that of a square of pixels.
+        That of a single pixel has an error, which depends on the errors and would bias their ratio.
         The last row holds the frequencies outside all rings. All rows add up to the pixels.
     sums
         Sum of the squared time averages of the errors of each pixel (y, x).
     """
 
-    def __init__(self, times: int, space: SpatialPower, rings: Rings, pixels: int) -> None:
-        self.times, self._space, self._rings, self._pixels = times, space, rings, pixels
+    def __init__(self, times: int, space: SpatialPower, rings: Rings, variance: Array) -> None:
+        self.times, self._space, self.rings = times, space, rings
+        known = variance > 0
+        near = uniform_filter(
+            np.stack([np.where(known, variance, 0.0), known]), (0, *2 * [_WIDEST])
+        )
+        self._weight = np.zeros(space.size)
+        np.divide(np.sqrt(near[1]), np.sqrt(near[0]), out=self._weight, where=known)
         height, width = space.size
         self._raw = stored_array((times, space.shape[0], space.shape[1] // 2 + 1), np.complex64)
         self._unit = stored_array((times, height, width // 2 + 1), np.complex64)
@@ -273,10 +283,12 @@ class TimeStatistics:
         self.joint: list[Array] = []
         self.sums = np.zeros(space.size)
 
-    def add(self, time: int, transform: Array, unit: Array, error: Array) -> None:
-        """Add a frame: the padded transform of its errors, of unit errors, and the errors."""
+    def add(self, time: int, transform: Array, error: Array) -> None:
+        """Add a frame: its errors, and their transform with a margin of zeros."""
+        from scipy.fft import rfft2
+
         self._raw[time] = transform
-        self._unit[time] = unit
+        self._unit[time] = rfft2(error * self._weight)
         self._total += error
 
     def finish(self) -> None:
@@ -292,10 +304,10 @@ class TimeStatistics:
             left = left + self._space.left(power, rows)
         self.left.append(_lags(left, self.times) / pairs)
 
-        joint = np.zeros((length, self._rings.sizes.size + 1))
+        joint = np.zeros((length, self.rings.sizes.size + 1))
         for rows, power in _powers(self._unit, length):
-            joint += self._rings.sums(power, rows)
-        self.joint.append(_lags(joint, self.times) / pairs / self._pixels)
+            joint += self.rings.sums(power, rows)
+        self.joint.append(_lags(joint, self.times) / pairs)
 
 
 def _powers(transforms: Array, length: int) -> Any:

@@ -44,7 +44,7 @@ from mcspectra.rendering.frame_filters import (
     Filtered,
     SpatialPower,
     chains_of,
-    default_filters,
+    curve_filters,
     filtered_of,
 )
 from mcspectra.rendering.frame_sequences import (
@@ -189,15 +189,14 @@ def frames(
             "effective_frames_ci": (("bound",), [t.effective_ci for t in temporal]),
             "pixel_effective_frames": (("y", "x"), [t.pixels for t in temporal]),
         }
-    # The first filter leaves frames alone
-    specs = best.filtered.specs[1:]
-    if specs:
+    parts = _filter_parts(best, len(chains))
+    for dim, (name, _, part) in parts.items():
         left = [each.filtered for each in found]
         stacked |= {
-            "filtered_variance": (("filter",), [each.variance[1:] for each in left]),
-            "filtered_variance_ci": (("filter", "bound"), [e.variance_ci[1:] for e in left]),
-            "filtered_ratio": (("filter",), [each.ratio[1:] for each in left]),
-            "filtered_ratio_ci": (("filter", "bound"), [each.ratio_ci[1:] for each in left]),
+            f"{name}_variance": ((dim,), [each.variance[part] for each in left]),
+            f"{name}_variance_ci": ((dim, "bound"), [each.variance_ci[part] for each in left]),
+            f"{name}_ratio": ((dim,), [each.ratio[part] for each in left]),
+            f"{name}_ratio_ci": ((dim, "bound"), [each.ratio_ci[part] for each in left]),
         }
     variables: dict[str, tuple[tuple[str, ...], Any]] = {
         name: (("n", *dims), np.stack(of)) for name, (dims, of) in stacked.items()
@@ -236,7 +235,7 @@ def frames(
     if against is not None:
         other = _measured(against, read, chains, sequence)
         times = given["seconds"], given["seconds_against"]
-        compared, said = _compared(found, other, times, read)
+        compared, said = _compared(found, other, times, read, parts)
         variables |= compared
         told |= {**said, "against": described_paths(against)}
     lags = {
@@ -253,7 +252,7 @@ def frames(
             "bound": ["low", "high"],
             "radius": best.radius,
             **lags,
-            **({"filter": list(specs)} if specs else {}),
+            **{dim: list(labels) for dim, (_, labels, _) in parts.items()},
             **(
                 {"lag_t": np.arange(best.times), "frame_frequency": temporal[-1].frequency}
                 if temporal
@@ -264,7 +263,6 @@ def frames(
         target=given["target"],
         layer=layer,
         smoothing=window,
-        filters=[each.spec for each in chains] or None,
         times=best.times if temporal else None,
         frames_smoothing=temporal[-1].window if temporal else None,
         **told,
@@ -377,6 +375,7 @@ class _Group:
     chosen: Array
     sample: Array
     filtered: Filtered
+    curves: dict[str, tuple[float, ...]]
     temporal: Temporal | None
     told: dict[str, Any]
 
@@ -428,6 +427,21 @@ class _Group:
         half = CONFIDENCE_Z * self.picture_relative_se
         low, high = self.picture_variance * np.exp([-half, half])
         return np.array([low, high if self.resolved else np.inf])
+
+
+_Parts = dict[str, tuple[str, tuple[Any, ...], slice]]
+
+
+def _filter_parts(group: _Group, asked: int) -> _Parts:
+    """Return variable name, labels and place of the filters of each dim of a result."""
+    specs = group.filtered.specs
+    parts: _Parts = {"filter": ("filtered", specs[1 : 1 + asked], slice(1, 1 + asked))}
+    first = 1 + asked
+    for dim, labels in group.curves.items():
+        name = {"sigma": "gaussian", "alpha": "average"}[dim]
+        parts[dim] = (name, labels, slice(first, first + len(labels)))
+        first += len(labels)
+    return {dim: part for dim, part in parts.items() if part[1]}
 
 
 def _measured(
@@ -525,14 +539,10 @@ def _group(
     unit = np.zeros((height, width))
     np.divide(math.sqrt(count / (count - 1)), np.sqrt(moments.variance), out=unit, where=varied)
     rings = Rings(height, width)
-    chains = [Chain(()), *asked]
-    chains += [
-        each
-        for each in default_filters(height, width, times)
-        if each.spec not in [other.spec for other in chains]
-    ]
+    curves_of = curve_filters(height, width, times)
+    chains = [Chain(()), *asked, *(c for curve in curves_of.values() for c in curve.values())]
     space = SpatialPower(chains, height, width)
-    over_time = None if times == 1 else TimeStatistics(times, space, rings, int(varied.sum()))
+    over_time = None if times == 1 else TimeStatistics(times, space, rings, moments.variance)
     power: Any = 0.0
     tail: Moments | None = None
     curves = np.zeros((count, rings.radius.size))
@@ -558,7 +568,7 @@ def _group(
         noise += space.noise(square) / len(files)
         ones = np.fft.rfft2(error * unit)
         if over_time is not None:
-            over_time.add(t, raw, ones, error)
+            over_time.add(t, raw, error)
             if t == times - 1:
                 over_time.finish()
         sample[k, t] = (error * unit).flat[chosen]
@@ -572,14 +582,14 @@ def _group(
     # Frames of a sequence are not independent: correct the number of independent values
     temporal, frames_per = None, 1.0
     if over_time is not None:
-        temporal = temporal_of(over_time, rings, moments.m2, count)
+        temporal = temporal_of(over_time, moments.m2, count)
         frames_per = temporal.frames_for_squares
         moments = _recounted(moments, 1 + max(round((count - 1) * frames_per), 1))
     fields = (count - 1) * frames_per  # number of independent images of errors
 
     # Compute correlations without bias, and their spectrum
     every = np.fft.irfft2(power, s=(height, width))
-    every, loss = _unbiased(every / every[0, 0], 1 + (count - 1) * times)
+    every, loss = _unbiased(every / every[0, 0], 1 + max(round(fields), 1))
     measured, curve = rings.mean(power), np.maximum(rings.mean(np.fft.rfft2(every).real), 0.0)
     half *= np.divide(curve, measured, out=np.ones_like(curve), where=measured > 0)
     # With two frames, one deviation is the negative of the other and has no spread of its own.
@@ -654,6 +664,7 @@ def _group(
             varied.size / np.isfinite(moments.mean).sum() * count / (count - 1),
             resolved,
         ),
+        curves={name: tuple(curve) for name, curve in curves_of.items()},
         temporal=temporal,
         told=told,
     )
@@ -850,6 +861,7 @@ def _compared(
     others: list[_Group],
     times: tuple[float | None, float | None],
     read: FrameReader,
+    parts: _Parts,
 ) -> tuple[dict[str, tuple[tuple[str, ...], Any]], dict[str, Any]]:
     """Compare the means and the variances of two sets of frames."""
     common = {each.spp for each in ours} & {each.spp for each in others}
@@ -911,14 +923,14 @@ def _compared(
         "picture_ratio": ((), value),
         "picture_ratio_ci": (("bound",), bounds),
     }
-    if len(a.filtered.specs) > 1:
-        # Filtered errors of paired frames are correlated too, which makes the intervals too wide
-        halves = np.hypot(a.filtered.half, b.filtered.half)[1:]
+    # Filtered errors of paired frames are correlated too, which makes the intervals too wide
+    for dim, (name, _, part) in parts.items():
+        halves = np.hypot(a.filtered.half[part], b.filtered.half[part])
         halves = np.hypot(halves, CONFIDENCE_Z * step * rate_se)
-        left = a.filtered.variance[1:] / b.filtered.variance[1:] / scale
-        found["filtered_picture_ratio"] = (("filter",), left)
-        found["filtered_picture_ratio_ci"] = (
-            ("filter", "bound"),
+        left = a.filtered.variance[part] / b.filtered.variance[part] / scale
+        found[f"{name}_picture_ratio"] = ((dim,), left)
+        found[f"{name}_picture_ratio_ci"] = (
+            (dim, "bound"),
             np.stack([left * np.exp(-halves), left * np.exp(halves)], axis=-1)
             * np.where([b.resolved, a.resolved], 1.0, [0.0, np.inf]),
         )

@@ -23,6 +23,7 @@ from mcspectra.report.map_page import map_layers
 
 __all__ = [
     "check_frames_packages",
+    "filter_table",
     "frame_findings",
     "frame_layers",
     "frame_summary",
@@ -65,6 +66,22 @@ def frame_summary(result: xr.Dataset) -> dict[str, Any]:
             row["mean_flip"] = float(one["flip"].mean())
         rows.append(row)
     found: dict[str, Any] = {**told, "samples": rows}
+    last = result.isel(n=-1)
+    for name in ("boiling", "effective_frames"):
+        if name in last:
+            found |= {name: float(last[name]), f"{name}_ci": last[f"{name}_ci"].values.tolist()}
+    if "frame_correlation" in last:
+        found["frame_correlation"] = float(last["frame_correlation"].sel(lag_t=1))
+    if "filter" in last.dims:
+        found["filtered"] = [
+            {"filter": spec, **_left(last.sel(filter=spec), "filtered")}
+            for spec in last["filter"].values.tolist()
+        ]
+    if "sigma" in last.dims:
+        found["gaussian"] = [
+            {"sigma": sigma, **_left(last.sel(sigma=sigma), "gaussian")}
+            for sigma in last["sigma"].values.tolist()
+        ]
     for name in ("picture_rate", "picture_ratio", "equal_time_ratio"):
         if name in result:
             found |= {name: float(result[name]), f"{name}_ci": result[f"{name}_ci"].values.tolist()}
@@ -76,14 +93,81 @@ def frame_summary(result: xr.Dataset) -> dict[str, Any]:
     return found
 
 
+def _left(one: xr.Dataset, name: str) -> dict[str, Any]:
+    """Return what one filter leaves."""
+    row: dict[str, Any] = {}
+    for part in ("variance", "ratio", "picture_ratio"):
+        if (full := f"{name}_{part}") in one:
+            row |= {part: float(one[full]), f"{part}_ci": one[f"{full}_ci"].values.tolist()}
+    return row
+
+
 def frame_findings(result: xr.Dataset) -> list[str]:
     """Return the findings as sentences, the largest effect first.
 
     The effect is the size of the logarithm of a factor in the variance or in its meaning.
     """
     found = frame_summary(result)
-    every = [*_against(found), *_doubts(found), *_noise(result, found)]
+    every = [*_against(found), *_doubts(found), *_after(found), *_noise(result, found)]
     return [each.text for each in sorted(every, key=lambda each: -each.effect)]
+
+
+def _after(found: dict[str, Any]) -> Iterator[_Finding]:
+    """Describe correlations over time, and comparisons after a filter."""
+    if "boiling" in found:
+        level, (low, high) = found["boiling"], found["boiling_ci"]
+        frames, ends = found["effective_frames"], found["effective_frames_ci"]
+        said = (
+            f"below 1/8 cycle per frame the errors have {number(level)} (95 %: "
+            f"{interval(low, high)}) times the power of white noise, and the mean of "
+            f"{found['times']} frames is that of {number(frames)} independent frames (95 %: "
+            f"{interval(*ends)}). Consecutive frames have correlation "
+            f"{number(found['frame_correlation'])}."
+        )
+        if low > 1.0:
+            yield _Finding(math.log(level), f"The noise boils: {said}")
+        elif high < 1.0:
+            yield _Finding(-math.log(level), f"The noise cancels over time: {said}")
+        else:
+            yield _Finding(0.0, f"The errors show no correlation over time: {said}")
+    if "picture_ratio" not in found or found["identical"]:
+        return
+    asked = found.get("filtered", [])
+    curve = [
+        {"filter": f"a Gaussian of σ = {row['sigma']:g} pixels", **row}
+        for row in found.get("gaussian", [])
+    ]
+    value = found["picture_ratio"]
+    alone = _shift(value, *found["picture_ratio_ci"])
+    opposites = []
+    for row in asked or curve:
+        ratio, ends = row["picture_ratio"], row["picture_ratio_ci"]
+        effect = _shift(ratio, *ends)
+        times = f"(95 %: {interval(*ends)})"
+        if alone > 0 and effect > 0 and (ratio < 1.0) != (value < 1.0):
+            each = _Finding(
+                effect,
+                f"These frames are {_compare(value)} per pixel than those of {found['against']}, "
+                f"and {_compare(ratio)} after {row['filter']}: variance × {number(ratio)} {times}.",
+            )
+            opposites.append(each)
+        elif asked:
+            each = _Finding(
+                effect,
+                f"After {row['filter']} the variance is {number(ratio)} {times} times the "
+                f"variance of {found['against']}.",
+            )
+        else:
+            continue
+        if asked:
+            yield each
+    # Without a filter that was asked for, report the Gaussian at which the order changes most
+    if not asked and opposites:
+        yield max(opposites)
+
+
+def _compare(ratio: float) -> str:
+    return f"{number(max(ratio, 1.0 / ratio))} times {'worse' if ratio > 1.0 else 'better'}"
 
 
 class _Finding(NamedTuple):
@@ -350,6 +434,36 @@ def frame_table(found: dict[str, Any]) -> html.Table:
     return html.table_of(f"{caption}.", _COLUMNS[:shown], [row[:shown] for row in rows], words=())
 
 
+def filter_table(found: dict[str, Any]) -> html.Table | None:
+    """Return the variance after each filter that was asked for, or None."""
+    rows = found.get("filtered", [])
+    if not rows:
+        return None
+    columns = ["Filter", "Variance", "95 %", "/ white", "95 %"]
+    compared = "picture_ratio" in rows[0]
+    columns += ["/ others", "95 %"] if compared else []
+    shown = [
+        [
+            row["filter"],
+            *(
+                text
+                for name in ("variance", "ratio", *(["picture_ratio"] if compared else []))
+                for text in (
+                    number(row[name]),
+                    interval(*row[f"{name}_ci"]),
+                )
+            ),
+        ]
+        for row in rows
+    ]
+    caption = (
+        "Variance after a filter, averaged over pixels, and its ratio to what the filter leaves of "
+        "white noise of the same variance"
+    )
+    caption += "; ratio to the filtered variance of the other frames" if compared else ""
+    return html.table_of(f"{caption}.", tuple(columns), shown, words=(0,))
+
+
 def frame_layers(result: xr.Dataset) -> dict[str, Array]:
     """Return EXR layers: the mean image, and each per-pixel number by name and sample count."""
     maps = result.drop_vars(
@@ -405,6 +519,7 @@ def write_frames(result: xr.Dataset, folder: str | Path) -> Path:
         for kind in kinds.kinds_of(result)
         if kind.startswith("frames-")
     }
+    after = filter_table(found)
     layer = (("Layer", found["layer"]),) if "layer" in found else ()
     facts = (("Frames", found["frames"]), *layer)
     page = html.Page(
@@ -413,7 +528,11 @@ def write_frames(result: xr.Dataset, folder: str | Path) -> Path:
         lead=tuple(html.Paragraph(text=text) for text in said[:1]),
         sections=html.sections_of(
             {
-                "Summary": (frame_table(found), *(html.Paragraph(text=text) for text in said[1:])),
+                "Summary": (
+                    frame_table(found),
+                    *([] if after is None else [after]),
+                    *(html.Paragraph(text=text) for text in said[1:]),
+                ),
                 "Pixels": html.figures_of(plots),
                 "Provenance": html.provenance(facts, result.attrs),
             }
