@@ -1,5 +1,9 @@
 """Error after filters, and sequences in time: predictions agree with frames that are filtered."""
 
+import json
+import shlex
+import sys
+
 import numpy as np
 import pytest
 from scipy.ndimage import convolve1d, gaussian_filter
@@ -10,7 +14,7 @@ from mcspectra.cli.main import main
 from mcspectra.core.errors import FileFormatError, McspectraError, ParameterError
 from mcspectra.plots.kinds import describe
 from mcspectra.rendering.frame_filters import FILTERS, chains_of
-from mcspectra.report.frames_page import frame_findings
+from mcspectra.report.frames_page import frame_findings, write_frames
 
 SHAPE = (48, 64)
 
@@ -217,6 +221,125 @@ def test_invalid_filters_and_sequences_are_refused(tmp_path, options, error, mat
     folder = write(tmp_path / "a", times=2, seeds=2)
     with pytest.raises(error, match=match):
         frames(folder, **options)
+
+
+def independent(folder, count=12, noise=white, gain=1.0, seed=9):
+    """Write independent frames of 5 with the variance 1."""
+    rng = np.random.default_rng(seed)
+    folder.mkdir()
+    for k in range(count):
+        np.save(folder / f"{k}.npy", 5.0 * gain + noise(rng))
+    return folder
+
+
+HALVE = (
+    "import sys, numpy as np; image = np.load(sys.argv[1]); "
+    "np.save(sys.argv[2], 5.5 + (image - 5) / 2)"
+)
+
+
+def command(code, *words):
+    return shlex.join([sys.executable, "-c", code, "{input}", "{output}", *words])
+
+
+def test_programs_are_measured(tmp_path):
+    """The program leaves a quarter of the variance 1 and adds a bias of ½."""
+    folder = independent(tmp_path / "a", count=4)
+    np.save(tmp_path / "truth.npy", np.full(SHAPE, 5.0))
+    for reference in (None, tmp_path / "truth.npy"):
+        result = frames(folder, filter_command=command(HALVE), reference=reference)
+        low, high = result["denoised_variance_ci"].values
+        assert low < 0.25 < high
+        assert high - low < 0.1
+        low, high = result["denoised_square_ci"].values
+        assert low < 0.25 < high
+        assert high - low < 0.2
+        assert "After the command the variance is 0.2" in " ".join(frame_findings(result))
+
+
+@pytest.mark.parametrize(
+    ("given", "match"),
+    [
+        ("denoise {input}", "give a program with {input} and {output}"),
+        ("denoise '{input} {output}", "quotes closed"),
+        ("no-such-program {input} {output}", "cannot be run: No such file"),
+        (command("raise ValueError('too dark')"), "exit code 1 .*too dark"),
+        (command("pass"), "wrote no file"),
+        (command("import time; time.sleep(9)"), "took more than 0.2 s"),
+    ],
+)
+def test_programs_that_fail_are_reported(tmp_path, given, match):
+    with pytest.raises(ParameterError, match=match):
+        frames(
+            independent(tmp_path / "a", count=2),
+            filter_command=given,
+            filter_timeout=0.2 if "sleep" in given else 30.0,
+        )
+
+
+def test_errors_against_a_reference(tmp_path):
+    """A region of 12 × 16 pixels is brighter by 2 %; relMSE is 1 / 25 without it."""
+    truth = np.full(SHAPE, 5.0)
+    np.save(tmp_path / "truth.npy", truth)
+    folder = independent(tmp_path / "a")
+    result = frames(folder, reference=str(tmp_path / "truth.npy"))
+    assert result["image_relmse"].item() == pytest.approx(1 / 25.01, rel=0.02)
+    # The mean of |x| is √(2/π), over about 2 · 5 + 0.01
+    assert result["image_smape"].item() == pytest.approx(np.sqrt(2 / np.pi) / 10, rel=0.05)
+    assert "No bias against the reference is significant" in " ".join(frame_findings(result))
+    assert result.attrs["reference_biased_pixels"] == 0
+    low, high = result["image_bias_ci"].values[0]
+    assert low < 0.0 < high
+
+    truth[12:24, 16:32] *= 0.96
+    np.save(tmp_path / "truth.npy", truth)
+    result = frames(folder, reference=tmp_path / "truth.npy")
+    tiles = result["tile_bias"].isel(n=0)
+    place = np.unravel_index(np.argmax(tiles.values), tiles.shape)
+    assert 12 <= tiles["tile_y"].values[place[0]] < 24
+    assert 16 <= tiles["tile_x"].values[place[1]] < 32
+    low, high = result["tile_bias_ci"].isel(n=0).values[place]
+    assert low < 0.04 / 0.96 < high
+    assert "tile with the largest bias" in " ".join(frame_findings(result))
+    np.save(tmp_path / "small.npy", truth[:3])
+    with pytest.raises(ParameterError, match="reference of the same view"):
+        frames(folder, reference=tmp_path / "small.npy")
+
+
+GIVEN = ("gaussian(sigma=1.0) | ema(alpha=0.5)", "box(width=3)")
+
+
+def test_options_of_the_command_line(tmp_path, capsys):
+    folder = write(tmp_path / "a", times=4, seeds=3, rho=0.8)
+    arguments = ["frames", str(folder), "--filter", GIVEN[0], "--filter", GIVEN[1], "--no-flip"]
+    assert main([*arguments, "--sequence", "s{seed}_t{frame}.npy"]) == 2
+    assert "does not match the sequence" in capsys.readouterr().err
+    assert main([*arguments, "--sequence", "shot_s{seed}_t{frame}.npy", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert tuple(row["filter"] for row in told["filtered"]) == GIVEN
+    assert any("The noise boils" in each for each in told["findings"])
+    assert main(["frames", str(folder), "--filter", "gauss(sigma=1)"]) == 2
+    assert "There is no filter called 'gauss'" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_page_and_figures(tmp_path):
+    folder = write(tmp_path / "a", times=8, seeds=3, rho=0.8)
+    other = write(tmp_path / "b", times=8, seeds=3, seed=2)
+    result = frames(folder, against=other, filters=GIVEN)
+    out = write_frames(result, tmp_path / "out").parent
+    assert "The noise boils" in (out / "report.html").read_text()
+    assert (out / "frames_joint.png").exists()
+    for kind in ("filter", "average", "joint", "time", "effective"):
+        drawn_by_both(describe(f"frames-{kind}", result))
+
+
+@pytest.mark.parametrize("kind", ["filter", "average", "joint", "time"])
+def test_plots_are_described(tmp_path, kind):
+    folder = write(tmp_path / "a", times=8, seeds=3, rho=0.8)
+    plot = describe(f"frames-{kind}", frames(folder))
+    assert plot.panels[0].marks
+    assert "nan" not in plot.words
 
 
 def test_sequences_must_be_complete(tmp_path):

@@ -534,6 +534,13 @@ def map_(options: argparse.Namespace) -> VerbOutput:
         repeated="all",
         default=[],
     ),
+    option(
+        "--filter-command COMMAND",
+        "program that filters a frame, such as 'denoise {input} -o {output}'; its error is "
+        "measured",
+    ),
+    option("--filter-timeout S", "longest time of the program (default: 300)", real(above=0.0)),
+    option("--reference FILE", "true image: report bias, relMSE and SMAPE by region"),
     option("--against PATH", "frames of another renderer or setting of the same view"),
     option("--target E", "relative error, σ / mean, that pixels should reach", real(above=0.0)),
     option("--seconds S", "render time per frame (default: from headers)", real(above=0.0)),
@@ -574,6 +581,9 @@ def frames_(options: argparse.Namespace) -> VerbOutput:
         flip=not options.no_flip,
         sequence=options.sequence,
         filters=options.filter,
+        filter_command=options.filter_command,
+        reference=options.reference,
+        **({"filter_timeout": options.filter_timeout} if options.filter_timeout else {}),
     )
     found, said = frames_page.frame_summary(result), frames_page.frame_findings(result)
     tables = [frames_page.frame_table(found), frames_page.filter_table(found)]

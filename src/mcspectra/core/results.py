@@ -261,6 +261,17 @@ gaussian_ratio | f | 1 | n sigma | that variance / the same of white noise of th
 gaussian_picture_ratio | f | 1 | sigma | that variance / that of the other frames
 average_variance | f | f² | n alpha | variance after an exponential moving average of weight α
 average_ratio | f | 1 | n alpha | that variance / the same of white noise of the same variance
+denoised_variance | f | f² | | variance after a program, mean over the pixels
+denoised_square | f | f² | | squared bias of a program, mean over the pixels
+bias_z | f | 1 | y x | mean minus reference over its standard error, as a normal deviate
+squared_bias | f | f² | n | mean over the pixels of the squared bias against the reference
+tile_bias | f | 1 | n tile_y tile_x | mean error / mean of the reference
+tile_relmse | f | 1 | n tile_y tile_x | mean of (x − r)² / (r² + 0.01) against the reference r
+tile_smape | f | 1 | n tile_y tile_x | mean of |x − r| / (|x| + |r| + 0.01)
+tile_flip | f | 1 | n tile_y tile_x | mean FLIP of one frame against the reference
+image_bias | f | 1 | n | mean error of the image / mean of the reference
+image_relmse | f | 1 | n | relMSE of the image against the reference
+image_smape | f | 1 | n | SMAPE of the image against the reference
 average_picture_ratio | f | 1 | alpha | that variance / that of the other frames
 flip | f | 1 | n y x | FLIP of one frame against the mean
 predicted_power | f | f² | radius | \

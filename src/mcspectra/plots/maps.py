@@ -445,6 +445,12 @@ MAPS: Mapping[str, tuple[tuple[str, ...], Callable[[Group, Styles], Plot]]] = {
                 "Number of independent frames whose mean has the variance of a sequence's mean.",
             ),
             (
+                "bias",
+                "bias_z",
+                _deviates,
+                "Difference of the mean from the reference, in standard errors.",
+            ),
+            (
                 "difference",
                 "difference_z",
                 _deviates,

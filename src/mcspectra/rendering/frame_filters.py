@@ -229,7 +229,7 @@ def curve_filters(height: int, width: int, times: int) -> dict[str, dict[float, 
     """Return the filters of curves: Gaussians by σ that fit the image, and averages by α."""
     side = min(height, width)
     gaussians = (Gaussian(sigma=sigma) for sigma in _SIGMAS)
-    found = {"sigma": {g.sigma: Chain((g,)) for g in gaussians if 4 * g.weights().size <= side}}
+    found = {"sigma": {g.sigma: Chain((g,)) for g in gaussians if 2 * g.weights().size <= side}}
     if times > 1:
         # With weights that reach far beyond the sequence, the correlations needed are unknown
         known = (a for a in _ALPHAS if (1 - a) ** times < _LEFT_OUT)

@@ -14,23 +14,26 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from os import PathLike
 from pathlib import Path
 from typing import Any, final
 
 import numpy as np
 import xarray as xr
 
-from mcspectra.core.checks import Array, as_integer, as_real
+from mcspectra.core.checks import Array, as_integer, as_real, is_path
 from mcspectra.core.confidence import CONFIDENCE_Z, student_t
 from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.core.fits import is_resolved, line_fit
 from mcspectra.core.images import (
     Rings,
     exr_layer,
+    luminance,
 )
 from mcspectra.core.progress import report
 from mcspectra.core.results import dataset
 from mcspectra.estimators.moments import Moments
+from mcspectra.rendering.frame_commands import command_words, denoised
 from mcspectra.rendering.frame_files import (
     MOST_SPP,
     FrameFiles,
@@ -46,6 +49,12 @@ from mcspectra.rendering.frame_filters import (
     chains_of,
     curve_filters,
     filtered_of,
+)
+from mcspectra.rendering.frame_references import (
+    read_reference,
+    reference_errors,
+    tile_centers,
+    tile_means,
 )
 from mcspectra.rendering.frame_sequences import (
     Temporal,
@@ -89,6 +98,9 @@ def frames(
     flip: bool = True,
     sequence: str | None = None,
     filters: str | Sequence[str] = (),
+    filter_command: str | None = None,
+    filter_timeout: float = 300.0,
+    reference: str | PathLike[str] | None = None,
 ) -> xr.Dataset:
     """Measure the noise of independent renders of one view, by any renderer.
 
@@ -114,6 +126,22 @@ def frames(
     tone_mapped
         Whether to accept PNG and JPEG, and undo the sRGB transfer function.
         Clipped values have lost their noise.
+    sequence
+        Names of the frames of several sequences, such as ``"shot_s{seed}_t{frame}.exr"``.
+        The pattern matches the end of each path.
+        Names like ``shot_s3_t012.exr`` are recognized without a pattern.
+        Errors are then deviations from the mean over the seeds at the same frame.
+    filters
+        Linear filters whose remaining error is reported, as spec strings:
+        ``gaussian(sigma=1.5)``, ``box(width=5)``, ``a-trous(levels=3)``, and for sequences
+        ``ema(alpha=0.1)``, or a product such as ``"gaussian(sigma=1.5) | ema(alpha=0.1)"``.
+    filter_command
+        Program that filters one frame, such as ``"denoise {input} -o {output}"``.
+        It runs on every frame with the most samples, without a shell.
+    filter_timeout
+        Longest time of the program for one frame, in seconds.
+    reference
+        File with the true image, which counts as exact.
     flip
         Whether to compute FLIP if its package is installed. It takes longer than all other steps.
 
@@ -132,7 +160,17 @@ def frames(
         ``error_correlation(n, lag_y, lag_x)``: correlation of errors at a lag in pixels.
         ``image(y, x, band)``: mean of the frames with most samples.
         ``flip(n, y, x)``: the FLIP error [Andersson2021]_ of the first frame against ``image``.
-        FLIP needs the package flip-evaluator.
+        FLIP needs the package flip-evaluator. With a reference, it is the error against that.
+        ``gaussian_variance(n, sigma)`` and ``gaussian_ratio``, the variance after a Gaussian,
+        and its ratio to what the filter leaves of white noise of the same variance.
+        ``filtered_variance(n, filter)`` and ``filtered_ratio`` are the same for the `filters`.
+        Sequences also have ``joint_spectrum(n, radius, frame_frequency)`` with power 1 for white
+        noise, ``frame_correlation(n, lag_t)``, ``boiling(n)`` (power below 1/8 cycle per frame),
+        ``effective_frames(n)``, ``pixel_effective_frames(n, y, x)``, and ``average_variance`` and
+        ``average_ratio`` (n, alpha) after an exponential moving average.
+        A command gives ``denoised_variance`` and ``denoised_square``, the mean squared bias.
+        A reference gives ``bias_z(y, x)``, ``squared_bias(n)``, and by tile and for the image
+        the relative bias, relMSE and SMAPE: ``tile_bias(n, tile_y, tile_x)``, ``image_bias(n)``.
         Two sets of frames are compared at the largest n that both have:
         ``difference`` of the means, ``difference_z`` by Welch's test,
         ``variance_ratio``, the variance of the first set of frames over that of the second set,
@@ -152,6 +190,11 @@ def frames(
     -----
     Memory is about 45 planes of float64 (3 GB at 3840 × 2160), including the result.
     The memory does not depend on the number of frames.
+    Transforms of one sequence are kept in a temporary file if they exceed 0.5 GB.
+    The file has about 20 bytes per pixel and frame.
+
+    The error after a linear filter K is ∫ |K(ν)|² P_err(ν) dν, from the measured spectrum.
+    See `mcspectra.rendering.frame_filters` for the treatment of borders.
     """
     spp = None if spp is None else as_integer("spp", spp, least=1, most=MOST_SPP)
     given = {"target": target, "seconds": seconds, "seconds_against": seconds_against}
@@ -159,6 +202,10 @@ def frames(
         given[name] = None if value is None else as_real(name, value, above=0.0)
     read = FrameReader(layer=layer, tone_mapped=tone_mapped, spp=spp)
     chains = chains_of(filters)
+    words = None if filter_command is None else command_words(filter_command)
+    wait = as_real("filter_timeout", filter_timeout, above=0.0)
+    if reference is not None and not is_path(reference):
+        raise ParameterError(f"reference is {reference!r:.80}; give a file.")
     found = _measured(paths, read, chains, sequence)
     best, ns = found[-1], np.array([each.spp for each in found])
     if layer is None and best.files[0].suffix.lower() == ".exr":
@@ -202,10 +249,34 @@ def frames(
         name: (("n", *dims), np.stack(of)) for name, (dims, of) in stacked.items()
     }
     variables["image"] = (("y", "x", "band"), best.image)
-    shown = [_flip(best.image, read.color(each.files[0])) for each in found if flip]
+    truth = None if reference is None else read_reference(reference, read, best.image.shape)
+    if best.times > 1 and (truth is not None or words is not None):
+        raise ParameterError(
+            Parameter("reference"),
+            " and ",
+            Parameter("filter_command"),
+            " need frames of one view, but these are sequences; give the frames of one time.",
+        )
+    image = best.image if truth is None else truth
+    shown = [_flip(image, read.color(each.files[0])) for each in found if flip]
     flips = [each for each in shown if each is not None]
     if flips:
         variables["flip"] = (("n", "y", "x"), np.stack(flips))
+
+    told: dict[str, Any] = {name: [each.told[name] for each in found] for name in best.told}
+    if truth is not None:
+        compared, said = _referred(found, luminance(truth), read, variables.get("flip"))
+        variables |= compared
+        told |= {**said, "reference": str(reference)}
+    if words is not None:
+        after = denoised(words, best.files, read, None if truth is None else luminance(truth), wait)
+        variables |= {
+            "denoised_variance": ((), after.variance),
+            "denoised_variance_ci": (("bound",), after.variance_ci),
+            "denoised_square": ((), after.bias),
+            "denoised_square_ci": (("bound",), after.bias_ci),
+        }
+        told["filter_command"] = filter_command
 
     # Compute rates over windows that make them precise, and the samples needed for the target
     rate, window = np.full(best.moments.mean.shape, np.nan), None
@@ -226,7 +297,6 @@ def frames(
         slope, slope_se = _picture_rate(found)
         variables["picture_rate"] = ((), slope)
         variables["picture_rate_ci"] = (("bound",), interval(slope, slope_se))
-    told: dict[str, Any] = {name: [each.told[name] for each in found] for name in best.told}
     if given["target"] is not None and not _grows(variables):
         need, spread = _needed(best, given["target"], rate, errors[0], variables)
         variables["needed_spp"] = (("y", "x"), need)
@@ -252,6 +322,14 @@ def frames(
             "bound": ["low", "high"],
             "radius": best.radius,
             **lags,
+            **(
+                {
+                    f"tile_{dim}": tile_centers(size)
+                    for dim, size in zip("yx", best.moments.mean.shape, strict=True)
+                }
+                if truth is not None
+                else {}
+            ),
             **{dim: list(labels) for dim, (_, labels, _) in parts.items()},
             **(
                 {"lag_t": np.arange(best.times), "frame_frequency": temporal[-1].frequency}
@@ -267,6 +345,49 @@ def frames(
         frames_smoothing=temporal[-1].window if temporal else None,
         **told,
     )
+
+
+def _referred(
+    groups: list[_Group],
+    truth: Array,
+    read: FrameReader,
+    flip: tuple[tuple[str, ...], Any] | None,
+) -> tuple[dict[str, tuple[tuple[str, ...], Any]], dict[str, Any]]:
+    """Compare the frames of each number of samples with a reference."""
+    every = [
+        reference_errors(each.files, read, truth, each.moments.mean, each.moments.variance)
+        for each in groups
+    ]
+    variables: dict[str, tuple[tuple[str, ...], Any]] = {}
+    for own, name in (("bias", "bias"), ("relative", "relmse"), ("symmetric", "smape")):
+        variables |= {
+            f"tile_{name}": (
+                ("n", "tile_y", "tile_x"),
+                np.stack([getattr(each, own) for each in every]),
+            ),
+            f"tile_{name}_ci": (
+                ("n", "tile_y", "tile_x", "bound"),
+                np.stack([getattr(each, f"{own}_ci") for each in every]),
+            ),
+            f"image_{name}": (("n",), np.array([each.whole[own][0] for each in every])),
+            f"image_{name}_ci": (
+                ("n", "bound"),
+                np.stack([each.whole[own][1] for each in every]),
+            ),
+        }
+    if flip is not None:
+        tiles = np.stack([tile_means(each) for each in flip[1]])
+        variables["tile_flip"] = (("n", "tile_y", "tile_x"), tiles)
+    best = groups[-1]
+    z = _student(best.moments.mean - truth, best.moments.variance, best.count)
+    variables["bias_z"] = (("y", "x"), z)
+    variables["squared_bias"] = (("n",), np.array([each.square for each in every]))
+    limit = _sidak(int((~np.isnan(z)).sum()))
+    return variables, {
+        "reference_biased_pixels": int((np.abs(z) > limit).sum()),
+        "reference_pixels": int((~np.isnan(z)).sum()),
+        "reference_z_limit": limit,
+    }
 
 
 _PICTURE = ("picture_variance", "picture_relative_se")

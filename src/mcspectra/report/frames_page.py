@@ -31,7 +31,8 @@ __all__ = [
     "write_frames",
 ]
 
-_COLUMNS = ("Samples per pixel", "Frames", "Variance", "95 %", "σ / mean", "FLIP")
+_COLUMNS = ("Samples per pixel", "Frames", "Variance", "95 %", "σ / mean")
+_MEASURES = {"mean_flip": "FLIP", "relmse": "relMSE", "smape": "SMAPE"}
 _LOW = 0.125  # upper limit of the low frequencies, in cycles per pixel
 # Noise is not white if its relative power at low frequencies is below 0.8 or above 1.25
 _BLUE, _RED = 0.8, 1.25
@@ -64,9 +65,18 @@ def frame_summary(result: xr.Dataset) -> dict[str, Any]:
         }
         if "flip" in one:
             row["mean_flip"] = float(one["flip"].mean())
+        for name in ("bias", "relmse", "smape"):
+            if f"image_{name}" in one:
+                row |= {name: float(one[f"image_{name}"])}
+                row |= {f"{name}_ci": one[f"image_{name}_ci"].values.tolist()}
         rows.append(row)
     found: dict[str, Any] = {**told, "samples": rows}
+    for name in ("denoised_variance", "denoised_square"):
+        if name in result:
+            found |= {name: float(result[name]), f"{name}_ci": result[f"{name}_ci"].values.tolist()}
     last = result.isel(n=-1)
+    if "squared_bias" in last:
+        found["squared_bias"] = float(last["squared_bias"])
     for name in ("boiling", "effective_frames"):
         if name in last:
             found |= {name: float(last[name]), f"{name}_ci": last[f"{name}_ci"].values.tolist()}
@@ -108,7 +118,14 @@ def frame_findings(result: xr.Dataset) -> list[str]:
     The effect is the size of the logarithm of a factor in the variance or in its meaning.
     """
     found = frame_summary(result)
-    every = [*_against(found), *_doubts(found), *_after(found), *_noise(result, found)]
+    every = [
+        *_against(found),
+        *_referred(result, found),
+        *_doubts(found),
+        *_after(found),
+        *_commanded(found),
+        *_noise(result, found),
+    ]
     return [each.text for each in sorted(every, key=lambda each: -each.effect)]
 
 
@@ -164,6 +181,62 @@ def _after(found: dict[str, Any]) -> Iterator[_Finding]:
     # Without a filter that was asked for, report the Gaussian at which the order changes most
     if not asked and opposites:
         yield max(opposites)
+
+
+def _referred(result: xr.Dataset, found: dict[str, Any]) -> Iterator[_Finding]:
+    """Describe the errors against a reference, and the worst tile."""
+    if "reference" not in found:
+        return
+    last, biased = found["samples"][-1], found["reference_biased_pixels"]
+    whole, pixels = last["bias"], found["reference_pixels"]
+    low, high = last["bias_ci"]
+    sure = not low <= 0.0 <= high
+    variance, square = last["picture_variance"], max(found["squared_bias"], 0.0)
+    tile = np.abs(np.nan_to_num(result["tile_bias"].isel(n=-1).values))
+    place = np.unravel_index(int(tile.argmax()), tile.shape)
+    worst = result["tile_bias"].isel(n=-1, tile_y=place[0], tile_x=place[1])
+    ends = result["tile_bias_ci"].isel(n=-1, tile_y=place[0], tile_x=place[1]).values
+    about = (
+        f"relMSE {number(last['relmse'])}, SMAPE {number(last['smape'])}"
+        + (f", FLIP {number(last['mean_flip'])}" if "mean_flip" in last else "")
+        + f"; the tile with the largest bias is at x = {float(worst['tile_x']):.0f}, "
+        f"y = {float(worst['tile_y']):.0f}: {_signed(float(worst))} (95 %: "
+        f"{_signed(float(ends[0]))} … {_signed(float(ends[1]))})."
+    )
+    if biased or sure:
+        yield _Finding(
+            max(_lost(square / (square + variance)), 0.05),
+            f"The frames are biased against the reference: the image mean by {_signed(whole)} "
+            f"(95 %: {_signed(low)} … {_signed(high)}), and {biased} of {pixels} pixels differ by "
+            f"more than {number(found['reference_z_limit'])} standard errors. Bias makes "
+            f"{percent(square / (square + variance))} of the squared error of a frame; {about}",
+        )
+    else:
+        yield _Finding(
+            0.0,
+            f"No bias against the reference is significant: image mean {_signed(whole)} (95 %: "
+            f"{_signed(low)} … {_signed(high)}); {about}",
+        )
+
+
+def _commanded(found: dict[str, Any]) -> Iterator[_Finding]:
+    """Describe the measured error after a program."""
+    if "filter_command" not in found:
+        return
+    whole = found["samples"][-1]["picture_variance"]
+    variance, square = found["denoised_variance"], found["denoised_square"]
+    ends = [end / whole for end in found["denoised_variance_ci"]]
+    bias = [max(end / whole, 0.0) for end in found["denoised_square_ci"]]
+    total = (variance + max(square, 0.0)) / whole
+    against = "the reference" if "reference" in found else "the mean of the frames"
+    yield _Finding(
+        abs(math.log(total)) if total > 0 else 0.0,
+        f"After the command the variance is {number(variance / whole)} (95 %: {interval(*ends)}) "
+        f"times that of the frames, and the squared bias against {against} is "
+        f"{number(max(square, 0.0) / whole)} (95 %: {interval(*bias)}) times that variance. The "
+        "filter was run on every frame, because the error of a denoiser cannot be predicted from "
+        "a spectrum.",
+    )
 
 
 def _compare(ratio: float) -> str:
@@ -416,6 +489,8 @@ def _noise(result: xr.Dataset, found: dict[str, Any]) -> Iterator[_Finding]:
 
 def frame_table(found: dict[str, Any]) -> html.Table:
     """Return the numbers of `frame_summary` as a table."""
+    last = found["samples"][-1]
+    others = [name for name in _MEASURES if name in last]
     rows = [
         [
             str(row["n"] or "unknown"),
@@ -423,15 +498,16 @@ def frame_table(found: dict[str, Any]) -> html.Table:
             number(row["picture_variance"]),
             interval(*row["picture_variance_ci"]),
             number(row["median_relative_rmse"]),
-            number(row.get("mean_flip")),
+            *(number(row[name]) for name in others),
         ]
         for row in found["samples"]
     ]
     caption = "Variance of one frame, averaged over pixels; median of σ / mean over pixels"
-    if "mean_flip" in found["samples"][0]:
-        caption += "; mean FLIP between one frame and the mean image"
-    shown = len(_COLUMNS) - ("mean_flip" not in found["samples"][0])
-    return html.table_of(f"{caption}.", _COLUMNS[:shown], [row[:shown] for row in rows], words=())
+    if "mean_flip" in last:
+        image = "reference" if "reference" in found else "mean image"
+        caption += f"; mean FLIP between one frame and the {image}"
+    columns = (*_COLUMNS, *(_MEASURES[name] for name in others))
+    return html.table_of(f"{caption}.", columns, rows, words=())
 
 
 def filter_table(found: dict[str, Any]) -> html.Table | None:
