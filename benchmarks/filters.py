@@ -57,9 +57,8 @@ TIME = {
 
 def main() -> None:
     """Print predicted and measured root mean square errors after each filter."""
-    print(
-        f"{'errors':34}{'filter':38}{'predicted':>10}{'95 %':>18}{'inside':>9}{'all':>9}  ratio  / white"
-    )
+    names = f"{'errors':34}{'filter':38}{'predicted':>10}{'95 %':>18}{'inside':>9}{'all':>9}"
+    print(f"{names}  ratio  / white")
     ratios = []
     with tempfile.TemporaryDirectory() as folder:
         for name, render in renderers().items():

@@ -167,6 +167,22 @@ def test_two_frames_give_an_interval(tmp_path):
     assert sum(held) >= 9
 
 
+@pytest.mark.slow
+def test_two_sequences_give_intervals(tmp_path):
+    held = []
+    for seed in range(16):
+        folder = write(tmp_path / f"{seed}", rho=0.7, times=12, seeds=2, seed=seed)
+        result = frames(folder, filters="ema(alpha=0.5)")
+        lags = np.arange(1, 12)
+        truth = 12 / (1 + 2 * ((1 - lags / 12) * 0.7**lags).sum())
+        ends = (result["effective_frames_ci"].values[0], result["filtered_ratio_ci"].values[0, 0])
+        held += [
+            low < value < high
+            for (low, high), value in zip(ends, (truth, wanted(0.7, 0.5)), strict=True)
+        ]
+    assert sum(held) >= 26  # of 32, with a probability of at least 0.93 each
+
+
 def test_a_sampler_that_is_worse_per_pixel_is_better_after_a_filter(tmp_path):
     """Blue noise of 1.3 times the variance."""
     ours, others = tmp_path / "blue", tmp_path / "white"

@@ -212,10 +212,12 @@ def temporal_of(found: TimeStatistics, m2: Array, count: int) -> Temporal:
     half[0] = 0.0
     low = frequency < _SLOW
     both = np.where((frequency > 0) & (frequency < 0.5), 2.0, 1.0)[low]
-    slow, slow_half = ends((whole @ waves[low].T) @ both / both.sum(), 1.41 * one)
-    zero, zero_half = ends(whole @ waves[0], 1.41 * one)
-    boiling, boiling_ci = _factor(float(slow), float(slow_half))
-    inverse, inverse_ci = _factor(float(zero), float(zero_half))
+    # The relative error of the power of normal noise is the same at every frequency
+    slow, slow_half = ends((whole @ waves[low].T) @ both / both.sum(), 0.0)
+    zero, zero_half = ends(whole @ waves[0], 0.0)
+    relative = CONFIDENCE_Z * math.sqrt(2.0) * one
+    boiling, boiling_ci = _factor(float(slow), max(float(slow_half), relative * float(slow)))
+    inverse, inverse_ci = _factor(float(zero), max(float(zero_half), relative * float(zero)))
 
     # Average the numbers of pixels over squares, until their error is about 20 %
     variance = m2 / (times * (count - 1))
