@@ -442,7 +442,10 @@ MAPS: Mapping[str, tuple[tuple[str, ...], Callable[[Group, Styles], Plot]]] = {
                 "effective",
                 "pixel_effective_frames",
                 _logarithmic("independent frames"),
-                "Number of independent frames whose mean has the variance of a sequence's mean.",
+                (
+                    "Number of independent frames whose mean is as noisy as that of a sequence, "
+                    "averaged over up to 15 × 15 pixels."
+                ),
             ),
             (
                 "bias",

@@ -137,8 +137,8 @@ def _after(found: dict[str, Any]) -> Iterator[_Finding]:
         said = (
             f"below 1/8 cycle per frame the errors have {number(level)} (95 %: "
             f"{interval(low, high)}) times the power of white noise, and the mean of "
-            f"{found['times']} frames is that of {number(frames)} independent frames (95 %: "
-            f"{interval(*ends)}). Consecutive frames have correlation "
+            f"{found['times']} frames is as noisy as that of {number(frames)} independent ones "
+            f"(95 %: {interval(*ends)}). Consecutive frames have correlation "
             f"{number(found['frame_correlation'])}."
         )
         if low > 1.0:
@@ -287,6 +287,7 @@ def _against(found: dict[str, Any]) -> Iterator[_Finding]:
     low, high = found["picture_ratio_ci"]
     ends = interval(low, high)
     effect = _shift(found["picture_ratio"], low, high)
+    at = f"At {ours} samples per pixel" if found["spp_known"][-1] else "In one frame"
     scaled = ""
     if ours != others:
         scaled = f" The others have {others} samples per pixel; " + (
@@ -297,7 +298,7 @@ def _against(found: dict[str, Any]) -> Iterator[_Finding]:
         )
     yield _Finding(
         effect,
-        f"At {ours} samples per pixel the variance is {number(found['picture_ratio'])} "
+        f"{at} the variance is {number(found['picture_ratio'])} "
         f"(95 %: {ends}) times the variance of {found['against']}.{scaled}",
     )
     if "equal_time_ratio" in found:
