@@ -191,7 +191,7 @@ def frames(
     Memory is about 45 planes of float64 (3 GB at 3840 × 2160), including the result.
     The memory does not depend on the number of frames.
     Transforms of one sequence are kept in a temporary file if they exceed 0.5 GB.
-    The file has about 20 bytes per pixel and frame.
+    These files have about 12 bytes for each pixel of each frame of a sequence.
 
     The error after a linear filter K is ∫ |K(ν)|² P_err(ν) dν, from the measured spectrum.
     See `mcspectra.rendering.frame_filters` for the treatment of borders.
