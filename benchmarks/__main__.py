@@ -34,6 +34,7 @@ NAMES = (
     "images",
     "masks",
     "blender",
+    "filters",
     "findings",
     "studies",
     "scaling",

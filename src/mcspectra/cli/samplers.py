@@ -39,6 +39,7 @@ _REGISTRIES = {
     "densities": ("mcspectra.densities", "DENSITIES"),
     "integrands": ("mcspectra.integrands", "INTEGRANDS"),
     "scenes": ("mcspectra.rendering", "SCENES"),
+    "filters": ("mcspectra.rendering.frame_filters", "FILTERS"),
     "analyses": ("mcspectra.core.analysis", "ANALYSES"),
 }
 

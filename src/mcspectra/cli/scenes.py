@@ -523,6 +523,24 @@ def map_(options: argparse.Namespace) -> VerbOutput:
         nargs="+",
     ),
     option("--spp N", "samples per pixel (default: from names and headers)", whole()),
+    option(
+        "--sequence NAME",
+        "names of sequences, such as 'shot_s{seed}_t{frame}.exr' (default: found in the names)",
+    ),
+    option(
+        "--filter SPEC",
+        "report the error after a filter, such as 'gaussian(sigma=1.5) | ema(alpha=0.1)'; "
+        "repeatable",
+        repeated="all",
+        default=[],
+    ),
+    option(
+        "--filter-command COMMAND",
+        "program that filters a frame, such as 'denoise {input} -o {output}'; its error is "
+        "measured",
+    ),
+    option("--filter-timeout S", "longest time of the program (default: 300)", real(above=0.0)),
+    option("--reference FILE", "true image: report bias, relMSE and SMAPE by region"),
     option("--against PATH", "frames of another renderer or setting of the same view"),
     option("--target E", "relative error, σ / mean, that pixels should reach", real(above=0.0)),
     option("--seconds S", "render time per frame (default: from headers)", real(above=0.0)),
@@ -543,6 +561,7 @@ def frames_(options: argparse.Namespace) -> VerbOutput:
     The results are variance, bias and error spectrum.
     Frames with different numbers of samples per pixel also give rates.
     --against compares two sets of frames: bias, variance, and variance at equal time.
+    Sequences of several seeds also give the correlation of errors over time.
     """
     from mcspectra.rendering.frame_statistics import frames
     from mcspectra.report import frames_page
@@ -560,9 +579,15 @@ def frames_(options: argparse.Namespace) -> VerbOutput:
         layer=options.layer,
         tone_mapped=options.tone_mapped,
         flip=not options.no_flip,
+        sequence=options.sequence,
+        filters=options.filter,
+        filter_command=options.filter_command,
+        reference=options.reference,
+        **({"filter_timeout": options.filter_timeout} if options.filter_timeout else {}),
     )
     found, said = frames_page.frame_summary(result), frames_page.frame_findings(result)
-    lines = [page_table(frames_page.frame_table(found)), *said]
+    tables = [frames_page.frame_table(found), frames_page.filter_table(found)]
+    lines = [*(page_table(each) for each in tables if each is not None), *said]
     data = {**found, "findings": said}
     if options.tev:
         _show(result, options.tev)

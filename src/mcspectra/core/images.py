@@ -399,3 +399,14 @@ class Rings:
         """Return the mean power over each ring of frequencies."""
         sums = np.bincount(self._ring, (power * self._weight).ravel(), self.sizes.size + 1)
         return np.asarray(sums[:-1] / self.sizes)
+
+    def sums(self, power: Array, rows: slice) -> Array:
+        """Return the sums of power (…, rows, x) over each ring, for some rows of frequencies.
+
+        The last sum is that of the frequencies outside all rings.
+        """
+        width = self._weight.shape[1]
+        ring = self._ring.reshape(-1, width)[rows].ravel()
+        flat = (power * self._weight[rows]).reshape(-1, ring.size)
+        sums = [np.bincount(ring, each, self.sizes.size + 1) for each in flat]
+        return np.reshape(sums, (*power.shape[:-2], self.sizes.size + 1))

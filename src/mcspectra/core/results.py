@@ -246,6 +246,33 @@ picture_rate | f | 1 | | exponent of the mean variance in samples a pixel
 needed_spp | f | 1 | y x | samples a pixel at which the wanted σ / mean is reached
 error_spectrum | f | 1 | n radius | power of the standardized errors of a frame; white noise: 1
 error_correlation | f | 1 | n lag_y lag_x | correlation of the errors of pixels at a distance
+joint_spectrum | f | 1 | n radius frame_frequency | \
+power of the standardized errors by radial and temporal frequency; white noise: 1
+frame_correlation | f | 1 | n lag_t | correlation of the errors of frames of a sequence at a lag
+boiling | f | 1 | n | power of errors below 1/8 cycle per frame; white noise: 1
+effective_frames | f | 1 | n | independent frames whose mean has the variance of a sequence's mean
+pixel_effective_frames | f | 1 | n y x | the same number for each pixel
+filtered_variance | f | f² | n filter | mean over the pixels of the variance after a filter
+filtered_ratio | f | 1 | n filter | \
+variance after a filter / the same of white noise of the same variance
+filtered_picture_ratio | f | 1 | filter | filtered variance / that of the other frames
+gaussian_variance | f | f² | n sigma | variance after a Gaussian filter of σ pixels
+gaussian_ratio | f | 1 | n sigma | that variance / the same of white noise of the same variance
+gaussian_picture_ratio | f | 1 | sigma | that variance / that of the other frames
+average_variance | f | f² | n alpha | variance after an exponential moving average of weight α
+average_ratio | f | 1 | n alpha | that variance / the same of white noise of the same variance
+denoised_variance | f | f² | | variance after a program, mean over the pixels
+denoised_square | f | f² | | squared bias of a program, mean over the pixels
+bias_z | f | 1 | y x | mean minus reference over its standard error, as a normal deviate
+squared_bias | f | f² | n | mean over the pixels of the squared bias against the reference
+tile_bias | f | 1 | n tile_y tile_x | mean error / mean of the reference
+tile_relmse | f | 1 | n tile_y tile_x | mean of (x − r)² / (r² + 0.01) against the reference r
+tile_smape | f | 1 | n tile_y tile_x | mean of |x − r| / (|x| + |r| + 0.01)
+tile_flip | f | 1 | n tile_y tile_x | mean FLIP of one frame against the reference
+image_bias | f | 1 | n | mean error of the image / mean of the reference
+image_relmse | f | 1 | n | relMSE of the image against the reference
+image_smape | f | 1 | n | SMAPE of the image against the reference
+average_picture_ratio | f | 1 | alpha | that variance / that of the other frames
 flip | f | 1 | n y x | FLIP of one frame against the mean
 predicted_power | f | f² | radius | \
 power of an image of errors, from spectra; white noise: the variance

@@ -26,7 +26,7 @@ from mcspectra.plots.description import (
 )
 from mcspectra.plots.groups import Group, Styles, abreast, shared
 from mcspectra.plots.scales import log_axis, log_scale
-from mcspectra.plots.style import PALETTE
+from mcspectra.plots.style import GRAY, PALETTE
 from mcspectra.plots.text import number, percent
 
 __all__ = [
@@ -288,6 +288,99 @@ def _correlation(group: Group, _: Styles) -> Plot:
     )
 
 
+def _after_filters(group: Group, _: Styles, *, name: str) -> Plot:
+    """Plot the error after filters of one parameter, and what they leave of white noise."""
+    data = next(iter(group.values())).isel(n=-1)
+    dim, label, words = _CURVES[name]
+    x = data[dim].values.astype(float)
+    order = np.argsort(x)
+    x = x[order]
+    variance, ends, ratio = (
+        data[f"{name}_{part}"].values[order] for part in ("variance", "variance_ci", "ratio")
+    )
+    whole = float(data["picture_variance"])
+    error, white = np.sqrt(variance / whole), np.sqrt(variance / ratio / whole)
+    low, high = (np.sqrt(np.where(np.isfinite(e), e, np.nan) / whole) for e in ends.T)
+    marks: list[Mark] = [
+        Line(x=x, y=white, color=GRAY, dashes="--", label="white noise"),
+        Line(x=x, y=error, color=PALETTE[0], low=low, high=high, label="these frames"),
+    ]
+    every = [error, white, low, high]
+    if f"{name}_picture_ratio" in data:
+        others = np.sqrt(variance / data[f"{name}_picture_ratio"].values[order] / whole)
+        marks.append(Line(x=x, y=others, color=PALETTE[1], label="the other frames"))
+        every.append(others)
+    values = np.concatenate(every)
+    values = values[np.isfinite(values) & (values > 0)]
+    return Plot(
+        panels=(
+            Panel(
+                marks=tuple(marks),
+                x=log_axis(label, float(x[0]), float(x[-1])),
+                y=log_axis(
+                    "error / error of a frame", float(values.min()) / 1.2, float(values.max()) * 1.2
+                ),
+                grid=True,
+            ),
+        ),
+        caption=f"Standard deviation after {words}, relative to that of these frames without "
+        "a filter, with its 95 % interval.",
+        words=f"Error after {words}, from {number(float(error[0]))} to "
+        f"{number(float(error[-1]))} of the error of a frame.",
+    )
+
+
+_CURVES = {
+    "gaussian": ("sigma", "σ in pixels", "a Gaussian filter of width σ"),
+    "average": ("alpha", "weight α of the new frame", "an exponential moving average over frames"),
+}
+
+
+def _joint(group: Group, _: Styles) -> Plot:
+    """Show the power of errors by radial and temporal frequency, relative to white noise."""
+    found = next(iter(group.values()))["joint_spectrum"].isel(n=-1)
+    across, along = found["frame_frequency"].values, found["radius"].values
+    scale = _ratios("power / white noise")(found.values)
+    return Plot(
+        panels=(
+            Panel(
+                marks=(Heatmap(values=found.values, x=across, y=along, scale=scale, name="power"),),
+                x=Axis(label="cycles per frame", low=0.0, high=0.5),
+                y=Axis(label="cycles per pixel", low=0.0, high=0.5),
+            ),
+        ),
+        caption="Power of the errors by frequency over time and between pixels, relative to white "
+        "noise. Much power at the left means noise that changes slowly (boiling); much power at "
+        "the bottom means blotches.",
+        words="Power of the errors by temporal and spatial frequency, from "
+        f"{number(float(np.nanmin(found.values)))} to {number(float(np.nanmax(found.values)))}.",
+        height=0.8,
+    )
+
+
+def _over_time(group: Group, _: Styles) -> Plot:
+    """Plot the correlation of the errors of two frames by their distance in time."""
+    data = next(iter(group.values())).isel(n=-1)
+    x, y = (data[name].values.astype(float) for name in ("lag_t", "frame_correlation"))
+    low, high = data["frame_correlation_ci"].values.T
+    reach = float(np.nanmin([low.min(), -0.1]))
+    return Plot(
+        panels=(
+            Panel(
+                marks=(
+                    ReferenceLine(at=0.0, dashes="--", label="independent frames"),
+                    Line(x=x, y=y, color=PALETTE[0], low=low, high=high, label="these frames"),
+                ),
+                x=Axis(label="distance in frames", low=0.0, high=float(x[-1])),
+                y=Axis(label="correlation of errors", low=max(reach, -1.0), high=1.05),
+                grid=True,
+            ),
+        ),
+        caption="Correlation of the errors of two frames of a sequence, with 95 % intervals.",
+        words=f"Correlation of errors over time: {number(float(y[1]))} for consecutive frames.",
+    )
+
+
 def _deviates(values: Array) -> Scale:
     """Return the scale of normal deviates, clipped at ± 8."""
     finite = np.abs(values[np.isfinite(values)])
@@ -302,6 +395,13 @@ MAPS: Mapping[str, tuple[tuple[str, ...], Callable[[Group, Styles], Plot]]] = {
     ),
     "frames-spectrum": (("error_spectrum", "error_spectrum_ci"), _spectrum),
     "frames-correlation": (("error_correlation",), _correlation),
+    "frames-filter": (("gaussian_variance",), partial(_after_filters, name="gaussian")),
+    "frames-average": (
+        ("average_variance",),
+        partial(_after_filters, name="average"),
+    ),
+    "frames-joint": (("joint_spectrum",), _joint),
+    "frames-time": (("frame_correlation", "frame_correlation_ci"), _over_time),
     **{
         f"frames-{kind}": (
             ("relative_rmse", variable),
@@ -337,6 +437,21 @@ MAPS: Mapping[str, tuple[tuple[str, ...], Callable[[Group, Styles], Plot]]] = {
                 "flip",
                 _logarithmic("FLIP"),
                 "FLIP between one frame with the most samples and the mean.",
+            ),
+            (
+                "effective",
+                "pixel_effective_frames",
+                _logarithmic("independent frames"),
+                (
+                    "Number of independent frames whose mean is as noisy as that of a sequence, "
+                    "averaged over up to 15 × 15 pixels."
+                ),
+            ),
+            (
+                "bias",
+                "bias_z",
+                _deviates,
+                "Difference of the mean from the reference, in standard errors.",
             ),
             (
                 "difference",

@@ -118,11 +118,15 @@ class FrameFiles:
         At least two files, in order of their names.
     seconds
         Mean render time of a frame, or None if no header contains it.
+    times
+        Number of frames of each sequence. The files of a sequence follow each other.
+        Frames of one view, without a sequence, are sequences of one frame.
     """
 
     spp: int | None
     files: list[Path]
     seconds: float | None
+    times: int = 1
 
 
 def frame_files(paths: Frames, read: FrameReader) -> list[FrameFiles]:

@@ -10,24 +10,30 @@ Bright corners therefore do not dominate, and white noise has power 1 at all fre
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from os import PathLike
 from pathlib import Path
 from typing import Any, final
 
 import numpy as np
 import xarray as xr
 
-from mcspectra.core.checks import Array, as_integer, as_real
+from mcspectra.core.checks import Array, as_integer, as_real, is_path
 from mcspectra.core.confidence import CONFIDENCE_Z, student_t
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.errors import Parameter, ParameterError
+from mcspectra.core.fits import is_resolved, line_fit
 from mcspectra.core.images import (
     Rings,
     exr_layer,
+    luminance,
 )
 from mcspectra.core.progress import report
 from mcspectra.core.results import dataset
 from mcspectra.estimators.moments import Moments
+from mcspectra.rendering.frame_commands import command_words, denoised
 from mcspectra.rendering.frame_files import (
     MOST_SPP,
     FrameFiles,
@@ -35,6 +41,27 @@ from mcspectra.rendering.frame_files import (
     Frames,
     described_paths,
     frame_files,
+)
+from mcspectra.rendering.frame_filters import (
+    Chain,
+    Filtered,
+    SpatialPower,
+    chains_of,
+    curve_filters,
+    filtered_of,
+)
+from mcspectra.rendering.frame_references import (
+    read_reference,
+    reference_errors,
+    tile_centers,
+    tile_means,
+)
+from mcspectra.rendering.frame_sequences import (
+    Temporal,
+    TimeStatistics,
+    sequence_files,
+    stored_array,
+    temporal_of,
 )
 from mcspectra.rendering.map_statistics import fit_lines, interval, ratio, smooth
 
@@ -49,6 +76,7 @@ _SIGNIFICANCE = 0.05  # significance level of a test of all pixels, frames or la
 _OUTLIER = 1e-3  # significance level of Grubbs' test at each pixel
 _RELATED = 0.1  # smallest correlation of two frames to report, whatever its significance
 _REPEATED = 0.05  # smallest correlation of distant pixels to report
+_LEAST_PAIRED = 16  # smallest number of common pixels at which two sets are compared frame by frame
 _LEAST_GRUBBS = 5  # minimum number of frames for Grubbs' test
 # If one error of one frame exceeds this share of all squares, no upper limit is given
 _ONE_SQUARE = 0.05
@@ -68,6 +96,11 @@ def frames(
     layer: str | None = None,
     tone_mapped: bool = False,
     flip: bool = True,
+    sequence: str | None = None,
+    filters: str | Sequence[str] = (),
+    filter_command: str | None = None,
+    filter_timeout: float = 300.0,
+    reference: str | PathLike[str] | None = None,
 ) -> xr.Dataset:
     """Measure the noise of independent renders of one view, by any renderer.
 
@@ -93,6 +126,22 @@ def frames(
     tone_mapped
         Whether to accept PNG and JPEG, and undo the sRGB transfer function.
         Clipped values have lost their noise.
+    sequence
+        Names of the frames of several sequences, such as ``"shot_s{seed}_t{frame}.exr"``.
+        The pattern matches the end of each path.
+        Names like ``shot_s3_t012.exr`` are recognized without a pattern.
+        Errors are then deviations from the mean over the seeds at the same frame.
+    filters
+        Linear filters whose remaining error is reported, as spec strings:
+        ``gaussian(sigma=1.5)``, ``box(width=5)``, ``a-trous(levels=3)``, and for sequences
+        ``ema(alpha=0.1)``, or a product such as ``"gaussian(sigma=1.5) | ema(alpha=0.1)"``.
+    filter_command
+        Program that filters one frame, such as ``"denoise {input} -o {output}"``.
+        It runs on every frame with the most samples, without a shell.
+    filter_timeout
+        Longest time of the program for one frame, in seconds.
+    reference
+        File with the true image, which counts as exact.
     flip
         Whether to compute FLIP if its package is installed. It takes longer than all other steps.
 
@@ -111,7 +160,17 @@ def frames(
         ``error_correlation(n, lag_y, lag_x)``: correlation of errors at a lag in pixels.
         ``image(y, x, band)``: mean of the frames with most samples.
         ``flip(n, y, x)``: the FLIP error [Andersson2021]_ of the first frame against ``image``.
-        FLIP needs the package flip-evaluator.
+        FLIP needs the package flip-evaluator. With a reference, it is the error against that.
+        ``gaussian_variance(n, sigma)`` and ``gaussian_ratio``, the variance after a Gaussian,
+        and its ratio to what the filter leaves of white noise of the same variance.
+        ``filtered_variance(n, filter)`` and ``filtered_ratio`` are the same for the `filters`.
+        Sequences also have ``joint_spectrum(n, radius, frame_frequency)`` with power 1 for white
+        noise, ``frame_correlation(n, lag_t)``, ``boiling(n)`` (power below 1/8 cycle per frame),
+        ``effective_frames(n)``, ``pixel_effective_frames(n, y, x)``, and ``average_variance`` and
+        ``average_ratio`` (n, alpha) after an exponential moving average.
+        A command gives ``denoised_variance`` and ``denoised_square``, the mean squared bias.
+        A reference gives ``bias_z(y, x)``, ``squared_bias(n)``, and by tile and for the image
+        the relative bias, relMSE and SMAPE: ``tile_bias(n, tile_y, tile_x)``, ``image_bias(n)``.
         Two sets of frames are compared at the largest n that both have:
         ``difference`` of the means, ``difference_z`` by Welch's test,
         ``variance_ratio``, the variance of the first set of frames over that of the second set,
@@ -131,13 +190,23 @@ def frames(
     -----
     Memory is about 45 planes of float64 (3 GB at 3840 × 2160), including the result.
     The memory does not depend on the number of frames.
+    Transforms of one sequence are kept in a temporary file if they exceed 0.5 GB.
+    These files have about 12 bytes for each pixel of each frame of a sequence.
+
+    The error after a linear filter K is ∫ |K(ν)|² P_err(ν) dν, from the measured spectrum.
+    See `mcspectra.rendering.frame_filters` for the treatment of borders.
     """
     spp = None if spp is None else as_integer("spp", spp, least=1, most=MOST_SPP)
     given = {"target": target, "seconds": seconds, "seconds_against": seconds_against}
     for name, value in given.items():
         given[name] = None if value is None else as_real(name, value, above=0.0)
     read = FrameReader(layer=layer, tone_mapped=tone_mapped, spp=spp)
-    found = _measured(paths, read)
+    chains = chains_of(filters)
+    words = None if filter_command is None else command_words(filter_command)
+    wait = as_real("filter_timeout", filter_timeout, above=0.0)
+    if reference is not None and not is_path(reference):
+        raise ParameterError(f"reference is {reference!r:.80}; give a file.")
+    found = _measured(paths, read, chains, sequence)
     best, ns = found[-1], np.array([each.spp for each in found])
     if layer is None and best.files[0].suffix.lower() == ".exr":
         layer = exr_layer(best.files[0]) or None
@@ -155,17 +224,63 @@ def frames(
         "error_spectrum_ci": (("radius", "bound"), [each.spectrum_ci for each in found]),
         "error_correlation": (("lag_y", "lag_x"), [each.correlation for each in found]),
     }
+    temporal = [each.temporal for each in found if each.temporal is not None]
+    if temporal:
+        stacked |= {
+            "joint_spectrum": (("radius", "frame_frequency"), [t.joint for t in temporal]),
+            "frame_correlation": (("lag_t",), [t.correlation for t in temporal]),
+            "frame_correlation_ci": (("lag_t", "bound"), [t.correlation_ci for t in temporal]),
+            "boiling": ((), [t.boiling for t in temporal]),
+            "boiling_ci": (("bound",), [t.boiling_ci for t in temporal]),
+            "effective_frames": ((), [t.effective for t in temporal]),
+            "effective_frames_ci": (("bound",), [t.effective_ci for t in temporal]),
+            "pixel_effective_frames": (("y", "x"), [t.pixels for t in temporal]),
+        }
+    parts = _filter_parts(best, len(chains))
+    for dim, (name, _, part) in parts.items():
+        left = [each.filtered for each in found]
+        stacked |= {
+            f"{name}_variance": ((dim,), [each.variance[part] for each in left]),
+            f"{name}_variance_ci": ((dim, "bound"), [each.variance_ci[part] for each in left]),
+            f"{name}_ratio": ((dim,), [each.ratio[part] for each in left]),
+            f"{name}_ratio_ci": ((dim, "bound"), [each.ratio_ci[part] for each in left]),
+        }
     variables: dict[str, tuple[tuple[str, ...], Any]] = {
         name: (("n", *dims), np.stack(of)) for name, (dims, of) in stacked.items()
     }
     variables["image"] = (("y", "x", "band"), best.image)
-    shown = [_flip(best.image, read.color(each.files[0])) for each in found if flip]
+    truth = None if reference is None else read_reference(reference, read, best.image.shape)
+    if best.times > 1 and (truth is not None or words is not None):
+        raise ParameterError(
+            Parameter("reference"),
+            " and ",
+            Parameter("filter_command"),
+            " need frames of one view, but these are sequences; give the frames of one time.",
+        )
+    image = best.image if truth is None else truth
+    shown = [_flip(image, read.color(each.files[0])) for each in found if flip]
     flips = [each for each in shown if each is not None]
     if flips:
         variables["flip"] = (("n", "y", "x"), np.stack(flips))
 
+    told: dict[str, Any] = {name: [each.told[name] for each in found] for name in best.told}
+    if truth is not None:
+        compared, said = _referred(found, luminance(truth), read, variables.get("flip"))
+        variables |= compared
+        told |= {**said, "reference": str(reference)}
+    if words is not None:
+        after = denoised(words, best.files, read, None if truth is None else luminance(truth), wait)
+        variables |= {
+            "denoised_variance": ((), after.variance),
+            "denoised_variance_ci": (("bound",), after.variance_ci),
+            "denoised_square": ((), after.bias),
+            "denoised_square_ci": (("bound",), after.bias_ci),
+        }
+        told["filter_command"] = filter_command
+
     # Compute rates over windows that make them precise, and the samples needed for the target
     rate, window = np.full(best.moments.mean.shape, np.nan), None
+    errors = rate[None]
     if len(found) > 1:
         relative, level = np.stack([_log_variance(each.moments) for each in found], axis=1)
         line = fit_lines(
@@ -179,24 +294,18 @@ def frames(
         rate = rates[0]
         variables["rate"] = (("y", "x"), rate)
         variables["rate_ci"] = (("y", "x", "bound"), interval(rate, errors[0]))
-        whole, apart = (np.array([[getattr(each, name) for each in found]]) for name in _PICTURE)
-        line = fit_lines(ns, whole, apart, np.zeros_like(whole), largest_se=np.inf)
-        variables["picture_rate"] = ((), line.rate[0])
-        variables["picture_rate_ci"] = (("bound",), interval(line.rate[0], line.rate_se[0]))
-    if given["target"] is not None:
-        slope = np.where(np.isfinite(rate), np.minimum(rate, _SLOWEST), -1.0)
-        with np.errstate(over="ignore", invalid="ignore"):
-            need = best.spp * (best.relative_rmse / given["target"]) ** (-2.0 / slope)
-        if best.told["spp_known"]:
-            need = np.maximum(need, 1.0)
+        slope, slope_se = _picture_rate(found)
+        variables["picture_rate"] = ((), slope)
+        variables["picture_rate_ci"] = (("bound",), interval(slope, slope_se))
+    if given["target"] is not None and not _grows(variables):
+        need, spread = _needed(best, given["target"], rate, errors[0], variables)
         variables["needed_spp"] = (("y", "x"), need)
-
-    told: dict[str, Any] = {name: [each.told[name] for each in found] for name in best.told}
+        told |= _percentiles(need, spread)
     told["seconds"] = [given["seconds"] or each.seconds for each in found]
     if against is not None:
-        other = _measured(against, read)
+        other = _measured(against, read, chains, sequence)
         times = given["seconds"], given["seconds_against"]
-        compared, said = _compared(found, other, times, read)
+        compared, said = _compared(found, other, times, read, parts)
         variables |= compared
         told |= {**said, "against": described_paths(against)}
     lags = {
@@ -213,27 +322,168 @@ def frames(
             "bound": ["low", "high"],
             "radius": best.radius,
             **lags,
+            **(
+                {
+                    f"tile_{dim}": tile_centers(size)
+                    for dim, size in zip("yx", best.moments.mean.shape, strict=True)
+                }
+                if truth is not None
+                else {}
+            ),
+            **{dim: list(labels) for dim, (_, labels, _) in parts.items()},
+            **(
+                {"lag_t": np.arange(best.times), "frame_frequency": temporal[-1].frequency}
+                if temporal
+                else {}
+            ),
         },
         frames=described_paths(paths),
         target=given["target"],
         layer=layer,
         smoothing=window,
+        times=best.times if temporal else None,
+        frames_smoothing=temporal[-1].window if temporal else None,
         **told,
     )
+
+
+def _referred(
+    groups: list[_Group],
+    truth: Array,
+    read: FrameReader,
+    flip: tuple[tuple[str, ...], Any] | None,
+) -> tuple[dict[str, tuple[tuple[str, ...], Any]], dict[str, Any]]:
+    """Compare the frames of each number of samples with a reference."""
+    every = [
+        reference_errors(each.files, read, truth, each.moments.mean, each.moments.variance)
+        for each in groups
+    ]
+    variables: dict[str, tuple[tuple[str, ...], Any]] = {}
+    for own, name in (("bias", "bias"), ("relative", "relmse"), ("symmetric", "smape")):
+        variables |= {
+            f"tile_{name}": (
+                ("n", "tile_y", "tile_x"),
+                np.stack([getattr(each, own) for each in every]),
+            ),
+            f"tile_{name}_ci": (
+                ("n", "tile_y", "tile_x", "bound"),
+                np.stack([getattr(each, f"{own}_ci") for each in every]),
+            ),
+            f"image_{name}": (("n",), np.array([each.whole[own][0] for each in every])),
+            f"image_{name}_ci": (
+                ("n", "bound"),
+                np.stack([each.whole[own][1] for each in every]),
+            ),
+        }
+    if flip is not None:
+        tiles = np.stack([tile_means(each) for each in flip[1]])
+        variables["tile_flip"] = (("n", "tile_y", "tile_x"), tiles)
+    best = groups[-1]
+    z = _student(best.moments.mean - truth, best.moments.variance, best.count)
+    variables["bias_z"] = (("y", "x"), z)
+    variables["squared_bias"] = (("n",), np.array([each.square for each in every]))
+    limit = _sidak(int((~np.isnan(z)).sum()))
+    return variables, {
+        "reference_biased_pixels": int((np.abs(z) > limit).sum()),
+        "reference_pixels": int((~np.isnan(z)).sum()),
+        "reference_z_limit": limit,
+    }
 
 
 _PICTURE = ("picture_variance", "picture_relative_se")
 
 
+def _resolved_rate(variables: dict[str, tuple[tuple[str, ...], Any]]) -> bool:
+    """Whether the rate of the image's variance is known to ± 0.5."""
+    return "picture_rate" in variables and is_resolved(*variables["picture_rate_ci"][1])
+
+
+def _grows(variables: dict[str, tuple[tuple[str, ...], Any]]) -> bool:
+    """Whether the image's variance grows significantly with the number of samples."""
+    return _resolved_rate(variables) and bool(variables["picture_rate_ci"][1][0] > 0.0)
+
+
+def _needed(
+    best: _Group,
+    target: float,
+    rate: Array,
+    rate_se: Array,
+    variables: dict[str, tuple[tuple[str, ...], Any]],
+) -> tuple[Array, Array]:
+    """Return samples that every pixel needs, and the variance of the error of their logarithm.
+
+    Rates of pixels are shrunk to the image's mean rate.
+    Otherwise the few rates near 0 that noise makes would extrapolate to huge numbers.
+    If the rate of the image is not resolved, the variance is assumed to fall as 1/n.
+    """
+    slope, slope_se = np.full_like(rate, -1.0), np.zeros_like(rate)
+    if _resolved_rate(variables):
+        shrunk, shrunk_se = _shrunk(rate, rate_se)
+        slope = np.where(np.isfinite(shrunk), np.minimum(shrunk, _SLOWEST), -1.0)
+        slope_se = np.where(np.isfinite(shrunk), shrunk_se, 0.0)
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        distance = 2.0 * np.log(best.relative_rmse / target)
+        need = best.spp * np.exp(-distance / slope)
+        error = _log_variance(best.moments)[0]
+        spread = (error / slope) ** 2 + (slope_se * distance / slope**2) ** 2
+    return np.maximum(need, 1.0) if best.told["spp_known"] else need, spread
+
+
+def _shrunk(rate: Array, se: Array) -> tuple[Array, Array]:
+    """Shrink the rates of pixels to their mean; return the rates and their standard errors.
+
+    Empirical Bayes estimates: a rate keeps the share τ²/(τ² + se²) of its distance from the mean.
+    The variance τ² of the true rates is the estimate of [DerSimonianLaird1986]_.
+    """
+    known = np.isfinite(rate) & (se > 0)
+    weight, value = se[known] ** -2.0, rate[known]
+    if value.size < 2:
+        return rate, se
+    mean = float(np.average(value, weights=weight))
+    excess = float((weight * (value - mean) ** 2).sum()) - (value.size - 1)
+    tau2 = max(excess / float(weight.sum() - (weight**2).sum() / weight.sum()), 0.0)
+    kept = np.divide(tau2, tau2 + se**2, out=np.full_like(rate, np.nan), where=known)
+    return mean + kept * (rate - mean), np.sqrt(kept) * se
+
+
+def _percentiles(need: Array, spread: Array) -> dict[str, float]:
+    """Return the median and the 95 % point of samples over the pixels, without their scatter.
+
+    Errors of the estimates widen the distribution over pixels.
+    The logarithms are therefore moved towards their median, so that their variance is the
+    variance of the estimates minus the mean variance of the errors [Louis1984]_.
+    """
+    known = np.isfinite(need) & np.isfinite(spread) & (need > 0)
+    if not known.any():
+        return {}
+    logs = np.log(need[known])
+    middle, far = np.percentile(logs, [50, 95])
+    total = float(logs.var())
+    factor = math.sqrt(max(1.0 - float(spread[known].mean()) / total, 0.0)) if total > 0 else 0.0
+    return {
+        "needed_median": math.exp(middle),
+        "needed_95": math.exp(middle + factor * (far - middle)),
+    }
+
+
 @final
 @dataclass(frozen=True, kw_only=True)
 class _Group:
-    """Statistics of the frames with one number of samples; `told` holds result attributes."""
+    """Statistics of the frames with one number of samples; `told` holds result attributes.
+
+    A group has `count` sequences of `times` frames; independent frames are sequences of one frame.
+    The files of a sequence follow each other. The array `means` has one value per sequence,
+    and `averages` is the variance of the average of a sequence.
+    The array `left` (sequence, filter) has the variance that each filter leaves.
+    """
 
     spp: int
     seconds: float | None
     files: list[Path]
+    times: int
+    count: int
     moments: Moments
+    averages: Array
     largest_share: Array
     image: Array
     means: Array
@@ -243,6 +493,11 @@ class _Group:
     correlation: Array
     alike: float
     resolved: bool
+    chosen: Array
+    sample: Array
+    filtered: Filtered
+    curves: dict[str, tuple[float, ...]]
+    temporal: Temporal | None
     told: dict[str, Any]
 
     @property
@@ -256,11 +511,22 @@ class _Group:
         s = np.sqrt(degrees / chdtri(degrees, 0.5) * self.moments.variance)
         return np.asarray(s / positive)
 
+    @property
+    def related(self) -> float:
+        """Pixels of one time that have the information of one independent pixel."""
+        frames = 1.0 if self.temporal is None else self.temporal.frames_for_squares
+        return self.alike / frames
+
     def within(self, pixels: Array, read: FrameReader) -> _Group:
         """Return the statistics of pixels where both these and the other frames have numbers."""
         mean, m2 = (np.where(pixels, v, np.nan) for v in (self.moments.mean, self.moments.m2))
         means = [float(read.plane(file, None)[0][pixels].mean()) for file in self.files]
-        return replace(self, moments=replace(self.moments, mean=mean, m2=m2), means=np.array(means))
+        return replace(
+            self,
+            moments=replace(self.moments, mean=mean, m2=m2),
+            averages=np.where(pixels, self.averages, np.nan),
+            means=np.reshape(means, (self.count, self.times)).mean(axis=1),
+        )
 
     @property
     def picture_variance(self) -> float:
@@ -284,13 +550,31 @@ class _Group:
         return np.array([low, high if self.resolved else np.inf])
 
 
-def _measured(paths: Frames, read: FrameReader) -> list[_Group]:
+_Parts = dict[str, tuple[str, tuple[Any, ...], slice]]
+
+
+def _filter_parts(group: _Group, asked: int) -> _Parts:
+    """Return variable name, labels and place of the filters of each dim of a result."""
+    specs = group.filtered.specs
+    parts: _Parts = {"filter": ("filtered", specs[1 : 1 + asked], slice(1, 1 + asked))}
+    first = 1 + asked
+    for dim, labels in group.curves.items():
+        name = {"sigma": "gaussian", "alpha": "average"}[dim]
+        parts[dim] = (name, labels, slice(first, first + len(labels)))
+        first += len(labels)
+    return {dim: part for dim, part in parts.items() if part[1]}
+
+
+def _measured(
+    paths: Frames, read: FrameReader, asked: list[Chain], sequence: str | None
+) -> list[_Group]:
     """Measure each group of frames with one number of samples, in ascending order."""
-    groups = frame_files(paths, read)
+    groups = sequence_files(frame_files(paths, read), sequence)
+    _check_times(groups, asked)
     total, done = 2 * sum(len(each.files) for each in groups), 0
     found: list[_Group] = []
     for each in groups:
-        found.append(_group(each, read, done, total))
+        found.append(_group(each, read, asked, done, total))
         done += 2 * len(each.files)
         if found[-1].moments.mean.shape != found[0].moments.mean.shape:
             raise ParameterError(
@@ -300,36 +584,75 @@ def _measured(paths: Frames, read: FrameReader) -> list[_Group]:
     return found
 
 
-def _group(group: FrameFiles, read: FrameReader, done: int, total: int) -> _Group:
-    """Measure the frames of one number of samples; each file is read twice."""
-    # Compute moments and ranges of the pixels
-    files = group.files
-    count, shape = len(files), None
-    moments: Moments | None = None
-    low: Any = np.inf
-    high: Any = -np.inf
+def _check_times(groups: list[FrameFiles], asked: list[Chain]) -> None:
+    """Check that all groups have sequences of one length, and that filters in time have them."""
+    times = sorted({each.times for each in groups})
+    if len(times) > 1:
+        raise ParameterError(
+            f"The sequences have {' and '.join(map(str, times))} frames; give sequences of one "
+            "length."
+        )
+    if times == [1]:
+        for each in asked:
+            if each.temporal:
+                raise ParameterError(
+                    f"The filter {each.spec} acts over frames, but {groups[0].files[0]} and the "
+                    "others are not sequences; name them like shot_s1_t001.exr, or give ",
+                    Parameter("sequence"),
+                    ".",
+                )
+
+
+def _group(
+    group: FrameFiles, read: FrameReader, asked: list[Chain], done: int, total: int
+) -> _Group:
+    """Measure the frames of one number of samples; each file is read twice.
+
+    Errors are deviations from the mean over the sequences at the same time.
+    """
+    # Compute moments and ranges of the pixels, at each time for itself
+    files, times = group.files, group.times
+    count, shape = len(files) // times, None
+    pooled: Moments | None = None
+    above: Any = 0.0
+    below: Any = 0.0
     image_sum: Any = 0.0
-    means = []
-    for k, file in enumerate(files):
-        plane, image = read.plane(file, shape)
-        each, shape = Moments.of(plane[None]), image.shape
-        moments = each if moments is None else moments.merge(each)
-        low, high, image_sum = np.fmin(low, plane), np.fmax(high, plane), image_sum + image
-        if not np.isfinite(plane).any():
-            raise ParameterError(f"{file} has no finite pixel; leave it out.")
-        means.append(np.nanmean(plane))
-        report("frames", (done + k) / total)
-    assert moments is not None
+    centers: Any = None
+    means = np.empty((count, times))
+    for t in range(times):
+        moments: Moments | None = None
+        low: Any = np.inf
+        high: Any = -np.inf
+        for k in range(count):
+            file = files[k * times + t]
+            plane, image = read.plane(file, shape)
+            each, shape = Moments.of(plane[None]), image.shape
+            moments = each if moments is None else moments.merge(each)
+            low, high, image_sum = np.fmin(low, plane), np.fmax(high, plane), image_sum + image
+            if not np.isfinite(plane).any():
+                raise ParameterError(f"{file} has no finite pixel; leave it out.")
+            means[k, t] = np.nanmean(plane)
+            report("frames", (done + t * count + k) / total)
+        assert moments is not None
+        if centers is None:
+            kind = np.float64 if times == 1 else np.float32
+            centers = stored_array((times, *moments.mean.shape), kind)
+        centers[t] = moments.mean
+        above = np.fmax(above, high - moments.mean)
+        below = np.fmax(below, moments.mean - low)
+        pooled = moments if pooled is None else _pooled(pooled, moments)
+    assert pooled is not None
+    moments = replace(pooled, mean=pooled.mean / times)
     varied = moments.variance > 0
     if not varied.any():
         reason = (
             "are the same to the last bit" if np.isfinite(moments.mean).any() else "hold only NaN"
         )
         raise ParameterError(
-            f"The {count} frames like {files[0]} {reason}; give independent renders, each with a "
-            "seed of its own."
+            f"The {len(files)} frames like {files[0]} {reason}; give independent renders, each "
+            "with a seed of its own."
         )
-    farthest = np.maximum(high - moments.mean, moments.mean - low) ** 2
+    farthest = np.maximum(above, below) ** 2
     share = np.divide(farthest, moments.m2, out=np.full_like(farthest, np.nan), where=varied)
 
     # Compute statistics of the deviations: power, tails, and correlations between frames
@@ -337,14 +660,21 @@ def _group(group: FrameFiles, read: FrameReader, done: int, total: int) -> _Grou
     unit = np.zeros((height, width))
     np.divide(math.sqrt(count / (count - 1)), np.sqrt(moments.variance), out=unit, where=varied)
     rings = Rings(height, width)
+    curves_of = curve_filters(height, width, times)
+    chains = [Chain(()), *asked, *(c for curve in curves_of.values() for c in curve.values())]
+    space = SpatialPower(chains, height, width)
+    over_time = None if times == 1 else TimeStatistics(times, space, rings, moments.variance)
     power: Any = 0.0
     tail: Moments | None = None
-    curves = np.empty((count, rings.radius.size))
-    chosen = np.flatnonzero(varied)
-    chosen = chosen[np.linspace(0, chosen.size - 1, min(_SAMPLE, chosen.size)).astype(int)]
-    sample = np.empty((count, chosen.size))
-    for k, file in enumerate(files):
-        error = np.where(varied, read.plane(file, shape)[0] - moments.mean, 0.0)
+    curves = np.zeros((count, rings.radius.size))
+    chosen = _scattered(varied, times)
+    sample = np.empty((count, times, chosen.size))
+    light, gains = np.where(varied, moments.mean, 0.0), np.empty((count, times))
+    left, noise = np.empty((count, len(chains))), np.zeros(len(chains))
+    for k, t in np.ndindex(count, times):
+        file = files[k * times + t]
+        error = np.where(varied, read.plane(file, shape)[0] - centers[t], 0.0)
+        gains[k, t] = float((error * light).sum())
         # Find moments and extremes without a full sort
         values = ends = error[varied]
         if values.size > 2 * _TAIL:
@@ -352,64 +682,191 @@ def _group(group: FrameFiles, read: FrameReader, done: int, total: int) -> _Grou
             ends = np.concatenate([parts[:_TAIL], parts[-_TAIL:]])
         each = replace(Moments.of(values), extremes=np.sort(ends))
         tail = each if tail is None else tail.merge(each)
-        error *= unit
-        sample[k] = error.flat[chosen]
-        own = np.abs(np.fft.rfft2(error)) ** 2 / varied.sum()
-        power, curves[k] = power + own / count, rings.mean(own)
-        report("frames", (done + count + k) / total)
+        raw = space.transform(error)
+        square = np.abs(raw) ** 2
+        if over_time is None:
+            left[k] = space.left(square)
+        noise += space.noise(square) / len(files)
+        ones = np.fft.rfft2(error * unit)
+        if over_time is not None:
+            over_time.add(t, raw, error)
+            if t == times - 1:
+                over_time.finish()
+        sample[k, t] = (error * unit).flat[chosen]
+        own = np.abs(ones) ** 2 / varied.sum()
+        power = power + own / len(files)
+        curves[k] += rings.mean(own) / times
+        report("frames", (done + len(files) + k * times + t) / total)
     assert tail is not None
     half = student_t(count) * curves.std(axis=0, ddof=1) / math.sqrt(count)
 
+    # Frames of a sequence are not independent: correct the number of independent values
+    temporal, frames_per = None, 1.0
+    if over_time is not None:
+        temporal = temporal_of(over_time, moments.m2, count)
+        frames_per = temporal.frames_for_squares
+        moments = _recounted(moments, 1 + max(round((count - 1) * frames_per), 1))
+    fields = (count - 1) * frames_per  # number of independent images of errors
+
     # Compute correlations without bias, and their spectrum
     every = np.fft.irfft2(power, s=(height, width))
-    every, loss = _unbiased(every / every[0, 0], count)
+    every, loss = _unbiased(every / every[0, 0], 1 + max(round(fields), 1))
     measured, curve = rings.mean(power), np.maximum(rings.mean(np.fft.rfft2(every).real), 0.0)
     half *= np.divide(curve, measured, out=np.ones_like(curve), where=measured > 0)
     # With two frames, one deviation is the negative of the other and has no spread of its own.
     # The error is at least that of normal noise. For normal noise, each pair of frequencies
     # m and −m gives (R − 1) independent exponential values, whose mean is the power
-    independent = (count - 1) * loss**2
+    independent = fields * loss**2
     half = np.maximum(half, CONFIDENCE_Z * measured * np.sqrt(2.0 / (rings.sizes * independent)))
     # The sum of squared correlations also contains the squares of their errors.
     # The mean of a squared error is: true sum / (pixels · (R − 1) · loss²)
     alike = max(1.0, float((every**2).sum()) / (1.0 + 1.0 / independent))
     near, repeat, repeated = _lags(every, alike / (varied.sum() * independent))
-    pair, relation = _related(sample, alike)
+    pair, relation = _related(sample.reshape(count, -1), alike * times / frames_per)
     # Count outliers that are larger than twice the mean, and their expected number for normal noise
-    above, limit = high - moments.mean, _grubbs(count)
-    outliers = (share > limit) & (above > np.maximum(moments.mean, moments.mean - low))
-    expected = _OUTLIER / 2 * int((limit * moments.m2[varied] > moments.mean[varied] ** 2).sum())
+    limit = _grubbs(len(files))
+    outliers = (share > limit) & (above > np.maximum(moments.mean, below))
+    expected = _OUTLIER / 2 * int((limit * pooled.m2[varied] > moments.mean[varied] ** 2).sum())
     whole = float(np.nansum(moments.variance))
+    energy = float((light**2).sum()) or 1.0
+    drift, drift_share = (None, 0.0)
+    if times == 1:
+        drift, drift_share = _drift(
+            means[:, 0],
+            gains[:, 0] ** 2 / energy,
+            float(np.nansum(moments.m2)),
+            float(np.nansum(moments.m2 * light**2)) / energy,
+        )
+    resolved = float(farthest[varied].max()) < _ONE_SQUARE * float(np.nansum(pooled.m2))
     told = {
-        "frame_count": count,
+        "frame_count": len(files),
         "missing": int(np.isnan(moments.mean).sum()),
-        "outliers": int(outliers.sum()) if count >= _LEAST_GRUBBS else None,
+        "outliers": int(outliers.sum()) if len(files) >= _LEAST_GRUBBS else None,
         "outliers_expected": expected,
         "outlier_share": float(moments.variance[outliers].sum()) / whole,
         "tail_index": _number(float(tail.tail_index)),
-        "related": None if pair is None else [str(files[i]) for i in pair],
+        "related": None if pair is None else [str(files[i * times]) for i in pair],
         "relation": _number(relation),
+        "drift": drift,
+        "drift_share": drift_share,
         "repeat": repeat,
         "repeat_correlation": _number(repeated),
         "spp_known": int(group.spp is not None),
         "correlation_error": math.sqrt(alike / (varied.sum() * independent)),
     }
+    if over_time is not None:
+        told["sequences"] = count
+    # The errors of pixels of unequal variance are fewer independent values
+    variances = moments.variance[varied]
+    uneven = varied.sum() * float((variances**2).sum()) / float(variances.sum()) ** 2
     return _Group(
         spp=group.spp or 1,
         seconds=group.seconds,
         files=files,
+        times=times,
+        count=count,
         moments=moments,
+        averages=moments.variance if over_time is None else over_time.sums / (count - 1),
         largest_share=share,
-        image=image_sum / count,
-        means=np.array(means),
+        image=image_sum / len(files),
+        means=means.mean(axis=1),
         radius=rings.radius,
         spectrum=curve,
         spectrum_ci=np.stack([np.maximum(curve - half, 0.0), curve + half], axis=-1),
         correlation=near,
         alike=alike,
-        resolved=float(farthest[varied].max()) < _ONE_SQUARE * float(np.nansum(moments.m2)),
+        resolved=resolved,
+        chosen=chosen,
+        sample=sample,
+        filtered=filtered_of(
+            chains,
+            np.stack(over_time.left) if over_time is not None else left[:, :, None],
+            uneven * noise,
+            varied.size / np.isfinite(moments.mean).sum() * count / (count - 1),
+            resolved,
+        ),
+        curves={name: tuple(curve) for name, curve in curves_of.items()},
+        temporal=temporal,
         told=told,
     )
+
+
+def _pooled(a: Moments, b: Moments) -> Moments:
+    """Add moments about separate means, such as those of two times; means are added."""
+    return replace(
+        a,
+        count=a.count + b.count - 1,  # variances have a divisor of this number − 1
+        mean=a.mean + b.mean,
+        m2=a.m2 + b.m2,
+        m3=a.m3 + b.m3,
+        m4=a.m4 + b.m4,
+    )
+
+
+def _recounted(moments: Moments, count: int) -> Moments:
+    """Return moments of the same variance and kurtosis, from `count` independent values."""
+    factor = (count - 1) / (moments.count - 1)
+    return replace(
+        moments,
+        count=count,
+        m2=moments.m2 * factor,
+        m3=moments.m3 * factor,
+        m4=moments.m4 * (factor**2 * moments.count / count),
+    )
+
+
+def _scattered(varied: Array, times: int) -> Array:
+    """Return pixels at which frames are compared, from a fixed order of all pixels.
+
+    The order is the same for all sets of frames of one size.
+    Two sets in which almost the same pixels vary therefore share almost all of these pixels.
+    """
+    # Multiples of an odd step near the golden section of the size visit all pixels in mixed order
+    step = next(k for k in itertools.count(int(0.618 * varied.size) | 1) if _coprime(k, varied))
+    order = np.arange(varied.size) * step % varied.size
+    return np.asarray(order[varied.ravel()[order]][: max(_SAMPLE // times, _LEAST_PAIRED)])
+
+
+def _coprime(step: int, varied: Array) -> bool:
+    return math.gcd(step, varied.size) == 1
+
+
+def _drift(
+    means: Array, gained: Array, squares: float, chance: float
+) -> tuple[float | None, float]:
+    """Return the relative change of the image mean per frame, and its share of the variance.
+
+    Parameters
+    ----------
+    means
+        Image mean of each frame, in order.
+    gained
+        Sum of squares over the pixels that a change of brightness of each frame explains.
+    squares
+        Sum of squared deviations over pixels and frames.
+    chance
+        Expected sum of `gained` if the errors of pixels are independent.
+
+    Returns
+    -------
+    tuple
+        The change is None unless the means follow a line significantly.
+        The share is of all frames, whether or not they follow a line.
+    """
+    count, center = means.size, float(means.mean())
+    share = 0.0
+    if squares > 0 and chance < _RELATED * squares:  # few pixels cannot show a common factor
+        share = min(max(float(gained.sum()) - chance, 0.0) / (squares - chance), 1.0)
+    if count < 3 or center == 0.0 or not means.std():
+        return None, share
+    order = np.arange(count) - (count - 1) / 2
+    fit = line_fit(order, means, np.ones(count))
+    left = float((fit.residuals**2).sum()) / (count - 2)
+    t = math.inf if left == 0 else abs(fit.slope) * math.sqrt(float((order**2).sum()) / left)
+    from scipy.special import stdtr
+
+    sure = 2.0 * stdtr(count - 2, -t) < _OUTLIER
+    return (fit.slope / abs(center) if sure else None), share
 
 
 def _log_variance(moments: Moments) -> tuple[Array, Array]:
@@ -528,6 +985,7 @@ def _compared(
     others: list[_Group],
     times: tuple[float | None, float | None],
     read: FrameReader,
+    parts: _Parts,
 ) -> tuple[dict[str, tuple[tuple[str, ...], Any]], dict[str, Any]]:
     """Compare the means and the variances of two sets of frames."""
     common = {each.spp for each in ours} & {each.spp for each in others}
@@ -535,6 +993,11 @@ def _compared(
         max((each for each in both if not common or each.spp in common), key=lambda each: each.spp)
         for both in (ours, others)
     )
+    if a.times != b.times:
+        raise ParameterError(
+            f"{b.files[0]} is of a sequence of {b.times} frames, but {a.files[0]} of {a.times}; "
+            "give sequences of one length."
+        )
     if a.moments.mean.shape != b.moments.mean.shape:
         raise ParameterError(
             f"{b.files[0]} has the size {b.moments.mean.shape}, but {a.files[0]} has "
@@ -548,16 +1011,32 @@ def _compared(
         )
     if not both.all():
         a, b = (each.within(both, read) for each in (a, b))
-    z = _welch(*((each.moments.mean, each.moments.variance, each.moments.count) for each in (a, b)))
-    whole = _welch(
-        *((each.means.mean(), each.means.var(ddof=1), each.means.size) for each in (a, b))
-    )
+    pairs, relation = _paired(a, b)
+    if pairs is None:
+        z = _welch(*((each.moments.mean, each.averages, each.count) for each in (a, b)))
+        whole = _welch(
+            *((each.means.mean(), each.means.var(ddof=1), each.means.size) for each in (a, b))
+        )
+    else:
+        apart = _differences(a, b, pairs, both, read)
+        z = _student(apart.mean, apart.variance, apart.count)
+        apart_means = np.array([a.means[i] - b.means[j] for i, j in pairs])
+        whole = _student(apart_means.mean(), apart_means.var(ddof=1), len(pairs))
     pixels = int((~np.isnan(z)).sum())
     limit = _sidak(pixels)
+    # Scale the variance of the others to the same number of samples, by a measured rate if possible
+    step, (rate, rate_se) = 0.0, (math.nan, 0.0)
+    if a.spp != b.spp and a.told["spp_known"] and b.told["spp_known"]:
+        rate, rate_se = _known_rate(others) or _known_rate(ours) or (-1.0, 0.0)
+        step = math.log(a.spp / b.spp)
+    scale = math.exp(rate * step) if step else 1.0
     with np.errstate(invalid="ignore", divide="ignore"):
-        variances = a.moments.variance / b.moments.variance
-    error = math.hypot(a.picture_relative_se, b.picture_relative_se)
-    level = math.log(a.picture_variance / b.picture_variance)
+        variances = a.moments.variance / b.moments.variance / scale
+    first, second = a.picture_relative_se, b.picture_relative_se
+    # For normal errors of correlation ρ, the errors of the two variances have correlation ρ²
+    shared = 0.0 if pairs is None else 2.0 * relation**2 * first * second
+    error = math.sqrt(max(first**2 + second**2 - shared, 0.0) + (step * rate_se) ** 2)
+    level = math.log(a.picture_variance / b.picture_variance / scale)
     value, bounds = ratio(np.asarray(level), np.asarray(error))
     # If the interval of a variance has no upper end, the ratio is unbounded on that side
     bounds = np.where([b.resolved, a.resolved], bounds, [0.0, np.inf])
@@ -568,13 +1047,28 @@ def _compared(
         "picture_ratio": ((), value),
         "picture_ratio_ci": (("bound",), bounds),
     }
+    # Filtered errors of paired frames are correlated too, which makes the intervals too wide
+    for dim, (name, _, part) in parts.items():
+        halves = np.hypot(a.filtered.half[part], b.filtered.half[part])
+        halves = np.hypot(halves, CONFIDENCE_Z * step * rate_se)
+        left = a.filtered.variance[part] / b.filtered.variance[part] / scale
+        found[f"{name}_picture_ratio"] = ((dim,), left)
+        found[f"{name}_picture_ratio_ci"] = (
+            (dim, "bound"),
+            np.stack([left * np.exp(-halves), left * np.exp(halves)], axis=-1)
+            * np.where([b.resolved, a.resolved], 1.0, [0.0, np.inf]),
+        )
     ours_time, other_time = times[0] or a.seconds, times[1] or b.seconds
     if ours_time and other_time:
-        faster = ours_time / other_time
+        faster = ours_time / other_time * scale
         found["equal_time_ratio"] = ((), value * faster)
         found["equal_time_ratio_ci"] = (("bound",), bounds * faster)
     return found, {
         "compared_n": [a.spp, b.spp],
+        "scaled_rate": _number(rate),
+        "scaled_by": None if not step else "measured" if rate_se else "assumed",
+        "pairs": 0 if pairs is None else len(pairs),
+        "pair_correlation": _number(relation),
         "identical": int(np.array_equal(a.moments.mean, b.moments.mean, equal_nan=True)),
         "biased_pixels": int((np.abs(z) > limit).sum()),
         "compared_pixels": pixels,
@@ -582,6 +1076,74 @@ def _compared(
         "mean_difference": float(a.means.mean() / b.means.mean() - 1.0),
         "mean_difference_z": float(whole),
     }
+
+
+def _picture_rate(groups: list[_Group]) -> tuple[Array, Array]:
+    """Return the rate of the image's variance, with its standard error."""
+    whole, apart = (np.array([[getattr(each, name) for each in groups]]) for name in _PICTURE)
+    ns = np.array([each.spp for each in groups])
+    line = fit_lines(ns, whole, apart, np.zeros_like(whole), largest_se=np.inf)
+    return line.rate[0], line.rate_se[0]
+
+
+def _known_rate(groups: list[_Group]) -> tuple[float, float] | None:
+    """Return the rate of the image's variance with its standard error, if it is resolved."""
+    if len(groups) < 2:
+        return None
+    rate, se = _picture_rate(groups)
+    return (float(rate), float(se)) if is_resolved(*interval(rate, se)) else None
+
+
+def _paired(a: _Group, b: _Group) -> tuple[list[tuple[int, int]] | None, float]:
+    """Return pairs of frames of two sets that share their seeds, and their mean correlation.
+
+    Sets are paired if every frame of the smaller set correlates with its own frame of the other.
+    """
+    from scipy.optimize import linear_sum_assignment
+
+    _, first, second = np.intersect1d(a.chosen, b.chosen, return_indices=True)
+    if first.size < _LEAST_PAIRED or a.times != b.times:
+        return None, math.nan
+    ours = a.sample[:, :, first].reshape(a.count, -1)
+    others = b.sample[:, :, second].reshape(b.count, -1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        table = np.nan_to_num(np.corrcoef(ours, others)[: len(ours), len(ours) :])
+    # Deviations from the mean of few frames correlate by chance: compare with other pairings
+    chosen = linear_sum_assignment(-table)
+    found = table[chosen]
+    limit = max(_RELATED, _sidak(table.size) * math.sqrt(max(a.related, b.related) / first.size))
+    if float(found.min()) <= limit:
+        return None, math.nan
+    return [(int(i), int(j)) for i, j in zip(*chosen, strict=True)], float(found.mean())
+
+
+def _differences(
+    a: _Group, b: _Group, pairs: list[tuple[int, int]], both: Array, read: FrameReader
+) -> Moments:
+    """Return the moments of the differences of paired frames, at pixels finite in both sets."""
+    moments: Moments | None = None
+    for i, j in pairs:
+        apart: Any = 0.0
+        for t in range(a.times):
+            first, second = a.files[i * a.times + t], b.files[j * b.times + t]
+            apart = apart + read.plane(first, None)[0] - read.plane(second, None)[0]
+        each = Moments.of(np.where(both, apart / a.times, np.nan)[None])
+        moments = each if moments is None else moments.merge(each)
+    assert moments is not None
+    return moments
+
+
+def _student(mean: Any, variance: Any, count: int) -> Array:
+    """Mean of paired differences as a normal deviate (Student's test)."""
+    from scipy.special import ndtri, stdtr
+
+    with np.errstate(invalid="ignore", divide="ignore"):
+        t = mean / np.sqrt(variance / count)
+        deviate = -ndtri(np.maximum(stdtr(count - 1, -np.abs(t)), 1e-300)) * np.sign(t)
+    sure = np.inf if count >= _LEAST_GRUBBS else np.nan
+    return np.asarray(
+        np.where(variance == 0, np.where(mean == 0, 0.0, np.copysign(sure, mean)), deviate)
+    )
 
 
 def _welch(a: tuple[Any, Any, int], b: tuple[Any, Any, int]) -> Array:

@@ -6,14 +6,14 @@ import json
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 
 from mcspectra.core.checks import Array
 from mcspectra.core.fits import is_resolved
-from mcspectra.core.images import load_openexr
+from mcspectra.core.images import Rings, load_openexr
 from mcspectra.core.results import strict_json
 from mcspectra.plots import kinds
 from mcspectra.plots.text import interval, number, percent, rate
@@ -23,6 +23,7 @@ from mcspectra.report.map_page import map_layers
 
 __all__ = [
     "check_frames_packages",
+    "filter_table",
     "frame_findings",
     "frame_layers",
     "frame_summary",
@@ -30,7 +31,8 @@ __all__ = [
     "write_frames",
 ]
 
-_COLUMNS = ("Samples per pixel", "Frames", "Variance", "95 %", "σ / mean", "FLIP")
+_COLUMNS = ("Samples per pixel", "Frames", "Variance", "95 %", "σ / mean")
+_MEASURES = {"mean_flip": "FLIP", "relmse": "relMSE", "smape": "SMAPE"}
 _LOW = 0.125  # upper limit of the low frequencies, in cycles per pixel
 # Noise is not white if its relative power at low frequencies is below 0.8 or above 1.25
 _BLUE, _RED = 0.8, 1.25
@@ -40,6 +42,8 @@ _ALIKE = 0.1  # smallest correlation of neighbors that is reported
 _SURE = 2.24
 _HEAVY = 0.5  # tail index above which the variance is infinite
 _CARRIED = 0.05  # fireflies are reported if they hold more than this share of the variance
+_MOST = 0.5  # a cause with more than this share makes the variance
+_SURELY = 100.0  # effect of findings that change the meaning of all numbers, such as a bias
 
 
 def frame_summary(result: xr.Dataset) -> dict[str, Any]:
@@ -61,59 +65,261 @@ def frame_summary(result: xr.Dataset) -> dict[str, Any]:
         }
         if "flip" in one:
             row["mean_flip"] = float(one["flip"].mean())
+        for name in ("bias", "relmse", "smape"):
+            if f"image_{name}" in one:
+                row |= {name: float(one[f"image_{name}"])}
+                row |= {f"{name}_ci": one[f"image_{name}_ci"].values.tolist()}
         rows.append(row)
     found: dict[str, Any] = {**told, "samples": rows}
+    for name in ("denoised_variance", "denoised_square"):
+        if name in result:
+            found |= {name: float(result[name]), f"{name}_ci": result[f"{name}_ci"].values.tolist()}
+    last = result.isel(n=-1)
+    if "squared_bias" in last:
+        found["squared_bias"] = float(last["squared_bias"])
+    for name in ("boiling", "effective_frames"):
+        if name in last:
+            found |= {name: float(last[name]), f"{name}_ci": last[f"{name}_ci"].values.tolist()}
+    if "frame_correlation" in last:
+        found["frame_correlation"] = float(last["frame_correlation"].sel(lag_t=1))
+    if "filter" in last.dims:
+        found["filtered"] = [
+            {"filter": spec, **_left(last.sel(filter=spec), "filtered")}
+            for spec in last["filter"].values.tolist()
+        ]
+    if "sigma" in last.dims:
+        found["gaussian"] = [
+            {"sigma": sigma, **_left(last.sel(sigma=sigma), "gaussian")}
+            for sigma in last["sigma"].values.tolist()
+        ]
     for name in ("picture_rate", "picture_ratio", "equal_time_ratio"):
         if name in result:
             found |= {name: float(result[name]), f"{name}_ci": result[f"{name}_ci"].values.tolist()}
-    if "needed_spp" in result and np.isfinite(result["needed_spp"].values).any():
-        need = result["needed_spp"].values
+    if "needed_spp" in result:
         best = result["relative_rmse"].isel(n=-1).values
         seen = best[np.isfinite(best)]
-        found["reached_share"] = float((seen <= told["target"]).mean())
-        percentiles = np.nanpercentile(need, [50, 95])
-        found["needed_median"], found["needed_95"] = map(float, percentiles)
+        if seen.size:
+            found["reached_share"] = float((seen <= told["target"]).mean())
     return found
 
 
+def _left(one: xr.Dataset, name: str) -> dict[str, Any]:
+    """Return what one filter leaves."""
+    row: dict[str, Any] = {}
+    for part in ("variance", "ratio", "picture_ratio"):
+        if (full := f"{name}_{part}") in one:
+            row |= {part: float(one[full]), f"{part}_ci": one[f"{full}_ci"].values.tolist()}
+    return row
+
+
 def frame_findings(result: xr.Dataset) -> list[str]:
-    """Return the findings as sentences, the most important first."""
+    """Return the findings as sentences, the largest effect first.
+
+    The effect is the size of the logarithm of a factor in the variance or in its meaning.
+    """
     found = frame_summary(result)
-    return [*_against(found), *_doubts(found), *_noise(result, found)]
+    every = [
+        *_against(found),
+        *_referred(result, found),
+        *_doubts(found),
+        *_after(found),
+        *_commanded(found),
+        *_noise(result, found),
+    ]
+    return [each.text for each in sorted(every, key=lambda each: -each.effect)]
 
 
-def _against(found: dict[str, Any]) -> Iterator[str]:
+def _after(found: dict[str, Any]) -> Iterator[_Finding]:
+    """Describe correlations over time, and comparisons after a filter."""
+    if "boiling" in found:
+        level, (low, high) = found["boiling"], found["boiling_ci"]
+        frames, ends = found["effective_frames"], found["effective_frames_ci"]
+        said = (
+            f"below 1/8 cycle per frame the errors have {number(level)} (95 %: "
+            f"{interval(low, high)}) times the power of white noise, and the mean of "
+            f"{found['times']} frames is as noisy as that of {number(frames)} independent ones "
+            f"(95 %: {interval(*ends)}). Consecutive frames have correlation "
+            f"{number(found['frame_correlation'])}."
+        )
+        if low > 1.0:
+            yield _Finding(math.log(level), f"The noise boils: {said}")
+        elif high < 1.0:
+            yield _Finding(-math.log(level), f"The noise cancels over time: {said}")
+        else:
+            yield _Finding(0.0, f"The errors show no correlation over time: {said}")
+    if "picture_ratio" not in found or found["identical"]:
+        return
+    asked = found.get("filtered", [])
+    curve = [
+        {"filter": f"a Gaussian of σ = {row['sigma']:g} pixels", **row}
+        for row in found.get("gaussian", [])
+    ]
+    value = found["picture_ratio"]
+    alone = _shift(value, *found["picture_ratio_ci"])
+    opposites = []
+    for row in asked or curve:
+        ratio, ends = row["picture_ratio"], row["picture_ratio_ci"]
+        effect = _shift(ratio, *ends)
+        times = f"(95 %: {interval(*ends)})"
+        if alone > 0 and effect > 0 and (ratio < 1.0) != (value < 1.0):
+            each = _Finding(
+                effect,
+                f"These frames are {_compare(value)} per pixel than those of {found['against']}, "
+                f"and {_compare(ratio)} after {row['filter']}: variance × {number(ratio)} {times}.",
+            )
+            opposites.append(each)
+        elif asked:
+            each = _Finding(
+                effect,
+                f"After {row['filter']} the variance is {number(ratio)} {times} times the "
+                f"variance of {found['against']}.",
+            )
+        else:
+            continue
+        if asked:
+            yield each
+    # Without a filter that was asked for, report the Gaussian at which the order changes most
+    if not asked and opposites:
+        yield max(opposites)
+
+
+def _referred(result: xr.Dataset, found: dict[str, Any]) -> Iterator[_Finding]:
+    """Describe the errors against a reference, and the worst tile."""
+    if "reference" not in found:
+        return
+    last, biased = found["samples"][-1], found["reference_biased_pixels"]
+    whole, pixels = last["bias"], found["reference_pixels"]
+    low, high = last["bias_ci"]
+    sure = not low <= 0.0 <= high
+    variance, square = last["picture_variance"], max(found["squared_bias"], 0.0)
+    tile = np.abs(np.nan_to_num(result["tile_bias"].isel(n=-1).values))
+    place = np.unravel_index(int(tile.argmax()), tile.shape)
+    worst = result["tile_bias"].isel(n=-1, tile_y=place[0], tile_x=place[1])
+    ends = result["tile_bias_ci"].isel(n=-1, tile_y=place[0], tile_x=place[1]).values
+    about = (
+        f"relMSE {number(last['relmse'])}, SMAPE {number(last['smape'])}"
+        + (f", FLIP {number(last['mean_flip'])}" if "mean_flip" in last else "")
+        + f"; the tile with the largest bias is at x = {float(worst['tile_x']):.0f}, "
+        f"y = {float(worst['tile_y']):.0f}: {_signed(float(worst))} (95 %: "
+        f"{_signed(float(ends[0]))} … {_signed(float(ends[1]))})."
+    )
+    if biased or sure:
+        yield _Finding(
+            max(_lost(square / (square + variance)), 0.05),
+            f"The frames are biased against the reference: the image mean by {_signed(whole)} "
+            f"(95 %: {_signed(low)} … {_signed(high)}), and {biased} of {pixels} pixels differ by "
+            f"more than {number(found['reference_z_limit'])} standard errors. Bias makes "
+            f"{percent(square / (square + variance))} of the squared error of a frame; {about}",
+        )
+    else:
+        yield _Finding(
+            0.0,
+            f"No bias against the reference is significant: image mean {_signed(whole)} (95 %: "
+            f"{_signed(low)} … {_signed(high)}); {about}",
+        )
+
+
+def _commanded(found: dict[str, Any]) -> Iterator[_Finding]:
+    """Describe the measured error after a program."""
+    if "filter_command" not in found:
+        return
+    whole = found["samples"][-1]["picture_variance"]
+    variance, square = found["denoised_variance"], found["denoised_square"]
+    ends = [end / whole for end in found["denoised_variance_ci"]]
+    bias = [max(end / whole, 0.0) for end in found["denoised_square_ci"]]
+    total = (variance + max(square, 0.0)) / whole
+    against = "the reference" if "reference" in found else "the mean of the frames"
+    yield _Finding(
+        abs(math.log(total)) if total > 0 else 0.0,
+        f"After the command the variance is {number(variance / whole)} (95 %: {interval(*ends)}) "
+        f"times that of the frames, and the squared bias against {against} is "
+        f"{number(max(square, 0.0) / whole)} (95 %: {interval(*bias)}) times that variance. The "
+        "filter was run on every frame, because the error of a denoiser cannot be predicted from "
+        "a spectrum.",
+    )
+
+
+def _compare(ratio: float) -> str:
+    return f"{number(max(ratio, 1.0 / ratio))} times {'worse' if ratio > 1.0 else 'better'}"
+
+
+class _Finding(NamedTuple):
+    """A sentence, and the effect by which findings are ordered."""
+
+    effect: float
+    text: str
+
+
+def _lost(share: float) -> float:
+    """Return the effect of something that makes this share of the variance."""
+    return -math.log1p(-min(max(share, 0.0), 1.0 - 1e-9))
+
+
+def _against(found: dict[str, Any]) -> Iterator[_Finding]:
     """Compare two sets of frames: bias, variance, and variance at equal time."""
     if "picture_ratio" not in found:
         return
     if found["identical"]:
-        yield f"The means are identical: {found['against']} contains the same frames."
+        yield _Finding(
+            math.inf,
+            f"The means are identical: {found['against']} contains the same frames.",
+        )
         return
     ours, others = found["compared_n"]
-    at = f"{ours} samples per pixel" + ("" if ours == others else f" against {others}")
+    if found["pairs"]:
+        yield _Finding(
+            _SURELY,
+            f"{found['pairs']} frames of {found['against']} have the seeds of these frames "
+            f"(correlation {number(found['pair_correlation'])}), so the frames are compared as "
+            "pairs.",
+        )
     biased, pixels = found["biased_pixels"], found["compared_pixels"]
     z = found["mean_difference_z"]
     if biased or abs(z) > 3:
         mean = percent(abs(found["mean_difference"]))
-        yield (
+        yield _Finding(
+            _SURELY,
             f"The two do not converge to one image: {biased} of {pixels} pixels differ by more "
             f"than {number(found['z_limit'])} standard errors (limit for the largest of all "
             f"pixels, 95 %), and the image means differ by {mean} ({number(abs(z))} standard "
-            "errors)."
+            "errors).",
         )
-    ends = interval(*found["picture_ratio_ci"])
-    yield (
-        f"At {at} the variance is {number(found['picture_ratio'])} (95 %: {ends}) times the "
-        f"variance of {found['against']}."
+    low, high = found["picture_ratio_ci"]
+    ends = interval(low, high)
+    effect = _shift(found["picture_ratio"], low, high)
+    at = f"At {ours} samples per pixel" if found["spp_known"][-1] else "In one frame"
+    scaled = ""
+    if ours != others:
+        scaled = f" The others have {others} samples per pixel; " + (
+            f"their variance is scaled by the {found['scaled_by']} rate "
+            f"{number(found['scaled_rate'])}."
+            if found.get("scaled_by")
+            else "the variances are not scaled, because a number of samples is unknown."
+        )
+    yield _Finding(
+        effect,
+        f"{at} the variance is {number(found['picture_ratio'])} "
+        f"(95 %: {ends}) times the variance of {found['against']}.{scaled}",
     )
     if "equal_time_ratio" in found:
         ends = interval(*found["equal_time_ratio_ci"])
-        yield f"At equal time the ratio is {number(found['equal_time_ratio'])} (95 %: {ends})."
+        yield _Finding(
+            effect,
+            f"At equal time the ratio is {number(found['equal_time_ratio'])} (95 %: {ends}).",
+        )
     if not biased and abs(z) <= 3:
-        yield "The means agree: neither the image means nor any pixel differ significantly."
+        yield _Finding(
+            effect,
+            "The means agree: neither the image means nor any pixel differ significantly.",
+        )
 
 
-def _doubts(found: dict[str, Any]) -> Iterator[str]:
+def _shift(ratio: float, low: float, high: float) -> float:
+    """Return the effect of a ratio: |log| if its interval excludes 1, or else 0."""
+    return abs(math.log(ratio)) if ratio > 0 and not low <= 1.0 <= high else 0.0
+
+
+def _doubts(found: dict[str, Any]) -> Iterator[_Finding]:
     """Yield warnings about unreliable numbers.
 
     Each kind of problem is reported once, for the largest sample count at which it occurs.
@@ -121,9 +327,28 @@ def _doubts(found: dict[str, Any]) -> Iterator[str]:
     last = len(found["samples"]) - 1
     for k in range(last, -1, -1):
         if pair := found["related"][k]:
-            yield (
+            yield _Finding(
+                math.inf,
                 f"Give every frame its own seed: the errors of the frames {pair[0]} and {pair[1]} "
-                f"have correlation {number(found['relation'][k])}, so the variances are too small."
+                f"have correlation {number(found['relation'][k])}, so the variances are too small.",
+            )
+            break
+    for k in range(last, -1, -1):
+        if change := found["drift"][k]:
+            yield _Finding(
+                _SURELY + _lost(found["drift_share"][k]),
+                f"The frames drift: their image means change by {_signed(change)} per frame, "
+                "in the order of their names. Brightness explains "
+                f"{percent(found['drift_share'][k])} of the measured variance. Give frames of one "
+                "exposure and one scene.",
+            )
+            break
+        if _flickers(found, k):
+            yield _Finding(
+                _lost(found["drift_share"][k]),
+                "The frames differ mainly in brightness, which explains "
+                f"{percent(found['drift_share'][k])} of the measured variance. Possible causes are "
+                "a changing exposure or light, and points shared by all pixels.",
             )
             break
     for k in range(last, -1, -1):
@@ -131,7 +356,9 @@ def _doubts(found: dict[str, Any]) -> Iterator[str]:
         share, tail = found["outlier_share"][k], found["tail_index"][k]
         # Report fireflies only if they are four standard errors more than in normal noise
         if count and count > expected + 4 * expected**0.5 and share > _CARRIED:
-            yield (
+            yield _Finding(
+                # Fireflies are a headline only if they make most of the variance
+                _lost(share) if share > _MOST else 0.0,
                 f"Fireflies: at {count} pixels one frame is far brighter than the others "
                 f"({number(expected, 2)} pixels expected for normal noise). These pixels cause "
                 f"{percent(share)} of the image's variance"
@@ -140,48 +367,81 @@ def _doubts(found: dict[str, Any]) -> Iterator[str]:
                     "infinite."
                     if tail and tail > _HEAVY
                     else "."
-                )
+                ),
             )
             break
     missing = max(found["missing"])
     if missing:
-        yield f"Pixels excluded because a frame is NaN or infinite there: {missing}."
+        yield _Finding(0.0, f"Pixels excluded because a frame is NaN or infinite there: {missing}.")
     if not np.isfinite([row["picture_variance_ci"][1] for row in found["samples"]]).all():
-        yield (
+        yield _Finding(
+            0.0,
             "The variance has no upper bound yet: one pixel of one frame causes over 5 % of the "
-            "sum of squared errors."
+            "sum of squared errors.",
         )
 
 
-def _noise(result: xr.Dataset, found: dict[str, Any]) -> Iterator[str]:
+def _flickers(found: dict[str, Any], k: int) -> bool:
+    """Whether changes of brightness make most of the variance."""
+    return bool(found["drift_share"][k] > _MOST)
+
+
+def _signed(change: float) -> str:
+    return ("+" if change > 0 else "−") + percent(abs(change))
+
+
+def _noise(result: xr.Dataset, found: dict[str, Any]) -> Iterator[_Finding]:
     """Describe the rate, the target, and the correlation of errors between pixels."""
     if "picture_rate" in found:
         slope, (low, high) = found["picture_rate"], found["picture_rate_ci"]
-        yield (
-            "The variance of the image falls as the number of samples to the power "
-            f"{rate(slope, low, high)}."
-            if is_resolved(low, high)
-            else f"The rate of the image's variance is not resolved: {interval(low, high)}."
-        )
-    if "needed_median" in found:
+        if not is_resolved(low, high):
+            yield _Finding(
+                0.0, f"The rate of the image's variance is not resolved: {interval(low, high)}."
+            )
+        elif low > 0.0:
+            yield _Finding(
+                math.inf,
+                "The variance of the image grows with the number of samples, to the power "
+                f"{rate(slope, low, high)}: check that no numbers of samples are swapped in the "
+                "names. No number of samples is predicted for a target.",
+            )
+        else:
+            yield _Finding(
+                0.0,
+                "The variance of the image falls as the number of samples to the power "
+                f"{rate(slope, low, high)}.",
+            )
+    if "needed_median" in found and "reached_share" in found:
         known = found["spp_known"][-1]
         times = "" if known else " times as many"
+        resolved = "picture_rate" in found and is_resolved(*found["picture_rate_ci"])
         # Relative error of σ² for normal noise; the number of samples needed is proportional to σ²
         doubt = math.sqrt(2.0 / max(found["samples"][-1]["frames"] - 1, 1))
-        yield (
+        yield _Finding(
+            0.0,
             f"{percent(found['reached_share'])} of the pixels reach σ / mean = "
             f"{number(found['target'])} "
             + (f"at {result['n'].values[-1]} samples" if known else "in a frame")
-            + (". By their rates" if "rate" in result else ". If the variance falls as 1/n")
+            + (". By their rates" if resolved else ". If the variance falls as 1/n")
             + f", half of the pixels need {number(found['needed_median'])}{times}, and "
             f"95 % need at most {number(found['needed_95'])}{times}. The estimate for one pixel "
-            f"scatters by ± {percent(doubt)}; the scatter makes the 95 % figure an upper bound."
+            f"scatters by ± {percent(doubt)}, which these two numbers do not contain.",
         )
+    if found["drift"][-1] or _flickers(found, -1):
+        yield _Finding(
+            0.0,
+            "Correlations of errors between pixels are not interpreted, because the brightness of "
+            "the frames changes.",
+        )
+        return
     last = result.isel(n=-1)
     lowest = last["radius"].values < _LOW
     power, ends = last["error_spectrum"].values[lowest], last["error_spectrum_ci"].values[lowest]
-    level = float(power.sum()) / max(power.size, 1)
-    half = float(np.linalg.norm(ends[:, 1] - power)) / max(power.size, 1)
+    # Weight each ring with its number of frequencies
+    sizes = Rings(result.sizes["y"], result.sizes["x"]).sizes[lowest]
+    weight = np.nan_to_num(sizes) / max(float(np.nansum(sizes)), 1.0)
+    level = float(weight @ np.nan_to_num(power))
+    half = float(np.linalg.norm(weight * np.nan_to_num(ends[:, 1] - power)))
     near = last["error_correlation"]
     beside = tuple(
         float(near.reindex(lag_y=[y], lag_x=[x], fill_value=0.0).squeeze())
@@ -194,31 +454,44 @@ def _noise(result: xr.Dataset, found: dict[str, Any]) -> Iterator[str]:
     # Errors of a power are relative, so its interval is a factor
     factor = math.exp(min(half / level, 700.0)) if level > 0 else math.inf
     if level < _BLUE and level * factor < 1.0:
-        yield f"Blue noise, which the eye or a denoiser removes easily: {below}."
+        yield _Finding(
+            _lost(1.0 - level),
+            f"Blue noise, which the eye or a denoiser removes easily: {below}.",
+        )
     elif level > _RED and level > factor:
-        yield (
+        yield _Finding(
+            math.log(level),
             f"Errors of neighboring pixels are correlated: {below}. Possible causes are a wide "
-            "reconstruction filter and points shared by pixels."
+            "reconstruction filter and points shared by pixels.",
         )
     elif half > _UNSURE * level or not power.size:
-        yield f"These frames cannot decide whether the noise is white between pixels: {below}."
+        yield _Finding(
+            0.0, f"These frames cannot decide whether the noise is white between pixels: {below}."
+        )
     elif not found["repeat"][-1]:
         white = level < factor and level * factor > 1.0
-        yield f"The noise is {'white' if white else 'nearly white'} between pixels: {below}."
+        yield _Finding(
+            0.0, f"The noise is {'white' if white else 'nearly white'} between pixels: {below}."
+        )
     if max(map(abs, beside)) > max(_ALIKE, _SURE * found["correlation_error"][-1]):
-        yield (
+        yield _Finding(
+            _lost(max(map(abs, beside))),
             f"Errors of neighboring pixels have correlation {number(beside[0])} horizontally and "
-            f"{number(beside[1])} vertically."
+            f"{number(beside[1])} vertically.",
         )
     if lag := found["repeat"][-1]:
-        yield (
+        yield _Finding(
+            _lost(abs(found["repeat_correlation"][-1])),
             f"The noise repeats after {lag[1]} pixels horizontally and {lag[0]} vertically "
-            f"(correlation {number(found['repeat_correlation'][-1])}): tiles share points or seeds."
+            f"(correlation {number(found['repeat_correlation'][-1])}): tiles share points or "
+            "seeds.",
         )
 
 
 def frame_table(found: dict[str, Any]) -> html.Table:
     """Return the numbers of `frame_summary` as a table."""
+    last = found["samples"][-1]
+    others = [name for name in _MEASURES if name in last]
     rows = [
         [
             str(row["n"] or "unknown"),
@@ -226,15 +499,46 @@ def frame_table(found: dict[str, Any]) -> html.Table:
             number(row["picture_variance"]),
             interval(*row["picture_variance_ci"]),
             number(row["median_relative_rmse"]),
-            number(row.get("mean_flip")),
+            *(number(row[name]) for name in others),
         ]
         for row in found["samples"]
     ]
     caption = "Variance of one frame, averaged over pixels; median of σ / mean over pixels"
-    if "mean_flip" in found["samples"][0]:
-        caption += "; mean FLIP between one frame and the mean image"
-    shown = len(_COLUMNS) - ("mean_flip" not in found["samples"][0])
-    return html.table_of(f"{caption}.", _COLUMNS[:shown], [row[:shown] for row in rows], words=())
+    if "mean_flip" in last:
+        image = "reference" if "reference" in found else "mean image"
+        caption += f"; mean FLIP between one frame and the {image}"
+    columns = (*_COLUMNS, *(_MEASURES[name] for name in others))
+    return html.table_of(f"{caption}.", columns, rows, words=())
+
+
+def filter_table(found: dict[str, Any]) -> html.Table | None:
+    """Return the variance after each filter that was asked for, or None."""
+    rows = found.get("filtered", [])
+    if not rows:
+        return None
+    columns = ["Filter", "Variance", "95 %", "/ white", "95 %"]
+    compared = "picture_ratio" in rows[0]
+    columns += ["/ others", "95 %"] if compared else []
+    shown = [
+        [
+            row["filter"],
+            *(
+                text
+                for name in ("variance", "ratio", *(["picture_ratio"] if compared else []))
+                for text in (
+                    number(row[name]),
+                    interval(*row[f"{name}_ci"]),
+                )
+            ),
+        ]
+        for row in rows
+    ]
+    caption = (
+        "Variance after a filter, averaged over pixels, and its ratio to what the filter leaves of "
+        "white noise of the same variance"
+    )
+    caption += "; ratio to the filtered variance of the other frames" if compared else ""
+    return html.table_of(f"{caption}.", tuple(columns), shown, words=(0,))
 
 
 def frame_layers(result: xr.Dataset) -> dict[str, Array]:
@@ -292,6 +596,7 @@ def write_frames(result: xr.Dataset, folder: str | Path) -> Path:
         for kind in kinds.kinds_of(result)
         if kind.startswith("frames-")
     }
+    after = filter_table(found)
     layer = (("Layer", found["layer"]),) if "layer" in found else ()
     facts = (("Frames", found["frames"]), *layer)
     page = html.Page(
@@ -300,7 +605,11 @@ def write_frames(result: xr.Dataset, folder: str | Path) -> Path:
         lead=tuple(html.Paragraph(text=text) for text in said[:1]),
         sections=html.sections_of(
             {
-                "Summary": (frame_table(found), *(html.Paragraph(text=text) for text in said[1:])),
+                "Summary": (
+                    frame_table(found),
+                    *([] if after is None else [after]),
+                    *(html.Paragraph(text=text) for text in said[1:]),
+                ),
                 "Pixels": html.figures_of(plots),
                 "Provenance": html.provenance(facts, result.attrs),
             }

@@ -1,0 +1,181 @@
+"""Error after filters: predicted from spectra of frames, and measured by filtering other frames.
+
+Run ``python -m benchmarks filters``. It needs the extra ``render``.
+The scene is Mitsuba's Cornell box with 96 × 96 pixels and 4 samples per pixel.
+The lamp is hidden, because the few pixels at its edge would make most of the variance.
+Errors are white (independent samples), correlated (a Gaussian reconstruction filter), or blue
+noise (Sobol' points with a dither mask, direct light).
+Sequences either have independent frames, or every frame is the mean of 4 renders of which the next
+frame reuses 3, as renderers do that reuse samples over time.
+The prediction comes from `mcspectra.rendering.frames`, and the rest of the frames are filtered by
+scipy.ndimage and by a recursive average.
+With BLENDER_PYTHON set as for the benchmark ``blender``, frames of Cycles are filtered as well.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.ndimage import convolve1d, gaussian_filter
+
+SIZE, SPP = 96, 4
+MEASURED, HELD = 24, 48  # number of independent frames for the prediction, and of other frames
+SEEDS, HELD_SEEDS, TIMES, REUSED = 4, 8, 24, 4
+BORDER = 16  # pixels at the border that are left out of one of the two measurements
+SPLINE = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16.0
+
+
+def _both(image: Any, weights: Any) -> Any:
+    return convolve1d(convolve1d(image, weights, axis=0, mode="nearest"), weights, axis=1)
+
+
+def _a_trous(image: Any) -> Any:
+    wide = np.zeros(9)
+    wide[::2] = SPLINE
+    return _both(_both(image, SPLINE), wide)
+
+
+SPACE: dict[str, Callable[[Any], Any]] = {
+    "gaussian(sigma=1.0)": lambda image: gaussian_filter(image, 1.0, mode="nearest"),
+    "gaussian(sigma=1.5)": lambda image: gaussian_filter(image, 1.5, mode="nearest"),
+    "gaussian(sigma=3.0)": lambda image: gaussian_filter(image, 3.0, mode="nearest"),
+    "box(width=5)": lambda image: _both(image, np.full(5, 0.2)),
+    "a-trous(levels=2)": _a_trous,
+}
+TIME = {
+    "ema(alpha=0.2)": (0.2, None),
+    "ema(alpha=0.3)": (0.3, None),
+    "gaussian(sigma=1.5) | ema(alpha=0.2)": (0.2, "gaussian(sigma=1.5)"),
+}
+
+
+def main() -> None:
+    """Print predicted and measured root mean square errors after each filter."""
+    names = f"{'errors':34}{'filter':38}{'predicted':>10}{'95 %':>18}{'inside':>9}{'all':>9}"
+    print(f"{names}  ratio  / white")
+    ratios = []
+    with tempfile.TemporaryDirectory() as folder:
+        for name, render in renderers().items():
+            frames = (render(seed) for seed in range(MEASURED + HELD))
+            ratios += _space(name, frames, MEASURED, Path(folder) / f"space-{len(ratios)}")
+        white = renderers()["white"]
+        for reused in (1, REUSED):
+            name = "independent frames" if reused == 1 else f"renders reused by {reused} frames"
+            ratios += _time(name, white, reused, Path(folder) / f"time-{reused}")
+        python = os.environ.get("BLENDER_PYTHON")
+        if python is None:
+            print("Blender: not run; set BLENDER_PYTHON to a Python that has the package bpy.")
+        else:
+            ratios += _blender(python, Path(folder) / "blender")
+    off = np.abs(np.array(ratios) - 1.0)
+    print(f"{off.size} cases: {np.sum(off < 0.05)} within 5 %, the worst {100 * off.max():.1f} %")
+
+
+def renderers() -> dict[str, Callable[[int], Any]]:
+    """Return functions that render the luminance of one frame with a seed, for each error."""
+    from mcspectra.core.images import luminance
+    from mcspectra.rendering import load_mitsuba, register_samplers
+
+    mi = load_mitsuba()
+    register_samplers(mi.variant())
+
+    def scene(reconstruction: str, integrator: str, sampler: dict[str, Any]) -> Any:
+        box = mi.cornell_box()
+        film = {"width": SIZE, "height": SIZE, "rfilter": {"type": reconstruction}}
+        box["sensor"]["film"] |= film
+        box["sensor"]["sampler"] = {"sample_count": SPP, **sampler}
+        box["integrator"] = {"type": integrator, "hide_emitters": True}
+        return mi.load_dict(box)
+
+    mask = "sobol | decorrelate(mask='blue-noise', width=96)"
+    scenes = {
+        "white": scene("box", "path", {"type": "independent"}),
+        "correlated": scene("gaussian", "path", {"type": "independent"}),
+        "blue noise": scene("box", "direct", {"type": "mcspectra", "spec": mask}),
+    }
+
+    def rendered(made: Any) -> Callable[[int], Any]:
+        return lambda seed: luminance(np.array(mi.render(made, spp=SPP, seed=seed), float))
+
+    return {name: rendered(made) for name, made in scenes.items()}
+
+
+def _space(name: str, frames: Iterator[Any], measured: int, folder: Path) -> list[float]:
+    """Compare filters in space, for independent frames."""
+    from mcspectra.rendering import frames as measure
+
+    folder.mkdir()
+    for k in range(measured):
+        np.save(folder / f"{k}.npy", next(frames).astype(np.float32))
+    result = measure(folder, flip=False, filters=list(SPACE))
+    held = np.stack(list(frames))
+    errors = held - held.mean(axis=0)
+    ratios = []
+    for spec, apply in SPACE.items():
+        after = np.stack([apply(error) for error in errors])
+        ratios.append(_row(name, spec, result, after, len(held)))
+    return ratios
+
+
+def _time(name: str, render: Callable[[int], Any], reused: int, folder: Path) -> list[float]:
+    """Compare averages over frames, for sequences."""
+    from mcspectra.rendering import frames as measure
+
+    def sequence(first: int) -> Any:
+        renders = np.stack([render(first + k) for k in range(TIMES + reused - 1)])
+        return np.stack([renders[t : t + reused].mean(axis=0) for t in range(TIMES)])
+
+    folder.mkdir()
+    for seed in range(SEEDS):
+        for t, frame in enumerate(sequence(1000 * (seed + 1))):
+            np.save(folder / f"shot_s{seed}_t{t:02d}.npy", frame.astype(np.float32))
+    result = measure(folder, flip=False, filters=list(TIME))
+    held = np.stack([sequence(1000 * (SEEDS + seed + 1)) for seed in range(HELD_SEEDS)])
+    errors = held - held.mean(axis=0)
+    ratios = []
+    for spec, (alpha, space) in TIME.items():
+        average, shown = errors[:, 0], []
+        for t in range(1, TIMES):
+            average = (1 - alpha) * average + alpha * errors[:, t]
+            if t >= TIMES // 2:  # the first frame has been forgotten
+                shown.append([SPACE[space](e) for e in average] if space else average)
+        ratios.append(_row(name, spec, result, np.concatenate(shown), HELD_SEEDS))
+    return ratios
+
+
+def _blender(python: str, folder: Path) -> list[float]:
+    """Compare filters in space, for frames of Blender's Cycles at 4 samples."""
+    from benchmarks import blender
+    from mcspectra.core.images import luminance, read_image
+
+    ratios = []
+    for pattern in blender.PATTERNS:
+        out = folder / pattern
+        command = [python, blender.__file__, pattern, str(out)]
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        files = sorted((out / "spp4").glob("*.exr"))
+        frames = (luminance(read_image(file)[..., :3]) for file in files)
+        ratios += _space(f"Blender {pattern}", frames, len(files) // 2, folder / f"{pattern}-used")
+    return ratios
+
+
+def _row(name: str, spec: str, result: Any, after: Any, count: int) -> float:
+    """Print one comparison, and return the predicted error divided by the measured error."""
+    one = result.isel(n=-1).sel(filter=spec)
+    predicted = float(np.sqrt(one["filtered_variance"]))
+    low, high = np.sqrt(one["filtered_variance_ci"].values)
+    squares = after**2 * count / (count - 1)
+    inner = squares[:, BORDER:-BORDER, BORDER:-BORDER]
+    whole, inside = (float(np.sqrt(each.mean())) for each in (squares, inner))
+    ratio = predicted / whole
+    print(
+        f"{name:34}{spec:38}{predicted:10.5f}{f'{low:.5f} … {high:.5f}':>18}{inside:9.5f}"
+        f"{whole:9.5f}  {ratio:.3f}  {np.sqrt(float(one['filtered_ratio'])):7.3f}"
+    )
+    return ratio

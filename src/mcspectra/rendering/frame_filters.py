@@ -1,0 +1,398 @@
+"""Linear filters of frames, and the error that they leave.
+
+A filter K leaves the variance ∫ |K(ν)|² P_err(ν) dν of errors with the power P_err.
+By Parseval's theorem this is Σ_d h(d) C(d).
+Here C(d) is the covariance of the errors of two pixels at a lag d, averaged over the image.
+The numbers h(d) are the autocorrelation of the filter's weights, with the transform |K(ν)|².
+The covariances are those inside the image: every pair of pixels counts once, without wrap-around.
+Pixels near a border are assumed to see more pixels of the same kind beyond it.
+A filter that repeats or mirrors the border leaves somewhat more error there.
+
+Filters in space are separable, with the same weights along rows and columns.
+Filters in time act on the frames of a sequence, such as ``ema``, the exponential moving average.
+A chain such as ``gaussian(sigma=1.5) | ema(alpha=0.1)`` is their product.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar, final
+
+import numpy as np
+
+from mcspectra.core.checks import Array
+from mcspectra.core.confidence import CONFIDENCE_Z, student_t
+from mcspectra.core.display import shown
+from mcspectra.core.errors import ParameterError
+from mcspectra.core.fields import real, whole
+from mcspectra.core.registry import Registry, classes_of
+from mcspectra.core.spec import Component, parse_chain
+
+__all__ = [
+    "FILTERS",
+    "Chain",
+    "Filter",
+    "Filtered",
+    "SpatialPower",
+    "chains_of",
+    "curve_filters",
+    "filtered_of",
+]
+
+_REACH = 4.0  # standard deviations at which a Gaussian is cut, as in scipy.ndimage
+_FORGOTTEN = 1e-6  # weight of all older frames at which the weights of an average are cut
+_SIGMAS = (0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 4.0)
+_ALPHAS = (0.5, 0.3, 0.2, 0.1, 0.05)
+
+
+class Filter(Component, ABC):
+    """A linear filter of frames, in space or in time.
+
+    Attributes
+    ----------
+    temporal
+        Whether the filter acts on the frames of a sequence, and not on the pixels of a frame.
+    """
+
+    temporal: ClassVar[bool] = False
+
+    @abstractmethod
+    def weights(self) -> Array:
+        """Return the weights along one axis; their sum is 1."""
+
+    def transfer(self, frequency: Array) -> Array:
+        """Return |K(ν)|² along one axis, for frequencies in cycles per pixel or per frame."""
+        weights = self.weights()
+        phases = np.exp(-2j * np.pi * np.multiply.outer(frequency, np.arange(weights.size)))
+        return np.asarray(np.abs(phases @ weights) ** 2)
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Gaussian(Filter):
+    """Gaussian of standard deviation `sigma` pixels, cut at 4σ as in scipy.ndimage."""
+
+    sigma: float = real(least=0.1, most=100.0)
+
+    def weights(self) -> Array:
+        reach = int(_REACH * self.sigma + 0.5)
+        weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / self.sigma) ** 2)
+        return np.asarray(weights / weights.sum())
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Box(Filter):
+    """Mean over a square of `width` × `width` pixels."""
+
+    width: int = whole(least=1, most=1000)
+
+    def weights(self) -> Array:
+        return np.full(self.width, 1.0 / self.width)
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class ATrous(Filter):
+    """À-trous wavelet filter of `levels` levels of the B3 spline, without edge stops.
+
+    Level k spaces the weights (1, 4, 6, 4, 1) / 16 by 2^k pixels [Dammertz2010]_.
+    Denoisers of real-time renderers use this filter with edge stops, which only reduce its reach.
+    """
+
+    name = "a-trous"
+    levels: int = whole(least=1, most=10)
+
+    def weights(self) -> Array:
+        weights = np.ones(1)
+        for level in range(self.levels):
+            spline = np.zeros(4 * 2**level + 1)
+            spline[:: 2**level] = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16.0
+            weights = np.convolve(weights, spline)
+        return weights
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Ema(Filter):
+    """Exponential moving average over frames: the new frame has the weight `alpha`.
+
+    The error left is that after many frames.
+    For errors of correlation ρ^k at k frames, it is α/(2 − α) · (1 + q)/(1 − q) of the variance,
+    with q = ρ (1 − α).
+    """
+
+    temporal = True
+    alpha: float = real(least=0.001, most=1.0)
+
+    def weights(self) -> Array:
+        old = 1.0 - self.alpha
+        count = 1 if old == 0.0 else math.ceil(math.log(_FORGOTTEN) / math.log(old)) + 1
+        weights = self.alpha * old ** np.arange(count)
+        return np.asarray(weights / weights.sum())
+
+
+FILTERS = Registry(
+    "filter",
+    "mcspectra.filters",
+    classes_of({"rendering.frame_filters": "a-trous=ATrous Box Ema Gaussian"}),
+    base=Filter,
+)
+"""Filters of frames that spec strings can name."""
+
+
+@final
+@dataclass(frozen=True)
+class Chain:
+    """A product of filters in space and in time.
+
+    Attributes
+    ----------
+    filters
+        Filters in any order; their product does not depend on the order.
+    """
+
+    filters: tuple[Filter, ...]
+
+    @property
+    def spec(self) -> str:
+        """The spec string of the chain."""
+        return " | ".join(each.spec for each in self.filters)
+
+    @property
+    def temporal(self) -> bool:
+        """Whether the chain has a filter in time."""
+        return any(each.temporal for each in self.filters)
+
+    @functools.cached_property
+    def space(self) -> Array:
+        """Weights of the pixels along one axis."""
+        return _product(each for each in self.filters if not each.temporal)
+
+    @functools.cached_property
+    def time(self) -> Array:
+        """Weights of the frames, the newest first."""
+        return _product(each for each in self.filters if each.temporal)
+
+    def memory(self, count: int) -> tuple[Array, float]:
+        """Return h(k) at the lags k = 0 … count − 1 in frames, and the sum of all other h(k)."""
+        lags = np.correlate(self.time, self.time, "full")[self.time.size - 1 :]
+        whole = lags[:count]
+        beyond = 2.0 * float(lags[count:].sum())
+        return np.pad(whole, (0, count - whole.size)), beyond
+
+    @property
+    def white(self) -> float:
+        """Variance that the chain leaves of white noise with the variance 1."""
+        space, time = (float((each**2).sum()) for each in (self.space, self.time))
+        return space**2 * time
+
+
+def _product(filters: object) -> Array:
+    weights = np.ones(1)
+    for each in filters:  # type: ignore[attr-defined]
+        weights = np.convolve(weights, each.weights())
+    return weights
+
+
+def chains_of(filters: object) -> list[Chain]:
+    """Return filters from spec strings.
+
+    Parameters
+    ----------
+    filters
+        A spec such as ``"gaussian(sigma=1.5) | ema(alpha=0.1)"``, or a sequence of specs.
+
+    Raises
+    ------
+    ParameterError
+        If `filters` is not text or a sequence of texts, or a parameter is out of range.
+    SpecError
+        If a spec cannot be read.
+    UnknownName
+        If there is no filter of a name.
+    """
+    given = [filters] if isinstance(filters, str) else filters
+    if not isinstance(given, Sequence) or not all(isinstance(each, str) for each in given):
+        raise ParameterError(
+            f"filters is {shown(filters)}; give specs such as 'gaussian(sigma=1.5)'."
+        )
+    found = [Chain(tuple(FILTERS.build(call) for call in parse_chain(each))) for each in given]
+    return list({each.spec: each for each in found}.values())
+
+
+def curve_filters(height: int, width: int, times: int) -> dict[str, dict[float, Chain]]:
+    """Return the filters of curves: Gaussians by σ that fit the image, and averages by α."""
+    side = min(height, width)
+    gaussians = (Gaussian(sigma=sigma) for sigma in _SIGMAS)
+    found = {"sigma": {g.sigma: Chain((g,)) for g in gaussians if 2 * g.weights().size <= side}}
+    if times > 1:
+        # With weights that reach far beyond the sequence, the correlations needed are unknown
+        known = (a for a in _ALPHAS if (1 - a) ** times < _LEFT_OUT)
+        found["alpha"] = {alpha: Chain((Ema(alpha=alpha),)) for alpha in known}
+    return {name: chains for name, chains in found.items() if len(chains) > 1}
+
+
+_LEFT_OUT = 0.1  # largest weight of frames beyond the sequence in a curve
+
+
+@final
+class SpatialPower:
+    """Variance left by filters in space, from the transform of an image of errors.
+
+    Attributes
+    ----------
+    shape
+        Size of the transform: the image and a margin of zeros, so that no lag wraps around.
+    """
+
+    def __init__(self, chains: Sequence[Chain], height: int, width: int) -> None:
+        from scipy.fft import next_fast_len
+
+        reach = max((each.space.size for each in chains), default=1)
+        for each in chains:
+            if each.space.size > min(height, width):
+                raise ParameterError(
+                    f"The filter {each.spec} covers {each.space.size} pixels, but the frames have "
+                    f"{height} × {width}; give a narrower filter."
+                )
+        self.size = (height, width)
+        self.shape = (next_fast_len(height + reach, True), next_fast_len(width + reach, True))
+        self.down = np.array([_response(c.space, height, self.shape[0]) for c in chains])
+        half = np.array([_response(c.space, width, self.shape[1]) for c in chains])
+        across = self.shape[1] // 2 + 1
+        # Columns of positive frequency also represent the frequencies of opposite sign
+        both = np.full(across, 2.0)
+        both[0] = 1.0
+        if self.shape[1] % 2 == 0:
+            both[-1] = 1.0
+        self.across = half[:, :across] * both
+        self.doubled = both
+        self._scale = 1.0 / (math.prod(self.shape) * height * width)
+
+    def transform(self, error: Array) -> Array:
+        """Return the transform of errors (y, x), with the margin of zeros."""
+        from scipy.fft import rfft2
+
+        return np.asarray(rfft2(error, s=self.shape))
+
+    def left(self, power: Array, rows: slice = slice(None)) -> Array:
+        """Return the variance left by each filter, from |transform|² (…, y, x) at some rows."""
+        inner = power @ self.across.T  # (…, y, filter)
+        return np.asarray(np.einsum("...yf,fy->...f", inner, self.down[:, rows]) * self._scale)
+
+    def noise(self, power: Array) -> Array:
+        """Return the squared standard error of `left` for normal errors of one image."""
+        inner = (power**2) @ (self.across**2 / self.doubled).T
+        total = np.einsum("yf,fy->f", inner, self.down**2)
+        # The mean of the square of an exponential value is twice its squared mean.
+        # A frequency and its opposite have equal power, which doubles the variance.
+        # The margin samples the spectrum more densely, without more independent values
+        dense = math.prod(self.shape) / math.prod(self.size)
+        return np.asarray(total * self._scale**2 * dense)
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Filtered:
+    """Variance that filters leave, as a mean over the pixels.
+
+    Attributes
+    ----------
+    variance, variance_ci
+        Variance after each filter (filter,), with its 95 % interval (filter, bound).
+    ratio, ratio_ci
+        That variance divided by what the filter leaves of white noise of the same variance.
+    half
+        Half width of the interval of the logarithm of `variance`, (filter,).
+    """
+
+    specs: tuple[str, ...]
+    variance: Array
+    variance_ci: Array
+    ratio: Array
+    ratio_ci: Array
+    half: Array
+
+
+def filtered_of(
+    chains: Sequence[Chain], left: Array, noise: Array, scale: float, resolved: bool
+) -> Filtered:
+    """Return the variance that each chain leaves, with intervals from the sequences.
+
+    Parameters
+    ----------
+    chains
+        Filters; the first leaves frames alone.
+    left
+        Covariance at each lag in frames after the spatial part, (sequence, filter, lag).
+    noise
+        Squared standard error of one image's `left` at lag 0 for normal errors, (filter,).
+    scale
+        Factor that corrects for the mean over the sequences and for missing pixels.
+    resolved
+        Whether the variance has an upper bound; if not, the intervals are open.
+    """
+    count, _, times = left.shape
+    values = np.empty((count, len(chains)))
+    least, more = np.empty(len(chains)), np.zeros(len(chains))
+    for k, chain in enumerate(chains):
+        memory, rest = chain.memory(times)
+        own = left[:, k]
+        values[:, k] = scale * (2.0 * own @ memory - own[:, 0] * memory[0])
+        mean = own.mean(axis=0)
+        # Number of independent frames for the mean square of the filtered errors
+        filtered = np.convolve(_mirrored(memory), _mirrored(mean), "same")
+        fade = 1.0 - np.abs(np.arange(1 - times, times)) / times
+        relative = filtered / (filtered[times - 1] or 1.0)
+        frames = float(np.clip(times / max((fade * relative**2).sum(), 1e-12), 1.0, times))
+        least[k] = noise[k] / max(mean[0], 1e-300) ** 2 / ((count - 1) * frames)
+        if rest > 0 and times > 1:
+            # Correlations at lags beyond the sequence are at most those of its last quarter
+            late = own[:, 3 * times // 4 :].mean(axis=1)
+            most = float(late.mean()) + student_t(count) * float(late.std(ddof=1)) / count**0.5
+            more[k] = scale * rest * max(most, 0.0)
+    variance = values.mean(axis=0)
+    known = np.where(variance > 0, variance, np.nan)
+    factor, floor = student_t(count) / math.sqrt(count), CONFIDENCE_Z * np.sqrt(least)
+    half = np.fmax(factor * values.std(axis=0, ddof=1) / known, floor)
+    apart = (values / known - values[:, :1] / known[0]).std(axis=0, ddof=1)
+    ratio_half = np.fmax(factor * apart, floor)
+    white = np.array([chain.white for chain in chains]) * variance[0]
+    beyond = 1.0 + more / known
+    open_end = 1.0 if resolved else np.inf
+
+    def ends(value: Array, width: Array) -> Array:
+        high = value * np.exp(width) * beyond * open_end
+        return np.stack([value * np.exp(-width), high], axis=-1)
+
+    return Filtered(
+        specs=tuple(chain.spec for chain in chains),
+        variance=variance,
+        variance_ci=ends(variance, half),
+        ratio=variance / white,
+        ratio_ci=ends(variance / white, ratio_half),
+        half=np.asarray(half + np.log(beyond)),
+    )
+
+
+def _mirrored(lags: Array) -> Array:
+    return np.concatenate([lags[:0:-1], lags])
+
+
+def _response(weights: Array, size: int, length: int) -> Array:
+    """Return |K(ν)|² at the frequencies of a transform, for the pairs of pixels in an image.
+
+    An image of N pixels along an axis has N − |d| pairs at a lag d.
+    The autocorrelation at lag d is therefore divided by 1 − |d|/N.
+    """
+    full = np.correlate(weights, weights, "full")
+    lags = np.arange(full.size) - (full.size // 2)
+    known = np.abs(lags) < size
+    row = np.zeros(length)
+    row[lags[known] % length] = full[known] / (1.0 - np.abs(lags[known]) / size)
+    return np.asarray(np.fft.fft(row).real)
