@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import xarray as xr
 
 from mcspectra.core.checks import Array
+from mcspectra.core.errors import SpecError
+from mcspectra.core.spec import parse_chain
 from mcspectra.plots.description import (
     Axis,
     Dots,
@@ -23,9 +25,11 @@ from mcspectra.plots.scales import linear_axis, log_axis, log_scale, name_axis
 from mcspectra.plots.style import labels
 from mcspectra.plots.text import number
 
-__all__ = ["SCREENS", "filter_names"]
+__all__ = ["SCREENS", "filter_names", "mask_names"]
 
-_ABREAST = 4  # panels per row
+_ABREAST = 4  # largest number of panels per row
+_BANDS = 16  # spectra in time are averaged over 1/16 cycle per frame, for masks of 16 frames
+_FLOOR = 1e-4  # smallest relative power that is shown
 _LEAST, _MOST = 0.01, 10.0  # ends of the scale of relative powers
 _CLIPPED = 99.0  # percentile of the errors at the ends of their color scale
 
@@ -39,9 +43,36 @@ def filter_names(data: xr.Dataset) -> dict[str, str]:
     return {k: v for k, v in titles.items() if frames > 1 or k in ("none", "gaussian")}
 
 
+def mask_names(specs: Sequence[str], length: int = 40) -> dict[str, str]:
+    """Return short distinct names, such as ``sobol, blue-noise, golden`` for a mask."""
+    short = []
+    for spec in specs:
+        try:
+            *before, last = parse_chain(spec)
+        except SpecError:
+            before, last = [], None
+        if last is None or last.name != "decorrelate":
+            short.append(spec)
+            continue
+        given = last.arguments
+        words = [" | ".join(map(str, before)), str(given.get("mask", "white"))]
+        words += [str(given[key]) for key in ("time", "mode") if key in given]
+        words += [f"{given[key]} {key}" for key in ("width", "frames") if key in given]
+        short.append(", ".join([*words, *(["advance"] if given.get("advance") else [])]))
+    found = labels(short, length)
+    if len(set(short)) < len(short):
+        return labels(list(specs), length)
+    return {spec: found[own] for spec, own in zip(specs, short, strict=True)}
+
+
+def _columns(count: int) -> int:
+    """Return the number of panels per row that leaves the fewest places empty."""
+    return -(-count // -(-count // _ABREAST))
+
+
 def _filters(group: Group, styles: Styles) -> Plot:
     """Plot the error after each filter, relative to random points."""
-    first, names = next(iter(group.values())), labels(list(group), 40)
+    first, names = next(iter(group.values())), mask_names(list(group))
     panels = []
     for k, (kind, title) in enumerate(filter_names(first).items()):
         marks: list[Mark] = [ReferenceLine(at=1.0, axis="x", dashes="--")]
@@ -100,18 +131,29 @@ def _filters(group: Group, styles: Styles) -> Plot:
 
 
 def _relative(data: xr.Dataset) -> Array:
-    """Return the relative power within the ends of the scale (frequency, radius)."""
+    """Return relative power (frequency, radius), averaged over 1/16 cycle per frame."""
     power = data["relative_power"].transpose("frequency", "radius").values
-    return np.asarray(np.clip(power, _LEAST, _MOST))
+    frames = data.sizes["frame"]
+    # Extend by the frequencies of opposite sign; half of each end of the window counts
+    whole = power[np.minimum(np.arange(frames), frames - np.arange(frames))]
+    width = frames // _BANDS
+    if width < 2:
+        return np.asarray(power)
+    weights = np.full(width + 1 - width % 2, 1.0 / width)
+    if width % 2 == 0:
+        weights[[0, -1]] /= 2.0
+    shifts = range(-(weights.size // 2), weights.size // 2 + 1)
+    found = sum(w * np.roll(whole, k, axis=0) for w, k in zip(weights, shifts, strict=True))
+    return np.asarray(found)[: len(power)]
 
 
 def _spectra(group: Group, _: Styles) -> Plot:
     """Map relative power over radius and frequency in time, one panel per sampler."""
     scale = log_scale("power / mean power", _LEAST, _MOST)
-    names, panels = labels(list(group), 34), []
+    names, panels = mask_names(list(group), 34), []
     for name, each in group.items():
         image = Heatmap(
-            values=_relative(each),
+            values=np.clip(_relative(each), _LEAST, _MOST),
             x=each["radius"].values,
             y=each["frequency"].values,
             scale=scale,
@@ -128,12 +170,13 @@ def _spectra(group: Group, _: Styles) -> Plot:
         )
     return Plot(
         panels=tuple(panels),
-        columns=min(_ABREAST, len(panels)),
+        columns=_columns(len(panels)),
         height=0.85,
         share="both",
         caption="Power of the errors over frequency in space (radial) and in time. White noise has "
-        "1 everywhere. Dark areas at the left are removed by blur, at the bottom by averages over "
-        "frames.",
+        "1 everywhere. Blur removes the power at the right, and averages over frames remove the "
+        "power at the top: a good mask is dark at the left and at the bottom. Frequencies in time "
+        "are averaged over 1/16 cycle.",
         words="Relative power at the lowest frequencies: "
         + for_each(group, lambda each: number(float(each["relative_power"][0, 0]))),
         wide=True,
@@ -146,25 +189,26 @@ def _curves(group: Group, styles: Styles) -> Plot:
     times = first["frequency"].values
     # Both signs of a frequency in time count, except at 0 and at ½
     weight = np.where((times > 0) & (times < 0.5), 2.0, 1.0)
-    area = first["radius"].values
+    area, names = first["radius"].values, mask_names(list(group))
+    looks = {names[name]: styles[name] for name in group}
     panels = []
     for over, label in (("radius", "cycles per pixel"), ("frequency", "cycles per frame")):
         if over == "frequency" and times.size < 2:
             continue
         curves = {}
         for name, each in group.items():
-            power = each["relative_power"].transpose("frequency", "radius").values
+            power = _relative(each)
             if over == "radius":
                 known = np.average(power, axis=0, weights=weight)
             else:
                 inside = np.isfinite(power[0])
                 known = np.average(power[:, inside], axis=1, weights=area[inside])
-            curves[name] = (each[over].values, np.maximum(known, 1e-4))
+            curves[names[name]] = (each[over].values, np.maximum(known, _FLOOR))
         every = np.concatenate([[0.5, 2.0], *(y for _, y in curves.values())])
         every = every[np.isfinite(every)]
         marks = (
             ReferenceLine(at=1.0, dashes="--"),
-            *lines_of(curves, styles, (label, "power / mean power")),
+            *lines_of(curves, looks, (label, "power / mean power")),
         )
         panels.append(
             Panel(
@@ -181,7 +225,7 @@ def _curves(group: Group, styles: Styles) -> Plot:
         panels=tuple(panels),
         columns=len(panels),
         caption="Power of the errors, averaged over all frequencies in time (left) or in space "
-        "(right). White noise has 1 everywhere.",
+        "(right). White noise has 1 everywhere. Frequencies in time are averaged over 1/16 cycle.",
         words="Power below 1/8 cycle per pixel relative to white noise: "
         + for_each(group, lambda each: number(float(each["low_share"]))),
         wide=True,
@@ -193,12 +237,12 @@ def _errors(group: Group, _: Styles) -> Plot:
     every = np.concatenate([np.ravel(each["error_image"].values) for each in group.values()])
     top = float(np.percentile(np.abs(every), _CLIPPED)) or 1.0
     scale = Scale(label="error", low=-top, high=top, palette="diverging")
-    names, panels = labels(list(group), 34), []
+    names, panels = mask_names(list(group), 34), []
     listed = list(group.items())
     kinds = [("error_image", "y", "x", "y down")]
     if listed[0][1].sizes["frame"] > 1:
         kinds.append(("error_slice", "frame", "x", "frame"))
-    columns = min(_ABREAST, len(listed))
+    columns = _columns(len(listed))
     for start in range(0, len(listed), columns):
         for variable, down, across, label in kinds:
             for k in range(start, start + columns):

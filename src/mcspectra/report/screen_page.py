@@ -14,7 +14,7 @@ from mcspectra.plots import backend_matplotlib
 from mcspectra.plots.kinds import describe
 from mcspectra.plots.screens import SCREENS, filter_names
 from mcspectra.plots.style import labels
-from mcspectra.plots.text import interval, number
+from mcspectra.plots.text import interval, number, with_error
 from mcspectra.report import page as html
 from mcspectra.report.bench_page import is_folder
 from mcspectra.report.result_files import check_result_file, csv_text, result_table
@@ -32,7 +32,8 @@ _PICTURES = (".png", ".svg", ".pdf")
 SCREEN_FILES = (".html", ".csv", *_PICTURES)
 """Extensions that `write_screen` accepts; a name without an extension is a folder."""
 
-_AFTER = {"none": "as it is", "gaussian": "after blur", "ema": "after EMA", "both": "after both"}
+_AFTER = {"none": "As it is", "gaussian": "After blur", "ema": "After EMA", "both": "After both"}
+_WIDE = 1.5  # ratio of the ends of an interval above which both ends are shown
 _CURVES = ["pixel_error", "pixel_error_ci", "low_share", "slow_share", "blocks"]
 
 
@@ -71,9 +72,9 @@ def _best(result: xr.Dataset, kind: str) -> str | None:
 def screen_table(result: xr.Dataset) -> html.Table:
     """Return the variance, the low-frequency shares and the filtered errors of each sampler."""
     titles, frames = filter_names(result), result.sizes["frame"]
-    names = list(labels([str(name) for name in result["sampler"].values], 44).values())
+    names = list(labels([str(name) for name in result["sampler"].values], 60).values())
     columns = ["Sampler", "Variance", "Low", *(["Slow"] if frames > 1 else [])]
-    columns += [_AFTER[kind].capitalize() for kind in titles]
+    columns += [_AFTER[kind] for kind in titles]
     rows = []
     for k, name in enumerate(names):
         one = result.isel(sampler=k)
@@ -86,8 +87,11 @@ def screen_table(result: xr.Dataset) -> html.Table:
         for kind in titles:
             after = one.sel(filter=kind)
             value, (low, high) = float(after["filtered_ratio"]), after["filtered_ratio_ci"].values
-            ends = "" if low == high else f" ({interval(low, high, 2)})"
-            row.append(html.number_cell(f"{number(value)}{ends}", value))
+            # The intervals are symmetric on a logarithmic scale; wide ones need both ends
+            narrow = high < _WIDE * low
+            text = with_error(value, (high - low) / 2) if narrow else number(value)
+            text += "" if narrow else f" ({interval(low, high, 2)})"
+            row.append(html.number_cell(text, value))
         rows.append(row)
     used = [titles[kind] for kind in ("gaussian", "ema") if kind in titles]
     return html.table_of(
