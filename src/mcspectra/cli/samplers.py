@@ -254,7 +254,7 @@ def integrate_(options: argparse.Namespace) -> VerbOutput:
             "per pixel (default 1), -m the number of blocks (default 8).",
         ),
         option("--screen INTEGRAND", "rank by the errors of pixels, over space and time"),
-        option("--block W,H,T", "pixels and frames (default 64,64,64)", wholes("W,H,T")),
+        option("--block W,H,T", "pixels and frames (default 64,64,128)", wholes("W,H,T")),
         option("--sigma S", "width of the blur in pixels (default 1.5)", real(least=0.0)),
         option("--alpha A", "weight of a new frame in the EMA (default 0.1)", real(above=0.0)),
     ),

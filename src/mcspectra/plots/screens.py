@@ -206,7 +206,7 @@ def _curves(group: Group, styles: Styles) -> Plot:
             curves[names[name]] = (each[over].values, np.maximum(known, _FLOOR))
         every = np.concatenate([[0.5, 2.0], *(y for _, y in curves.values())])
         every = every[np.isfinite(every)]
-        marks = (
+        marks: tuple[Mark, ...] = (
             ReferenceLine(at=1.0, dashes="--"),
             *lines_of(curves, looks, (label, "power / mean power")),
         )

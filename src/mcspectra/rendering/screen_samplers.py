@@ -161,6 +161,14 @@ class ScreenSampler(Component, ABC):
         del block
         return seeds, False
 
+    def repeats(self, n: int, block: ScreenBlock) -> tuple[bool, bool]:
+        """Return whether the block is a whole number of periods in space, and in time.
+
+        Filters then wrap around the borders of the block without an error.
+        """
+        del n, block
+        return False, False
+
     def check(self, n: int, block: ScreenBlock, seeds: int) -> None:
         """Refuse a block that this sampler cannot make, before anything is drawn."""
         del seeds
@@ -214,20 +222,30 @@ class PixelSampler(ScreenSampler):
         if isinstance(self.sampler.plain, CommandSampler) and mask is None:
             _check_processes(self.spec, seeds * block.size)
 
+    def repeats(self, n: int, block: ScreenBlock) -> tuple[bool, bool]:
+        """Return whether the block holds whole masks of ``decorrelate``."""
+        del n
+        mask = self._mask
+        if mask is None or mask.mask not in ("blue-noise", "spatiotemporal"):
+            return False, False
+        period = mask.frames if mask.mask == "spatiotemporal" else 1
+        steady = mask.time == "repeat" and not mask.advance
+        whole = block.width == block.height == mask.width
+        return whole, steady and block.frames % period == 0
+
     @property
     def _mask(self) -> Decorrelate | None:
         last = (self.sampler.randomizations or (None,))[-1]
         return last if isinstance(last, Decorrelate) else None
 
     def frames_of(self, n: int, block: ScreenBlock, seed: int, stream: Stream) -> Iterator[Array]:
-        """Draw one realization per pixel."""
-        del seed
+        """Draw one realization per pixel; each block continues after the frames of the last."""
         width, height, frames = block
         stride, lines = width, height
         if self._mask is not None:
             stride = lines = self._mask.width
         for t in range(frames):
-            first = t * stride * lines
+            first = (seed * frames + t) * stride * lines
             points = self.sampler.draw_stream(n, stream, first, height * stride)
             yield points.reshape(height, stride, n, self.dims)[:, :width]
 
@@ -335,6 +353,11 @@ class CommandScreen(ScreenSampler):
         """Return one block if the program gets no seed."""
         del block
         return (seeds if "{seed}" in self.run else 1), False
+
+    def repeats(self, n: int, block: ScreenBlock) -> tuple[bool, bool]:
+        """Return whether the program ignores the frame."""
+        del n, block
+        return False, not set(_AXES[0]) & set(PLACEHOLDER.findall(self.run))
 
     def check(self, n: int, block: ScreenBlock, seeds: int) -> None:
         """Also refuse too many processes."""
@@ -614,14 +637,18 @@ class Tiles(ScreenSampler):
 
     def blocks(self, block: ScreenBlock, seeds: int) -> tuple[int, bool]:
         """Return the number of different parts of the tile; one, if the block holds it whole."""
-        frames, height, width, _ = self.values.shape
         if self.points and not as_sampler(self.points, self.dims).fixed:
             return seeds, False
-        static = self.time == "repeat"
-        if static and not (block.width % width or block.height % height or block.frames % frames):
+        if all(self.repeats(1, block)):
             return 1, True
-        places = math.prod(self._places(block))
-        return min(seeds, places), False
+        return min(seeds, math.prod(self._places(block))), False
+
+    def repeats(self, n: int, block: ScreenBlock) -> tuple[bool, bool]:
+        """Return whether the block holds whole tiles."""
+        del n
+        frames, height, width, _ = self.values.shape
+        whole = not (block.width % width or block.height % height)
+        return whole, self.time == "repeat" and block.frames % frames == 0
 
     def _places(self, block: ScreenBlock) -> list[int]:
         """Return the numbers of disjoint blocks in time, down and across."""
@@ -788,9 +815,14 @@ class Tables(ScreenSampler):
 
     def blocks(self, block: ScreenBlock, seeds: int) -> tuple[int, bool]:
         """Return the number of different parts of the tile of 128 × 128 pixels."""
-        whole = not (block.width % 128 or block.height % 128)
+        whole = self.repeats(1, block)[0]
         places = max(1, 128 // block.width) * max(1, 128 // block.height)
         return (1 if whole else min(seeds, places)), whole
+
+    def repeats(self, n: int, block: ScreenBlock) -> tuple[bool, bool]:
+        """Return whether the block holds whole tiles, and all 256 samples."""
+        whole = not (block.width % 128 or block.height % 128)
+        return whole, block.frames * n % 256 == 0
 
     def check(self, n: int, block: ScreenBlock, seeds: int) -> None:
         """Also refuse more than the 256 samples of the tables."""

@@ -7,7 +7,10 @@ A linear filter K, in space or in time, leaves the mean squared error ∫ |K(ν)
 This is the formula of the slides for the variance, with the filter as the integrand.
 
 The power is normalized so that white noise has the mean squared error of a pixel everywhere.
-The sum over a block treats it as repeated, which is exact for masks that repeat within the block.
+
+The transform treats a block as repeated, which is right for masks that repeat within the block.
+For all other points, filtered errors are averaged only where the filter does not reach the border.
+Their spectra contain leakage: about 0.3 % of the power at high frequencies appears at low ones.
 """
 
 from __future__ import annotations
@@ -51,15 +54,21 @@ class ScreenSpectrumSettings:
     low
         Limit of low frequencies, in cycles per pixel and in cycles per frame.
         The eye does not blur noise below 1/8 cycle per pixel.
+    reach, cut
+        Pixels are used that have a distance of 4 σ from the border of the block.
+        The Gaussian's weight beyond 4 σ in one dim is 6e-5, so errors change by less than 2.5e-4.
     remembered
-        An average over frames must not remember more than this share of the error that it had
-        one block earlier. Otherwise its error holds only for points that repeat after the block.
+        Share of an earlier error that an average over frames may still remember.
+        Frames before that are not used, unless the points repeat after the block.
+        The variance changes by about this share if errors are correlated in time.
     """
 
     most_values: int = 2**23
     most_points: int = 2**31
     low: float = 0.125
-    remembered: float = 0.05
+    reach: float = 4.0
+    cut: float = 2.5e-4
+    remembered: float = 0.005
 
 
 _SETTINGS = ScreenSpectrumSettings()
@@ -74,7 +83,7 @@ def screen_spectrum(
     n: int,
     *,
     dims: int | None = None,
-    block: Sequence[int] = (64, 64, 64),
+    block: Sequence[int] = (64, 64, 128),
     seeds: int = 8,
     sigma: float = 1.5,
     alpha: float = 0.1,
@@ -137,6 +146,8 @@ def screen_spectrum(
     If it has only one block that is not the whole mask, the intervals are unknown (NaN).
     The filters have the squared transfer functions exp(−4π²σ²ν²) in space and
     α² / (1 − 2 (1 − α) cos 2πν + (1 − α)²) in time.
+    If the points do not repeat after the block, pixels within 4 σ of its border are not used.
+    The frames during which the EMA still remembers 0.5 % of its start are not used either.
 
     References
     ----------
@@ -181,9 +192,16 @@ def screen_spectrum(
     gains = _gains(place, sigma, alpha)
     low, slow = _low_frequencies(place)
     found: dict[str, list[Any]] = {name: [] for name in _SHAPES}
-    counts, exact = [], []
+    counts, exact, forgetful = [], [], list[str]()
     for k, source in enumerate(sources):
         blocks, whole = source.blocks(place, seeds)
+        used, short = _used(place, source.repeats(n, place), sigma, alpha)
+        # Filtered errors may be wrong by this share, because filters are cut at the border
+        cut = np.array([any(each != slice(None) for each in part[1:]) for part in used])
+        late = np.array([part[0] != slice(None) for part in used])
+        slack = np.concatenate([[0.0], _SETTINGS.cut * cut + _SETTINGS.remembered * late])
+        if short:
+            forgetful.append(names[k])
         powers, sums = [], []
         for seed in range(blocks):
             report("screen", (k + seed / blocks) / len(sources))
@@ -192,10 +210,14 @@ def screen_spectrum(
             for t, frame in enumerate(source.frames_of(n, place, seed, own)):
                 values[t] = f(frame).mean(axis=-1)
             errors = values - float(f.integral)
-            power = np.abs(np.fft.rfftn(errors)) ** 2 / place.size
-            filtered = [float(_mean(power * gain, place.width)) for gain in gains]
+            transform = np.fft.rfftn(errors)
+            power = np.abs(transform) ** 2 / place.size
+            filtered = [float(np.mean(errors**2))]
+            for gain, part in zip(gains, used, strict=True):
+                left = np.fft.irfftn(transform * gain, s=errors.shape, axes=(0, 1, 2))
+                filtered.append(float(np.mean(left[part] ** 2)))
             shares = [
-                float(_mean(power, place.width, part) / filtered[0]) if filtered[0] else math.nan
+                _share(power, place.width, part, filtered[0]) if filtered[0] else math.nan
                 for part in (low, slow)
             ]
             powers.append(_over_rings(power, rings))
@@ -205,7 +227,7 @@ def screen_spectrum(
                 found["error_slice"].append(errors[:, 0])
         table, spectra = np.array(sums), np.array(powers)
         mean = table[:, : len(FILTERS)].mean(axis=0)
-        ends = _interval(table[:, : len(FILTERS)], whole, len(sources))
+        ends = _interval(table[:, : len(FILTERS)], whole, len(sources), slack)
         found["filtered_error"].append(mean)
         # Random points are white; their filtered error is the sum of the squared filter weights
         level = white * np.array([_white_gain(name, sigma, alpha) for name in FILTERS])
@@ -248,7 +270,7 @@ def screen_spectrum(
         white_variance=white,
         exact=[int(each) for each in exact],
         seed=stream.key,
-        note=_note(names, counts, exact, place, alpha),
+        note=_note(names, counts, exact, forgetful, place, alpha),
     )
 
 
@@ -306,36 +328,63 @@ def _names(sources: Sequence[ScreenSampler]) -> list[str]:
 
 
 def _transfer(kind: str, frequency: Array, size: float) -> Array:
-    """Return the squared transfer function of a filter at frequencies, in cycles per step."""
+    """Return the transfer function of a filter at frequencies, in cycles per step."""
     if kind == "gaussian":
-        return np.asarray(np.exp(-((2.0 * np.pi * size * frequency) ** 2)))
-    kept = 1.0 - size  # exponential moving average with the weight `size` of the newest value
-    return np.asarray(size**2 / (1.0 - 2.0 * kept * np.cos(2.0 * np.pi * frequency) + kept**2))
+        return np.asarray(np.exp(-2.0 * (np.pi * size * frequency) ** 2))
+    # Exponential moving average with the weight `size` of the newest value
+    return np.asarray(size / (1.0 - (1.0 - size) * np.exp(-2j * np.pi * frequency)))
 
 
 def _gains(block: ScreenBlock, sigma: float, alpha: float) -> list[Array]:
-    """Return the squared transfer functions of `FILTERS` at the frequencies of `rfftn`."""
+    """Return the transfer functions of the filters at the frequencies of `rfftn`."""
     down, across = np.fft.fftfreq(block.height)[:, None], np.fft.rfftfreq(block.width)
     space = _transfer("gaussian", np.hypot(down, across), sigma)[None]
     time = _transfer("ema", np.fft.fftfreq(block.frames), alpha)[:, None, None]
-    return [np.ones((1, 1, 1)), space, time, space * time]
+    return [space, time, space * time]
+
+
+def _used(
+    block: ScreenBlock, repeats: tuple[bool, bool], sigma: float, alpha: float
+) -> tuple[list[tuple[slice, ...]], bool]:
+    """Return the part of a block that each filter leaves unchanged by what is outside the block.
+
+    Also return whether there are too few frames, so that all frames are used.
+    """
+    whole, steady = repeats
+    edge = 0 if whole else math.ceil(_SETTINGS.reach * sigma)
+    if min(block[:2]) < 2 * edge + 4:
+        raise ParameterError(
+            f"The block has {block.width} × {block.height} pixels, but the Gaussian reaches "
+            f"{edge} pixels; use at least {2 * edge + 4}, or a smaller ",
+            Parameter("sigma"),
+            ".",
+        )
+    start, short = 0, False
+    if not steady and alpha < 1.0 and block.frames > 1:
+        start = math.ceil(math.log(_SETTINGS.remembered) / math.log1p(-alpha))
+        short = start >= block.frames
+    every = slice(None)
+    inside = (slice(edge, -edge), slice(edge, -edge)) if edge else (every, every)
+    later = slice(start, None) if start and not short else every
+    return [(every, *inside), (later, every, every), (later, *inside)], short
 
 
 def _white_gain(kind: str, sigma: float, alpha: float) -> float:
     """Return the sum of the squared weights of a filter, its effect on white noise."""
     frequency = (np.arange(4096) + 0.5) / 4096 - 0.5
-    space = float(_transfer("gaussian", frequency, sigma).mean()) ** 2
+    space = float((_transfer("gaussian", frequency, sigma) ** 2).mean()) ** 2
     time = alpha / (2.0 - alpha)
     return {"none": 1.0, "gaussian": space, "ema": time, "both": space * time}[kind]
 
 
-def _mean(power: Array, width: int, part: Array | None = None) -> Any:
-    """Return the mean over all frequencies, or a part, of a power at those of `rfftn`."""
+def _share(power: Array, width: int, part: Array, level: float) -> float:
+    """Return the mean of a power, given for `rfftn`, over a part of the frequencies / `level`."""
     across = np.arange(power.shape[-1])
     # Columns with positive frequencies also represent the frequencies of opposite sign
-    weight = np.where((across > 0) & (2 * across < width), 2.0, 1.0)
-    weight = np.broadcast_to(weight if part is None else weight * part, power.shape)
-    return np.sum(power * weight) / np.sum(weight)
+    weight = np.broadcast_to(
+        np.where((across > 0) & (2 * across < width), 2.0, 1.0) * part, power.shape
+    )
+    return float(np.sum(power * weight) / np.sum(weight)) / level
 
 
 def _low_frequencies(block: ScreenBlock) -> tuple[Array, Array]:
@@ -352,10 +401,11 @@ def _over_rings(power: Array, rings: Rings) -> Array:
     return np.asarray((flat + flat[-np.arange(len(flat))])[: len(flat) // 2 + 1] / 2.0)
 
 
-def _interval(values: Array, whole: bool, samplers: int) -> Array:
+def _interval(values: Array, whole: bool, samplers: int, slack: Array | float = 0.0) -> Array:
     """Return intervals (k, 2) of means over blocks (blocks, k), at 95 % for all samplers together.
 
     Student's t is applied to the logarithm, as in `mcspectra.core.confidence.log_mean_interval`.
+    The intervals are widened by `slack`, a share of the means.
     """
     from scipy.special import stdtrit
 
@@ -367,7 +417,7 @@ def _interval(values: Array, whole: bool, samplers: int) -> Array:
     level = 0.5 * (1.0 + 0.95 ** (1.0 / samplers))  # Šidák
     error = values.std(axis=0, ddof=1) / math.sqrt(count)
     relative = np.divide(error, mean, out=np.zeros_like(error), where=mean > 0)
-    factor = np.exp(np.minimum(float(stdtrit(count - 1, level)) * relative, 700.0))
+    factor = np.exp(np.minimum(float(stdtrit(count - 1, level)) * relative, 700.0)) * (1.0 + slack)
     return np.stack([mean / factor, mean * factor], axis=-1)
 
 
@@ -383,6 +433,7 @@ def _note(
     names: Sequence[str],
     counts: Sequence[int],
     exact: Iterable[bool],
+    forgetful: Sequence[str],
     block: ScreenBlock,
     alpha: float,
 ) -> str | None:
@@ -398,10 +449,11 @@ def _note(
             f"{' and '.join(alone)}: only one block exists, so no interval is known; use seeds or "
             "smaller blocks"
         )
-    left = (1.0 - alpha) ** block.frames
-    if block.frames > 1 and left > _SETTINGS.remembered:
+    if forgetful:
+        left = (1.0 - alpha) ** block.frames
         notes.append(
             f"EMA {alpha:g} remembers {left:.0%} of the error {block.frames} frames earlier, so "
-            "its error holds only for points that repeat after the block; use more frames"
+            f"errors after it hold for {' and '.join(forgetful)} only if the points repeat after "
+            "the block; use more frames"
         )
     return "; ".join(notes) or None
