@@ -390,6 +390,24 @@ COMMAND = _rows(
     ("bench random -n 16", "two counts and one number of dims"),
     ("bench random random", "The sampler random is listed twice"),
     ("bench random -d 65", "dims is 65"),
+    ("bench random --block 16,16,4", "--block needs --screen"),
+    ("bench random --screen gaussain", "Did you mean"),
+    ("bench random --screen gaussian --block 16,16", "--block is '16,16'; give W,H,T"),
+    ("bench random --screen gaussian -n 4,16", "--counts has 2 numbers; with --screen give one"),
+    ("bench random --screen gaussian --alpha 2", "alpha is 2.0"),
+    ("bench random --screen gaussian -o r.docx", "it must end in .html, .csv, .png, .svg or .pdf"),
+    ("bench tiles(path='no-such.npy') --screen gaussian", "There is no file no-such.npy"),
+    ("bench command('./no-such{x}{y}') --screen gaussian", "--allow-code './no-such{x}{y}'"),
+    (
+        "bench command('./no-such{width}{height}') --screen gaussian --allow-code "
+        "./no-such{width}{height}",
+        "the program './no-such6464' cannot be run",
+    ),
+    (
+        "bench command('./no-such{x}{y}{frame}') --screen gaussian --allow-code "
+        "./no-such{x}{y}{frame}",
+        "would run 524,288 processes",
+    ),
     ("bench random -o r.docx", "it must end in .html, .pdf, .csv, .tex or .pgf"),
     ("bench random -o study.toml/page", "give a folder inside one that can be written"),
     ("design density gaussian -n 64 --members 40", "--members is for samplers"),
