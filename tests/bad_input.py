@@ -399,13 +399,11 @@ COMMAND = _rows(
     ("bench tiles(path='no-such.npy') --screen gaussian", "There is no file no-such.npy"),
     ("bench command('./no-such{x}{y}') --screen gaussian", "--allow-code './no-such{x}{y}'"),
     (
-        "bench command('./no-such{width}{height}') --screen gaussian --allow-code "
-        "./no-such{width}{height}",
-        "the program './no-such6464' cannot be run",
+        "bench command('./no{width}{height}') --screen gaussian --allow-code ./no{width}{height}",
+        "the program './no6464' cannot be run",
     ),
     (
-        "bench command('./no-such{x}{y}{frame}') --screen gaussian --allow-code "
-        "./no-such{x}{y}{frame}",
+        "bench command('./no{x}{y}{frame}') --screen gaussian --allow-code ./no{x}{y}{frame}",
         "would run 524,288 processes",
     ),
     ("bench random -o r.docx", "it must end in .html, .pdf, .csv, .tex or .pgf"),

@@ -154,7 +154,7 @@ class ScreenSampler(Component, ABC):
         """
 
     def blocks(self, block: ScreenBlock, seeds: int) -> tuple[int, bool]:
-        """Return the number of different blocks for so many seeds, and whether one is everything.
+        """Return the number of different blocks, and whether one block is the whole pattern.
 
         A pattern that repeats within the block is fully known from one block.
         """

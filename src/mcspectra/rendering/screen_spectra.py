@@ -350,7 +350,7 @@ def _gains(block: ScreenBlock, sigma: float, alpha: float) -> list[Array]:
 def _used(
     block: ScreenBlock, repeats: tuple[bool, bool], sigma: float, alpha: float
 ) -> tuple[list[tuple[slice, ...]], bool]:
-    """Return the part of a block that each filter leaves unchanged by what is outside the block.
+    """Return the part of a block where the values of each filter depend on this block alone.
 
     Also return whether there are too few frames, so that all frames are used.
     """
@@ -443,7 +443,7 @@ def _interval(values: Array, whole: bool, samplers: int, slack: Array | float = 
 
 
 def _best(ends: Array) -> int:
-    """Return the sampler whose interval is below all others (samplers, 2); −1 if there is none."""
+    """Return the sampler whose interval (samplers, 2) is below all others, or −1."""
     if len(ends) < 2 or not np.isfinite(ends).all():
         return -1
     first = int(np.argmin(ends[:, 1]))
