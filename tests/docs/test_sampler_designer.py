@@ -14,6 +14,7 @@ from tests.processes import python
 
 import mcspectra as mcs
 from mcspectra.cli.main import main
+from mcspectra.core.streams import Stream
 
 PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "sampler-designer.md"
 TEXT = PAGE.read_text(encoding="utf-8")
@@ -90,3 +91,20 @@ def test_the_program_equals_the_function_on_the_page(folder):
     for each, own in zip(x, cells, strict=True):
         row = np.floor(8 * each[:, 1])
         assert len({*zip(row, own % 8, strict=True)}) == 64
+
+
+def test_the_program_of_a_screen_prints_a_block(tmp_path):
+    from mcspectra.rendering import CommandScreen, ScreenBlock
+
+    compiler = next(filter(None, map(shutil.which, ("c++", "g++", "clang++"))), None)
+    if compiler is None:
+        pytest.skip("there is no compiler")
+    (tmp_path / "screen.cpp").write_text(
+        re.findall(r"```cpp\n(.*?)```", TEXT, re.DOTALL)[1], encoding="utf-8"
+    )
+    program = tmp_path / "screen"
+    subprocess.run([compiler, program.with_suffix(".cpp"), "-o", program], check=True, timeout=120)
+    source = CommandScreen(run=f"{program} {{width}} {{height}} {{frames}} {{n}} {{seed}}")
+    points = np.stack(list(source.frames_of(3, ScreenBlock(5, 4, 2), 0, Stream(1))))
+    assert points.shape == (2, 4, 5, 3, 2)
+    assert np.unique(points).size == points.size

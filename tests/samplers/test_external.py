@@ -30,6 +30,7 @@ from mcspectra.samplers import (
     PythonSampler,
     ScipySampler,
     Shift,
+    external,
     sampler,
 )
 from mcspectra.samplers.law import bases_to_scramble
@@ -347,8 +348,8 @@ class TestCommandSampler:
     def test_without_a_seed_it_runs_once_per_draw(self, program, monkeypatch):
         source = mcs.Sampler.from_command(f"{program} {{n}} 7", dims=2)
         runs = []
-        printed = CommandSampler._printed
-        monkeypatch.setattr(CommandSampler, "_printed", lambda *a: runs.append(1) or printed(*a))
+        printed = external._output_of
+        monkeypatch.setattr(external, "_output_of", lambda *a: runs.append(1) or printed(*a))
         sets = source.draw(4, realizations=3, rng=1)
         assert (len(runs), source.fixed, source.unbiased) == (1, True, False)
         np.testing.assert_array_equal(sets[0], sets[2])

@@ -13,9 +13,11 @@ import mcspectra as mcs
 from mcspectra.cli.common import (
     VerbOutput,
     given_of,
+    group,
     one_sentence_warnings,
     option,
     out,
+    page_table,
     read_sampler,
     real,
     text_table,
@@ -27,7 +29,7 @@ from mcspectra.cli.texts import data_of
 from mcspectra.core.checks import as_choice
 from mcspectra.core.decoding import path_to_write
 from mcspectra.core.display import QUOTED, counted, printable, shown
-from mcspectra.core.errors import FileFormatError, MissingDependency
+from mcspectra.core.errors import FileFormatError, MissingDependency, Parameter, ParameterError
 from mcspectra.core.progress import report
 
 __all__ = ["bench_", "integrate_", "list_", "points_"]
@@ -245,6 +247,18 @@ def integrate_(options: argparse.Namespace) -> VerbOutput:
         ".html, or a folder: the page; .pdf: its tables and pictures; .csv, .tex: rates; .pgf: "
         "convergence"
     ),
+    group(
+        lambda parser: parser.add_argument_group(
+            "masks and screen-space samplers",
+            "SPEC may also be tiles(path='mask.npy'), tables(path='….cpp'), python('mod:function') "
+            "or command('./mine {width} {height} {frames} {n} {seed}'). -n is the number of points "
+            "per pixel (default 1), -m the number of blocks (default 8).",
+        ),
+        option("--screen INTEGRAND", "rank by the errors of pixels, over space and time"),
+        option("--block W,H,T", "pixels and frames (default 64,64,128)", wholes("W,H,T")),
+        option("--sigma S", "width of the blur in pixels (default 1.5)", real(least=0.0)),
+        option("--alpha A", "weight of a new frame in the EMA (default 0.1)", real(above=0.0)),
+    ),
 )
 def bench_(options: argparse.Namespace) -> VerbOutput:
     """Compare samplers: rates, ranks, points, spectra, projections, quality, speed.
@@ -256,7 +270,15 @@ def bench_(options: argparse.Namespace) -> VerbOutput:
     The page, FILE.html or DIR/index.html, has a section for each sampler.
     A section shows points and spectrum in 2-D, and lists dims, counts and sources.
     DIR/bench.csv has the numbers.
+
+    --screen compares masks and screen-space samplers by their errors in images, before any render.
+    The table has the variance, its share at low frequencies, and the variance after filters.
     """
+    if options.screen is not None:
+        return _screen(options)
+    for name in ("block", "sigma", "alpha"):
+        if getattr(options, name) is not None:
+            raise ParameterError(Parameter(name), " needs ", Parameter("screen"), "; add it.")
     from mcspectra.report.bench_page import bench_table, check_bench_file, is_folder, write_bench
     from mcspectra.report.sampler_cards import CardEffort, all_samplers, measure_card
 
@@ -282,3 +304,49 @@ def bench_(options: argparse.Namespace) -> VerbOutput:
     lines += [f"bench: {path}" for path in written]
     data = data_of(bench) | ({"files": written} if written else {})
     return VerbOutput("\n".join(filter(None, lines)), data)
+
+
+_MASKS = (
+    "random",
+    "sobol | decorrelate(mask='white')",
+    "sobol | decorrelate(mask='r2')",
+    "sobol | decorrelate(mask='blue-noise')",
+    "sobol | decorrelate(mask='blue-noise', time='golden')",
+    "sobol | decorrelate(mask='spatiotemporal')",
+)
+"""Samplers that ``bench --screen`` compares by default."""
+
+
+def _screen(options: argparse.Namespace) -> VerbOutput:
+    """Compare masks and screen-space samplers by the errors of images."""
+    from mcspectra.rendering import screen_spectrum
+    from mcspectra.report.screen_page import (
+        check_screen_file,
+        screen_findings,
+        screen_summary,
+        screen_table,
+        write_screen,
+    )
+
+    for file in options.out:
+        check_screen_file(file)
+    for name, given in (("counts", options.counts), ("dims", options.dims)):
+        if given is not None and len(given) > 1:
+            raise ParameterError(
+                Parameter(name), f" has {len(given)} numbers; with --screen give one."
+            )
+    result = screen_spectrum(
+        options.specs or list(_MASKS),
+        options.screen,
+        (options.counts or [1])[0],
+        dims=(options.dims or [None])[0],
+        seeds=options.realizations or 8,
+        rng=options.seed or 0,
+        **given_of(options, "block", "sigma", "alpha"),
+    )
+    table = screen_table(result)
+    lines = [page_table(table), table.caption, *screen_findings(result)]
+    written = [write_screen(result, file) for file in options.out]
+    lines += [f"screen: {path}" for path in written]
+    data = screen_summary(result) | ({"files": written} if written else {})
+    return VerbOutput("\n".join(lines), data)

@@ -55,6 +55,7 @@ __all__ = [
     "ParameterError",
     "Part",
     "PreasymptoticWarning",
+    "SlowSamplerWarning",
     "SpecError",
     "StorageError",
     "StoreError",
@@ -244,6 +245,10 @@ class LargeStudyWarning(UserWarning):
 
 class IncompleteImageWarning(UserWarning):
     """An image lacks a part of the scene: a lens, a light, or a specular surface."""
+
+
+class SlowSamplerWarning(UserWarning):
+    """The user's program takes long to print points; the message gives the estimated time."""
 
 
 class NoGainWarning(UserWarning):

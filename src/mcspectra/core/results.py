@@ -274,6 +274,18 @@ image_relmse | f | 1 | n | relMSE of the image against the reference
 image_smape | f | 1 | n | SMAPE of the image against the reference
 average_picture_ratio | f | 1 | alpha | that variance / that of the other frames
 flip | f | 1 | n y x | FLIP of one frame against the mean
+error_power | f | f² | frequency radius | \
+power of the errors of pixels; white noise: mean squared error of a pixel
+relative_power | f | 1 | frequency radius | \
+power of the errors of pixels / mean squared error of a pixel; white noise: 1
+pixel_error | f | f² | | mean squared error of a pixel
+slow_share | f | 1 | | power of errors at low frequencies in time / its mean; white noise: 1
+filtered_error | f | f² | filter | mean squared error of a pixel after a filter
+filtered_ratio | f | 1 | filter | mean squared error after a filter / that of random points
+best | i | 1 | filter | number of the sampler of the least error; −1: undecided
+error_image | f | f | y x | errors of the pixels of one frame
+error_slice | f | f | frame x | errors of one row of pixels over the frames
+blocks | i | 1 | | independent blocks of pixels and frames
 predicted_power | f | f² | radius | \
 power of an image of errors, from spectra; white noise: the variance
 measured_power | f | f² | radius | power of an image of errors

@@ -12,7 +12,7 @@ import xarray as xr
 from mcspectra.core.checks import Array, as_choice
 from mcspectra.core.display import shown
 from mcspectra.core.errors import ParameterError
-from mcspectra.plots import maps, points, spectra, variance, warps
+from mcspectra.plots import maps, points, screens, spectra, variance, warps
 from mcspectra.plots.description import Axis, Dots, Heatmap, Line, Mark, Panel, Plot, Scale
 from mcspectra.plots.groups import (
     Data,
@@ -196,7 +196,7 @@ PLOT_KINDS: Mapping[str, PlotKind] = {
     "primary": PlotKind(warps.primary, ("primary_value", "primary_jump", "face_jump")),
     **{
         kind: PlotKind(describe, variables, pixels=True)
-        for kind, (variables, describe) in maps.MAPS.items()
+        for kind, (variables, describe) in {**maps.MAPS, **screens.SCREENS}.items()
     },
     "anything": PlotKind(anything, (), pixels=True),
 }

@@ -26,16 +26,33 @@ from .scenes import load_scene as load_scene
 from .scenes import named_pixels as named_pixels
 from .scenes import project as project
 from .scenes import render_file as render_file
+from .screen_samplers import CommandScreen as CommandScreen
+from .screen_samplers import FunctionScreen as FunctionScreen
+from .screen_samplers import PythonScreen as PythonScreen
+from .screen_samplers import ScreenBlock as ScreenBlock
+from .screen_samplers import ScreenSampler as ScreenSampler
+from .screen_samplers import Tables as Tables
+from .screen_samplers import Tiles as Tiles
+from .screen_samplers import as_screen_sampler as as_screen_sampler
+from .screen_spectra import screen_spectrum as screen_spectrum
 from .skies import sky_pixels as sky_pixels
 from .wavefront import Wavefront as Wavefront
 
 __all__ = [
     "SCENES",
+    "CommandScreen",
+    "FunctionScreen",
     "MitsubaSampler",
     "PathPixel",
     "Pixel",
     "PixelMIS",
+    "PythonScreen",
+    "ScreenBlock",
+    "ScreenSampler",
+    "Tables",
+    "Tiles",
     "Wavefront",
+    "as_screen_sampler",
     "check_scene",
     "compare_strategies",
     "describe",
@@ -53,6 +70,7 @@ __all__ = [
     "register_samplers",
     "render",
     "render_file",
+    "screen_spectrum",
     "sky_pixels",
     "variance_map",
     "veach",

@@ -4,14 +4,21 @@ Void and cluster fills the cells of a fine grid one by one, always at the emptie
 Low-discrepancy blue noise starts from a blue-noise set.
 It moves the points within their cells, so that they form a low-discrepancy set.
 
-Notation of the kernels: a ``pattern`` bool (s, s) on the torus has ones at the points.
-``energy`` float64 (s, s) is the sum of Gaussians around the ones.
-``weights`` (2·reach + 1,) is one Gaussian along an axis.
-``heads`` int64 (2, s) holds two column numbers for each row of the pattern:
+A spatio-temporal mask fills the cells of T frames of s × s cells, which also repeat in time.
+Two cells of one frame repel each other by a Gaussian in space.
+Two cells at one place repel each other by a Gaussian in time; other cells do not interact.
+Every frame is then blue in space, and every pixel is blue in time.
+
+Notation of the kernels: a ``pattern`` bool (T·s, s) on the torus has ones at the points.
+The rows of frame t are t·s … t·s + s − 1; sets and dither masks have one frame.
+``energy`` float64 (T·s, s) is the sum of Gaussians around the ones.
+``weights`` is a tuple: one Gaussian along an axis of space (2·reach + 1,), and one over time (T,).
+``heads`` int64 (2, T·s) holds two column numbers for each row of the pattern:
 the column of the one with the highest energy (tightest cluster),
 and the column of the zero with the lowest energy (largest void).
 A column number is −1 if the row has no ones, or no zeros.
-A ``grid`` is the tuple of pattern, energy and heads; cell (i, j) has the number i·s + j.
+A ``grid`` is the tuple of pattern, energy and heads.
+The cell in row i and column j has the number i·s + j.
 Arrays ``points`` float64 (s, s, 2) have one point in each of s × s cells, in units of cells:
 the point of cell (i, j) is in [i, i+1) × [j, j+1), on the torus.
 
@@ -37,12 +44,22 @@ from mcspectra.samplers._kernels import _mix_below, _shuffle
 from mcspectra.samplers.base import PlaneSampler, Structure
 from mcspectra.samplers.optimised import OptimisedSampler, Report, random_points
 
-__all__ = ["LowDiscrepancyBlueNoise", "VoidAndCluster", "dither_mask", "snap_in_chunks"]
+__all__ = [
+    "LowDiscrepancyBlueNoise",
+    "VoidAndCluster",
+    "dither_mask",
+    "snap_in_chunks",
+    "spatiotemporal_mask",
+]
 
 _MOST_SIDE = 2048
+_MOST_FRAMES, _MOST_CELLS = 256, 2**22  # the largest masks take about a minute
 _ONES = 0.1  # fraction of ones in the first pattern of a mask, Ulichney (1993)
 _SIGMA = 1.5  # width of the Gaussian in cells, Ulichney (1993)
 _SIGMA_PER_SPACING = 0.47  # width per spacing; 1.5 cells for one point in ten cells (Ulichney)
+# Width of the Gaussian in time, in frames, as in the authors' program [Wolfe2022]_.
+# Widths that grow with the distance of the ones in time give peaks at single frequencies
+_SIGMA_TIME = 1.9
 _WIDTHS = 6.0  # cutoff radius of the Gaussian, in widths; its value there is 1.5e-8
 _CLEAR = 1e-9  # smallest gain of energy above rounding; ensures that relaxation ends
 _CLUSTER, _VOID = 0, 1
@@ -72,16 +89,58 @@ def dither_mask(size: int, keys: Array) -> Array:
     ----------
     [Ulichney1993]_.
     """
+    return np.asarray(spatiotemporal_mask(size, 1, keys)[0])
+
+
+def spatiotemporal_mask(size: int, frames: int, keys: Array) -> Array:
+    """Make a mask that is blue noise in every frame, and in time at every pixel.
+
+    Parameters
+    ----------
+    size
+        Cells along a side, at most 2048.
+    frames
+        Number of frames, at most 256; the mask repeats after them.
+    keys
+        Keys of the random numbers, uint64 (2,), from `Stream.keys`.
+
+    Returns
+    -------
+    ndarray
+        The ranks 0 … frames · size² − 1, int64 (frames, size, size).
+
+    Raises
+    ------
+    ParameterError
+        If a number is out of range, or there are more than 2^22 cells.
+
+    Notes
+    -----
+    The energy has separate kernels for space and time.
+    A Gaussian over space and time together would make frames white if taken one by one.
+    A mask of 64 × 64 cells and 16 frames takes about a second.
+
+    References
+    ----------
+    [Wolfe2022]_, [Ulichney1993]_.
+    """
     size = as_integer("size", size, least=1, most=_MOST_SIDE)
-    if size == 1:
-        return np.zeros((1, 1), np.int64)
-    grid, weights = _random_grid(keys[0], keys[1], max(1, round(_ONES * size * size)), size)
-    while not _relax(grid, weights, size * size):
+    frames = as_integer("frames", frames, least=1, most=_MOST_FRAMES)
+    cells = frames * size * size
+    if cells > _MOST_CELLS:
+        raise ParameterError(
+            f"{frames} frames of {size} × {size} cells are {cells:,} cells; use at most "
+            f"{_MOST_CELLS:,}."
+        )
+    if cells == 1:
+        return np.zeros((1, 1, 1), np.int64)
+    grid, weights = _random_grid(keys[0], keys[1], max(1, round(_ONES * cells)), frames, size)
+    while not _relax(grid, weights, cells):
         pass
-    order, ranks = np.empty(size * size, np.int64), np.empty(size * size, np.int64)
+    order, ranks = np.empty(cells, np.int64), np.empty(cells, np.int64)
     _rank_all(grid, order)
-    ranks[order] = np.arange(size * size)
-    return ranks.reshape(size, size)
+    ranks[order] = np.arange(cells)
+    return ranks.reshape(frames, size, size)
 
 
 @final
@@ -111,7 +170,7 @@ class VoidAndCluster(PlaneSampler, OptimisedSampler):
 
     def _optimize(self, n: int, keys: Array, report: Report) -> Array:
         side = math.isqrt(self.cells * n - 1) + 1
-        grid, weights = _random_grid(keys[0], keys[1], n, side)
+        grid, weights = _random_grid(keys[0], keys[1], n, 1, side)
         rounds = 0
         while not _relax(grid, weights, n):
             rounds += 1
@@ -123,16 +182,20 @@ class VoidAndCluster(PlaneSampler, OptimisedSampler):
 
 
 @kernel
-def _spread(cell: Any, sign: float, weights: Array, energy: Array) -> None:
-    # Add the Gaussian around a cell, times `sign`, to the energy.
-    side, reach = energy.shape[0], weights.size // 2
-    for k in range(weights.size):
-        row = energy[(cell // side + k - reach) % side]
-        height = sign * weights[k]
+def _spread(cell: Any, sign: float, weights: Any, energy: Array) -> None:
+    # Add the Gaussians around a cell, times `sign`, to the energy.
+    space, time = weights
+    side, reach = energy.shape[1], space.size // 2
+    top, i = cell // side // side * side, cell // side % side
+    for k in range(space.size):
+        row = energy[top + (i + k - reach) % side]
+        height = sign * space[k]
         j = (cell - reach) % side
-        for m in range(weights.size):
-            row[j] += height * weights[m]
+        for m in range(space.size):
+            row[j] += height * space[m]
             j = j + 1 if j + 1 < side else 0
+    for later in range(1, time.size):
+        energy[(cell // side + later * side) % energy.shape[0], cell % side] += sign * time[later]
 
 
 @kernel
@@ -140,7 +203,7 @@ def _find_heads(i: int, pattern: Array, energy: Array, heads: Array) -> None:
     # Store the columns of the tightest cluster and of the largest void in row i in heads.
     high, low = -np.inf, np.inf
     heads[_CLUSTER, i] = heads[_VOID, i] = -1
-    for j in range(pattern.shape[0]):
+    for j in range(pattern.shape[1]):
         e = energy[i, j]
         if pattern[i, j]:
             if e > high:
@@ -150,42 +213,57 @@ def _find_heads(i: int, pattern: Array, energy: Array, heads: Array) -> None:
 
 
 @kernel
-def _random_grid(k0: np.uint64, k1: np.uint64, ones: int, side: int) -> Any:
-    # Return a grid with `ones` ones in random cells, and the weights of the Gaussian.
-    pattern, order = np.zeros((side, side), np.bool_), np.empty(side * side, np.int64)
+def _random_grid(k0: np.uint64, k1: np.uint64, ones: int, frames: int, side: int) -> Any:
+    # Return a grid with `ones` ones in random cells, and the weights of the Gaussians.
+    rows = frames * side
+    pattern, order = np.zeros((rows, side), np.bool_), np.empty(rows * side, np.int64)
     _shuffle(k0, k1, 0, order)
     for cell in order[:ones]:
         pattern[cell // side, cell % side] = True
-    grid = pattern, np.empty((side, side)), np.empty((2, side), np.int64)
+    grid = pattern, np.empty((rows, side)), np.empty((2, rows), np.int64)
     return grid, _start(grid)
 
 
 @kernel
-def _start(grid: Any) -> Array:
+def _start(grid: Any) -> Any:
     # Fill energy and heads of a pattern that has ones; return the weights.
     pattern, energy, heads = grid
-    side, cells = pattern.shape[0], np.flatnonzero(pattern)
-    sigma = max(_SIGMA, _SIGMA_PER_SPACING * side / np.sqrt(cells.size))
+    (rows, side), cells = pattern.shape, np.flatnonzero(pattern)
+    frames = rows // side
+    sigma = max(_SIGMA, _SIGMA_PER_SPACING * side / np.sqrt(cells.size / frames))
     reach = min(int(np.ceil(_WIDTHS * sigma)), (side - 1) // 2)
-    weights: Array = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
+    space: Array = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
+    later = np.arange(frames)
+    time: Array = np.exp(-0.5 * (np.minimum(later, frames - later) / _SIGMA_TIME) ** 2)
+    weights = space, time
     energy[:] = 0.0
     for cell in cells:
         _spread(cell, 1.0, weights, energy)
-    for i in range(side):
+    for i in range(rows):
         _find_heads(i, pattern, energy, heads)
     return weights
 
 
 @kernel
-def _flip(cell: int, grid: Any, weights: Array) -> None:
+def _flip(cell: int, grid: Any, weights: Any) -> None:
     # Turn a one into a zero, or a zero into a one.
     pattern, energy, heads = grid
-    side, reach = pattern.shape[0], weights.size // 2
+    (rows, side), reach = pattern.shape, weights[0].size // 2
     i, j = cell // side, cell % side
     pattern[i, j] = not pattern[i, j]
     _spread(cell, 1.0 if pattern[i, j] else -1.0, weights, energy)
-    for k in range(weights.size):
-        _find_heads((i + k - reach) % side, pattern, energy, heads)
+    for k in range(weights[0].size):
+        _find_heads(i // side * side + (i + k - reach) % side, pattern, energy, heads)
+
+    # In other frames, only the cell at this place has a new energy
+    for other in range(i + side, i + rows, side):
+        row = other % rows
+        kind = _CLUSTER if pattern[row, j] else _VOID
+        head, sign = heads[kind, row], 1.0 if kind == _CLUSTER else -1.0
+        if head == j:
+            _find_heads(row, pattern, energy, heads)
+        elif sign * energy[row, j] > sign * energy[row, head]:
+            heads[kind, row] = j
 
 
 @kernel
@@ -197,15 +275,15 @@ def _head(kind: int, grid: Any) -> int:
     for i in range(energy.shape[0]):
         j = heads[kind, i]
         if j >= 0 and sign * energy[i, j] > best:
-            best, cell = sign * energy[i, j], i * energy.shape[0] + j
+            best, cell = sign * energy[i, j], i * energy.shape[1] + j
     return cell
 
 
 @kernel
-def _relax(grid: Any, weights: Array, steps: int) -> bool:
+def _relax(grid: Any, weights: Any, steps: int) -> bool:
     # Move tightest clusters to largest voids, at most `steps` times; return whether it converged.
     energy = grid[1]
-    side = energy.shape[0]
+    side = energy.shape[1]
     for _ in range(steps):
         cluster = _head(_CLUSTER, grid)
         before = energy[cluster // side, cluster % side] - 1.0

@@ -16,7 +16,7 @@ import subprocess
 import tempfile
 import threading
 from abc import abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -45,6 +45,8 @@ from mcspectra.samplers.base import MAX_COUNT, Draw, Randomization, Sampler, rep
 from mcspectra.samplers.law import Fixed, Law, Unknown, bases_to_scramble
 
 __all__ = [
+    "PLACEHOLDER",
+    "SEED_BITS",
     "CommandSampler",
     "FunctionSampler",
     "GivenPoints",
@@ -52,17 +54,23 @@ __all__ = [
     "PythonSampler",
     "allow_code",
     "allow_own_code",
+    "as_label",
     "check_code",
     "loaded_function",
     "net_quality",
+    "printed_points",
     "qualified_name",
     "recognized",
 ]
 
-_PLACEHOLDER = re.compile(r"\{(\w*)\}")
+PLACEHOLDER = re.compile(r"\{(\w*)\}")
+"""Pattern of a placeholder of a command, such as {n}."""
+
 _PLACEHOLDERS = ("n", "seed", "dims")
 _COORDINATE_BYTES = 64  # largest size of a printed number with its separator
-_SEED_BITS = 31  # number of bits of a seed; programs read the seed as int
+
+SEED_BITS = 31
+"""Number of bits of a seed for a program, which reads the seed as int."""
 
 # Recognition of nets and lattices among given sets
 _NET_BASES = (2, 3, 5)
@@ -76,7 +84,8 @@ _OFF_LATTICE = 0.01  # rounding tolerance of coordinates of a lattice, in units 
 _own: set[str] = set()
 
 
-def _as_label(name: str, given: object) -> str:
+def as_label(name: str, given: object) -> str:
+    """Check a short printable text of a field."""
     if isinstance(given, str) and len(given) <= 80 and given.isprintable():
         return given
     raise ParameterError(
@@ -164,7 +173,7 @@ class GivenPoints(Sampler):
     path: str | Sequence[str] = ()
     points: Array = field(default=None, repr=False, compare=False)  # type: ignore[arg-type]
     cycle: bool = flag(default=False)
-    name_: str = checked(_as_label, "")
+    name_: str = checked(as_label, "")
     dims: int = None  # type: ignore[assignment]
     sets: PointSets = field(init=False, repr=False, compare=False)
     digest: str = field(init=False)
@@ -530,7 +539,7 @@ class PythonSampler(_OfCode):
     function: str
     dims: int = DEFAULT_DIMS
     unbiased_: bool = flag(default=True)
-    name_: str = checked(_as_label, "")
+    name_: str = checked(as_label, "")
 
     def _check(self) -> None:
         loaded_function(self.function)
@@ -580,7 +589,7 @@ class CommandSampler(_OfCode):
     dims: int = DEFAULT_DIMS
     timeout: float = real(60.0, above=0.0)
     unbiased_: bool = flag(default=True)
-    name_: str = checked(_as_label, "")
+    name_: str = checked(as_label, "")
 
     def _check(self) -> None:
         if not words_of(self.run):
@@ -588,7 +597,7 @@ class CommandSampler(_OfCode):
                 f"command(run={self.run!r:.80}): write a program and its arguments, as in "
                 "'./mine {n} {seed}', with quotes closed."
             )
-        unknown = [name for name in _PLACEHOLDER.findall(self.run) if name not in _PLACEHOLDERS]
+        unknown = [name for name in PLACEHOLDER.findall(self.run) if name not in _PLACEHOLDERS]
         if unknown:
             raise ParameterError(
                 f"command(run={self.run!r:.80}): {{{unknown[0]}}} stands for nothing; use {{n}}, "
@@ -603,75 +612,99 @@ class CommandSampler(_OfCode):
 
     def make_one(self, n: int, stream: Stream, realization: int) -> object:
         """Run the program and read its output."""
-        seed = int(stream.keys(realization, 1)[0, 0]) >> (64 - _SEED_BITS)
+        seed = int(stream.keys(realization, 1)[0, 0]) >> (64 - SEED_BITS)
         values = {"n": n, "seed": seed, "dims": self.dims}
-        words = [
-            _PLACEHOLDER.sub(lambda found: str(values[found[1]]), word)
-            for word in words_of(self.run)
-        ]
-        text = self._printed(words, 4096 + n * self.dims * _COORDINATE_BYTES)
-        name = f"The output of {self.spec} at n = {n}"
-        sets = parse_dat(text.replace(",", " "), name)
-        if len({points.shape[1] for points in sets}) > 1:
-            raise FileFormatError(f"{name} has sets of different dims; print one set.")
-        return np.concatenate(sets)
+        return printed_points(self, values, n, f"n = {n}")
 
-    def _printed(self, words: Sequence[str], most: int) -> str:
-        """Return the output of a program, at most `most` bytes, and end all its processes."""
-        late = threading.Event()
 
-        with tempfile.TemporaryFile() as errors:
-            try:
-                process = subprocess.Popen(
-                    words,
-                    stdin=subprocess.DEVNULL,
-                    stdout=subprocess.PIPE,
-                    stderr=errors,
-                    start_new_session=True,
-                )
-            except (OSError, ValueError) as error:
-                reason = getattr(error, "strerror", None) or reason_of(error, 200)
+def printed_points(sampler: Any, values: Mapping[str, int], count: int, place: str) -> Array:
+    """Run the program of a sampler, and return the points (k, dims) that it prints.
+
+    Parameters
+    ----------
+    sampler
+        A component with the fields run, dims and timeout.
+    values
+        Values of the placeholders.
+    count
+        Number of points that the program should print; a much longer output is an error.
+    place
+        The values in words, for messages.
+
+    Raises
+    ------
+    ParameterError
+        If the program does not exist, takes too long, fails, or prints too much.
+    FileFormatError
+        If it prints something other than finite numbers, or sets of different dims.
+    """
+    words = [
+        PLACEHOLDER.sub(lambda found: str(values[found[1]]), word) for word in words_of(sampler.run)
+    ]
+    most = 4096 + count * sampler.dims * _COORDINATE_BYTES
+    text = _output_of(words, most, sampler.timeout, sampler.spec)
+    name = f"The output of {sampler.spec} at {place}"
+    sets = parse_dat(text.replace(",", " "), name)
+    if len({points.shape[1] for points in sets}) > 1:
+        raise FileFormatError(f"{name} has sets of different dims; print one set.")
+    return np.concatenate(sets)
+
+
+def _output_of(words: Sequence[str], most: int, timeout: float, spec: str) -> str:
+    """Return the output of a program, at most `most` bytes, and end all its processes."""
+    late = threading.Event()
+
+    with tempfile.TemporaryFile() as errors:
+        try:
+            process = subprocess.Popen(
+                words,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=errors,
+                start_new_session=True,
+            )
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or reason_of(error, 200)
+            raise ParameterError(
+                f"{spec}: the program {words[0]!r} cannot be run: {reason}; "
+                "compile it, or give its path."
+            ) from None
+
+        def end() -> None:
+            with suppress(OSError):
+                os.killpg(process.pid, signal.SIGKILL)
+
+        def stop() -> None:
+            late.set()
+            end()
+
+        timer = threading.Timer(timeout, stop)
+        timer.start()
+        assert process.stdout is not None
+        try:
+            data = process.stdout.read(most + 1)
+            if len(data) > most:
                 raise ParameterError(
-                    f"{self.spec}: the program {words[0]!r} cannot be run: {reason}; "
-                    "compile it, or give its path."
-                ) from None
-
-            def end() -> None:
-                with suppress(OSError):
-                    os.killpg(process.pid, signal.SIGKILL)
-
-            def stop() -> None:
-                late.set()
-                end()
-
-            timer = threading.Timer(self.timeout, stop)
-            timer.start()
-            assert process.stdout is not None
-            try:
-                data = process.stdout.read(most + 1)
-                if len(data) > most:
-                    raise ParameterError(
-                        f"{self.spec} printed more than {most} bytes; it must print one point per "
-                        "line, and only the requested number of points."
-                    )
-                code = process.wait()
-            finally:
-                timer.cancel()
-                end()
-                process.stdout.close()
-                process.wait()
-            if late.is_set():
-                raise ParameterError(
-                    f"{self.spec} took more than {self.timeout:g} s; ask for fewer points, or set "
-                    "timeout=."
+                    f"{spec} printed more than {most} bytes; it must print one point per "
+                    "line, and only the requested number of points."
                 )
-            if code:
-                errors.seek(max(0, errors.seek(0, os.SEEK_END) - 4096))
-                lines = errors.read().decode(errors="replace").strip().splitlines()
-                said = reason_of(ValueError(lines[-1]), 200) if lines else "it printed no reason"
-                how = f"exit code {code}" if code > 0 else f"signal {-code}"
-                raise ParameterError(f"{self.spec} ended with {how}: {said}.")
-        return data.decode(errors="replace")
+            code = process.wait()
+        finally:
+            timer.cancel()
+            end()
+            process.stdout.close()
+            process.wait()
+        if late.is_set():
+            raise ParameterError(
+                f"{spec} took more than {timeout:g} s; ask for fewer points, or set timeout=."
+            )
+        if code:
+            errors.seek(max(0, errors.seek(0, os.SEEK_END) - 4096))
+            lines = errors.read().decode(errors="replace").strip().splitlines()
+            said = reason_of(ValueError(lines[-1]), 200) if lines else "it printed no reason"
+            how = f"exit code {code}" if code > 0 else f"signal {-code}"
+            raise ParameterError(f"{spec} ended with {how}: {said}.")
+    return data.decode(errors="replace")
 
 
 def loaded_function(name: object) -> Callable[..., Any]:

@@ -14,9 +14,10 @@ from typing import Any, ClassVar, final
 
 import numpy as np
 
+from mcspectra.core.cache import cached_array
 from mcspectra.core.checks import BELOW_ONE, Array, as_real, as_reals
 from mcspectra.core.errors import ParameterError
-from mcspectra.core.fields import checked, choice, settle, whole
+from mcspectra.core.fields import checked, choice, flag, settle, whole
 from mcspectra.core.jit import kernel
 from mcspectra.core.streams import Stream, mix_bits, mix_uniform
 from mcspectra.samplers._kernels import translated
@@ -380,7 +381,7 @@ def _reflect_at_random(keys: Array, points: Array, out: Array) -> None:
 class Decorrelate(Randomization):
     """Decorrelate pixels: all share one realization of the sampler, each with its own shift.
 
-    Realization r is pixel (r mod width, r div width) of an image.
+    Realization r is pixel (r mod width, r div width mod width) of frame (r div width²).
 
     Attributes
     ----------
@@ -390,9 +391,20 @@ class Decorrelate(Randomization):
         Source of the random numbers. ``"white"``: independent in all pixels.
         ``"blue-noise"``: a repeated void-and-cluster dither mask, at a random place for each dim.
         Neighbors get very different shifts, and the error of the image is blue noise.
+        ``"spatiotemporal"``: the same, with a mask that is also blue noise in time at each pixel.
         ``"r2"``: Roberts's R-sequence indexed by the number of the pixel, from a random start.
     width
         Width of the image, and side of the blue-noise mask, in pixels.
+    frames
+        Number of frames after which the spatio-temporal mask repeats.
+    time
+        Change of the blue-noise mask from frame to frame. ``"repeat"``: none.
+        ``"golden"``: the shifts of frame t are larger by t times the steps of the R-sequence.
+        In one dim this step is the golden ratio.
+        ``"move"``: the whole mask moves to another place, given by the R-sequence in 2-D.
+    advance
+        Whether frame t uses the points t·n … (t + 1)·n − 1 of the shared sequence.
+        By default all frames use the first n points.
 
     Notes
     -----
@@ -405,18 +417,22 @@ class Decorrelate(Randomization):
     In one pixel every point is uniform with any mask.
     In each dim, the shifts of the width² pixels of a blue-noise mask are stratified:
     each of width² equal intervals of [0,1) contains one shift.
+    The shifts of a spatio-temporal mask are stratified in the same way over all its frames.
 
     References
     ----------
-    [GeorgievFajardo2016]_, [Roberts2018]_
+    [GeorgievFajardo2016]_, [Roberts2018]_, [Wolfe2022]_
     """
 
     pointwise: ClassVar[bool] = True
     fits: ClassVar[Mapping[Structure, Structure]] = _TRANSLATED
     debiases: ClassVar[bool] = True
     mode: str = choice("shift", "digital-shift", "owen")
-    mask: str = choice("white", "blue-noise", "r2")
+    mask: str = choice("white", "blue-noise", "r2", "spatiotemporal")
     width: int = whole(64, least=1, most=256)
+    frames: int = whole(16, least=1, most=64)
+    time: str = choice("repeat", "golden", "move")
+    advance: bool = flag(default=False)
 
     def _check(self) -> None:
         settle(
@@ -430,11 +446,21 @@ class Decorrelate(Randomization):
                 f"mask is {self.mask!r}, but mode='owen' needs many random numbers for each dim "
                 "and a mask gives one; use mask='white' or mode='shift'."
             )
+        if self.time != "repeat" and self.mask != "blue-noise":
+            raise ParameterError(
+                f"time is {self.time!r}, but only mask='blue-noise' changes in this way; leave "
+                "time out."
+            )
 
     def fit(self, sampler: Sampler) -> Randomization:
         """Check that the mode accepts the sampler, and that a mask is not used in other bases."""
         Randomization.fit(self, sampler)
         self._step().fit(sampler)
+        if self.advance and not sampler.sequence:
+            raise ParameterError(
+                f"advance=True takes later points in later frames, but {sampler.spec} is not a "
+                "sequence; use a sequence such as sobol, or leave advance out."
+            )
         others = set(sampler.digit_bases) - {2}
         if self.mode == "digital-shift" and self.mask != "white" and others:
             raise ParameterError(
@@ -445,6 +471,8 @@ class Decorrelate(Randomization):
 
     def law_of(self, law: Law, n: int) -> Law:
         """Return the law of one pixel; pixels share one set."""
+        if self.advance:  # each frame has other points
+            return Randomization.law_of(self, law, n)
         return self._step().law_of(law, n)
 
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
@@ -454,7 +482,14 @@ class Decorrelate(Randomization):
     def draw(
         self, sampler: Sampler, n: int, stream: Stream, own: Stream, first: int, count: int
     ) -> Array:
-        shared = repeated(sampler.draw_stream(n, stream, 0, 1)[0], count)
+        if self.advance:
+            # Draw a power of two times n points, because the counts of some sequences are limited
+            frames = (first + count - 1) // self.width**2 + 1
+            most = sampler.check_count(n << (frames - 1).bit_length())
+            points = sampler.draw_stream(most, stream, 0, 1)[0].reshape(-1, n, sampler.dims)
+            shared = points[np.arange(first, first + count) // self.width**2]
+        else:
+            shared = repeated(sampler.draw_stream(n, stream, 0, 1)[0], count)
         return self._moved(self._step().fit(sampler), shared, own, first)
 
     def counts_near(self, sampler: Sampler, n: int) -> tuple[int | None, int]:
@@ -463,7 +498,7 @@ class Decorrelate(Randomization):
     def offsets(self, stream: Stream, first: int, count: int, dims: int) -> Array:
         """Return the mask's shifts (count, dims) for pixels first … first + count − 1."""
         pixels = np.arange(first, first + count)
-        places = stream.child(0).uniforms(0, 1, 2 * dims)[0]
+        places = stream.child(0).uniforms(0, 1, 3 * dims)[0]
         if self.mask == "r2":
             from mcspectra.samplers.lattice import golden_steps
 
@@ -472,12 +507,22 @@ class Decorrelate(Randomization):
             return np.asarray((sums >> np.uint64(11)) * 2.0**-53)
 
         # Ranks of the mask, moved separately for each dim, plus a random number within each rank
-        width, places = self.width, places.reshape(2, dims)
+        width, places = self.width, places.reshape(3, dims)
+        ranks = _mask(width, self.frames if self.mask == "spatiotemporal" else 1)
+        frame = pixels // width**2
         columns = pixels[:, None] % width + (places[0] * width).astype(np.int64)
         rows = pixels[:, None] // width % width + (places[1] * width).astype(np.int64)
-        ranks = _mask(width)[rows % width, columns % width]
+        if self.time == "move":
+            steps = (_steps_of(frame, 2) * width).astype(np.int64)
+            columns, rows = columns + steps[:, :1], rows + steps[:, 1:]
+        frames = frame[:, None] + (places[2] * len(ranks)).astype(np.int64)
+        found = ranks[frames % len(ranks), rows % width, columns % width]
         inside = stream.uniforms(first, count, dims)
-        return np.asarray(np.minimum((ranks + inside) / width**2, BELOW_ONE))
+        shifts = np.minimum((found + inside) / ranks.size, BELOW_ONE)
+        if self.time == "golden":
+            shifts += _steps_of(frame, dims)
+            shifts -= shifts >= 1.0
+        return np.asarray(shifts)
 
     def _moved(self, step: Randomization, points: Array, stream: Stream, first: int) -> Array:
         if self.mask == "white":
@@ -497,8 +542,22 @@ class Decorrelate(Randomization):
         return step
 
 
-@lru_cache(maxsize=4)
-def _mask(width: int) -> Array:
-    from mcspectra.samplers.dither import dither_mask
+def _steps_of(frame: Array, dims: int) -> Array:
+    """Return the points of the R-sequence [Roberts2018]_ of these numbers (k,): (k, dims)."""
+    from mcspectra.samplers.lattice import golden_steps
 
-    return dither_mask(width, Stream(_MASK_KEY).keys(0, 1)[0])
+    steps = frame.astype(np.uint64)[:, None] * golden_steps(dims)  # modulo 2^64
+    return np.asarray((steps >> np.uint64(11)) * 2.0**-53)
+
+
+@lru_cache(maxsize=4)
+def _mask(width: int, frames: int) -> Array:
+    """Return the ranks (frames, width, width); masks with several frames are cached on disk."""
+    from mcspectra.samplers.dither import spatiotemporal_mask
+
+    def make() -> Array:
+        return spatiotemporal_mask(width, frames, Stream(_MASK_KEY).keys(0, 1)[0])
+
+    if frames == 1:
+        return make()
+    return cached_array(f"spatio-temporal mask 1, {frames} frames of {width}", make)
