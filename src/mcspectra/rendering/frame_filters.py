@@ -64,11 +64,18 @@ class Filter(Component, ABC):
     def weights(self) -> Array:
         """Return the weights along one axis; their sum is 1."""
 
+    def response(self, frequency: Array) -> Array:
+        """Return K(ν) along one axis, for frequencies in cycles per pixel or per frame.
+
+        Filters in space are centered at a pixel. Filters in time use this frame and older frames.
+        """
+        weights = self.weights()
+        steps = np.arange(weights.size) - (0.0 if self.temporal else (weights.size - 1) / 2)
+        return np.asarray(np.exp(-2j * np.pi * np.multiply.outer(frequency, steps)) @ weights)
+
     def transfer(self, frequency: Array) -> Array:
         """Return |K(ν)|² along one axis, for frequencies in cycles per pixel or per frame."""
-        weights = self.weights()
-        phases = np.exp(-2j * np.pi * np.multiply.outer(frequency, np.arange(weights.size)))
-        return np.asarray(np.abs(phases @ weights) ** 2)
+        return np.asarray(np.abs(self.response(frequency)) ** 2)
 
 
 @final

@@ -32,6 +32,7 @@ from mcspectra.core.spec import short_spec
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators.quadrature import square_integral
 from mcspectra.integrands import Integrand, as_integrand
+from mcspectra.rendering.frame_filters import Ema, Gaussian
 from mcspectra.rendering.screen_samplers import ScreenBlock, ScreenSampler, as_screen_sampler
 
 if TYPE_CHECKING:
@@ -149,8 +150,7 @@ def screen_spectrum(
     A file of a mask has no seeds; different parts of it are different blocks.
     If the block holds the whole mask, its numbers are exact and their intervals have no width.
     If it has only one block that is not the whole mask, the intervals are unknown (NaN).
-    The filters have the squared transfer functions exp(−4π²σ²ν²) in space and
-    α² / (1 − 2 (1 − α) cos 2πν + (1 − α)²) in time.
+    The filters are ``gaussian`` and ``ema`` of `mcspectra.rendering.frames`.
     If the points do not repeat after the block, pixels within 4 σ of its border are not used.
     The frames during which the EMA still remembers 0.5 % of its start are not used either.
 
@@ -168,8 +168,8 @@ def screen_spectrum(
     """
     n = as_integer("n", n, least=1)
     seeds = as_integer("seeds", seeds, least=2, most=4096)
-    sigma = as_real("sigma", sigma, least=0.0, most=1000.0)
-    alpha = as_real("alpha", alpha, above=0.0, most=1.0)
+    sigma = as_real("sigma", sigma, least=0.1, most=100.0)
+    alpha = as_real("alpha", alpha, least=0.001, most=1.0)
     place = _as_block(block)
     f = as_integrand(integrand, dims)
     if f.channels:
@@ -331,19 +331,12 @@ def _names(sources: Sequence[ScreenSampler]) -> list[str]:
     return names if len(set(short)) < len(short) else short
 
 
-def _transfer(kind: str, frequency: Array, size: float) -> Array:
-    """Return the transfer function of a filter at frequencies, in cycles per step."""
-    if kind == "gaussian":
-        return np.asarray(np.exp(-2.0 * (np.pi * size * frequency) ** 2))
-    # Exponential moving average with the weight `size` of the newest value
-    return np.asarray(size / (1.0 - (1.0 - size) * np.exp(-2j * np.pi * frequency)))
-
-
 def _gains(block: ScreenBlock, sigma: float, alpha: float) -> list[Array]:
     """Return the transfer functions of the filters at the frequencies of `rfftn`."""
+    blur, mean = Gaussian(sigma=sigma), Ema(alpha=alpha)
     down, across = np.fft.fftfreq(block.height)[:, None], np.fft.rfftfreq(block.width)
-    space = _transfer("gaussian", np.hypot(down, across), sigma)[None]
-    time = _transfer("ema", np.fft.fftfreq(block.frames), alpha)[:, None, None]
+    space = (blur.response(down) * blur.response(across)).real[None]
+    time = mean.response(np.fft.fftfreq(block.frames))[:, None, None]
     return [space, time, space * time]
 
 
@@ -375,8 +368,7 @@ def _used(
 
 def _white_gain(kind: str, sigma: float, alpha: float) -> float:
     """Return the sum of the squared weights of a filter, its effect on white noise."""
-    frequency = (np.arange(4096) + 0.5) / 4096 - 0.5
-    space = float((_transfer("gaussian", frequency, sigma) ** 2).mean()) ** 2
+    space = float((Gaussian(sigma=sigma).weights() ** 2).sum()) ** 2
     time = alpha / (2.0 - alpha)
     return {"none": 1.0, "gaussian": space, "ema": time, "both": space * time}[kind]
 
