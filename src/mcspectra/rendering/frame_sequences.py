@@ -50,6 +50,7 @@ def sequence_files(groups: list[FrameFiles], pattern: str | None) -> list[FrameF
         Files of each number of samples per pixel.
     pattern
         Text such as ``"shot_s{seed}_t{frame}.exr"`` that matches the end of every path.
+        A ``*`` matches any text inside a name.
         If it is None, names such as ``shot_s3_t012.exr`` are recognized.
 
     Returns
@@ -76,7 +77,10 @@ def _compiled(pattern: object) -> re.Pattern[str]:
             f"sequence is {shown(pattern)}; give names with {{seed}} and {{frame}} once each, such "
             "as 'shot_s{seed}_t{frame}.exr'."
         )
-    text = "".join(_NAMES[part] if k % 2 else re.escape(part) for k, part in enumerate(parts))
+    text = "".join(
+        _NAMES[part] if k % 2 else re.escape(part).replace(r"\*", "[^/]*")
+        for k, part in enumerate(parts)
+    )
     return re.compile(rf"(?:^|/){text}$")
 
 
@@ -246,7 +250,7 @@ def temporal_of(found: TimeStatistics, m2: Array, count: int) -> Temporal:
 def _factor(value: float, half: float) -> tuple[float, Array]:
     """Return a positive value with its interval, which is symmetric on a logarithmic scale."""
     value = max(value, 1e-12)
-    factor = math.exp(min(half / value, 700.0))
+    factor = math.exp(min(half / value, 50.0))
     return value, np.array([value / factor, value * factor])
 
 
