@@ -248,10 +248,13 @@ def temporal_of(found: TimeStatistics, m2: Array, count: int) -> Temporal:
 
 
 def _factor(value: float, half: float) -> tuple[float, Array]:
-    """Return a positive value with its interval, which is symmetric on a logarithmic scale."""
+    """Return a positive value with its interval, which is symmetric on a logarithmic scale.
+
+    If the value is less than its error, its upper end is at most two half intervals above it.
+    """
     value = max(value, 1e-12)
     factor = math.exp(min(half / value, 50.0))
-    return value, np.array([value / factor, value * factor])
+    return value, np.array([value / factor, min(value * factor, value + 2.0 * half)])
 
 
 @final
