@@ -21,7 +21,7 @@ from scipy.ndimage import uniform_filter
 from mcspectra.core.checks import Array
 from mcspectra.core.confidence import CONFIDENCE_Z, student_t
 from mcspectra.core.display import counted, shown
-from mcspectra.core.errors import FileFormatError, ParameterError
+from mcspectra.core.errors import FileFormatError, Parameter, ParameterError
 from mcspectra.core.images import Rings
 from mcspectra.rendering.frame_files import FrameFiles
 from mcspectra.rendering.frame_filters import SpatialPower
@@ -74,8 +74,9 @@ def _compiled(pattern: object) -> re.Pattern[str]:
     parts = re.split(r"\{(\w*)\}", pattern) if isinstance(pattern, str) else []
     if sorted(parts[1::2]) != ["frame", "seed"]:
         raise ParameterError(
-            f"sequence is {shown(pattern)}; give names with {{seed}} and {{frame}} once each, such "
-            "as 'shot_s{seed}_t{frame}.exr'."
+            Parameter("sequence"),
+            f" is {shown(pattern)}; give names with {{seed}} and {{frame}} once each, such "
+            "as 'shot_s{seed}_t{frame}.exr'.",
         )
     text = "".join(
         _NAMES[part] if k % 2 else re.escape(part).replace(r"\*", "[^/]*")
