@@ -2,6 +2,7 @@
 
 import json
 import shlex
+import shutil
 import sys
 
 import numpy as np
@@ -388,6 +389,23 @@ def test_patterns_of_names_are_given(tmp_path):
         file.rename(folder / seed / f"{frame}.npy")
     result = frames(folder, sequence="s{seed}/t{frame}.npy")
     assert (result.attrs["sequences"], result.attrs["times"]) == ("[2]", 3)
+    assert frames(folder, sequence="s{seed}/t*{frame}.npy").attrs["times"] == 3
+
+
+def test_sequences_of_one_seed_are_named(tmp_path):
+    folder = write(tmp_path / "a", times=3, seeds=3)
+    for t in range(3):
+        shutil.copy(folder / f"shot_s1_t{t:03d}.npy", folder / f"shot_s2_t{t:03d}.npy")
+    assert frame_findings(frames(folder))[0].startswith("Give every frame its own seed")
+
+
+def test_noise_that_alternates_cancels_over_time(tmp_path):
+    rng = np.random.default_rng(3)
+    for s in range(3):
+        error = white(rng)
+        for t in range(8):
+            np.save(tmp_path / f"a_s{s}_t{t}.npy", 5 + (-1) ** t * error)
+    assert "The noise cancels over time" in " ".join(frame_findings(frames(tmp_path)))
 
 
 def test_a_scene_that_moves_is_not_noise(tmp_path):

@@ -25,7 +25,7 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.core.confidence import student_t
 from mcspectra.core.display import shown
-from mcspectra.core.errors import ParameterError, reason_of
+from mcspectra.core.errors import Parameter, ParameterError, reason_of
 from mcspectra.core.progress import report
 from mcspectra.core.trust import words_of
 from mcspectra.rendering.frame_files import FrameReader
@@ -67,8 +67,9 @@ def command_words(command: object) -> list[str]:
     named = {name for word in words or () for name in _PLACEHOLDER.findall(word)}
     if not words or named != {"input", "output"}:
         raise ParameterError(
-            f"filter_command is {shown(command)}; give a program with {{input}} and {{output}}, "
-            "such as 'denoise --hdr {input} -o {output}', with quotes closed."
+            Parameter("filter_command"),
+            f" is {shown(command)}; give a program with {{input}} and {{output}}, "
+            "such as 'denoise --hdr {input} -o {output}', with quotes closed.",
         )
     return list(words)
 
@@ -161,8 +162,9 @@ def _run(words: Sequence[str], file: Path, output: Path, wait: float) -> None:
         _, told = process.communicate(timeout=wait)
     except subprocess.TimeoutExpired:
         raise ParameterError(
-            f"{shown(words[0])} took more than {wait:g} s for {file}; give a longer "
-            "filter_timeout (--filter-timeout), or smaller frames."
+            f"{shown(words[0])} took more than {wait:g} s for {file}; give a longer ",
+            Parameter("filter_timeout"),
+            ", or smaller frames.",
         ) from None
     finally:
         with suppress(OSError):

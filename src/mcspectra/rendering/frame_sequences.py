@@ -21,7 +21,7 @@ from scipy.ndimage import uniform_filter
 from mcspectra.core.checks import Array
 from mcspectra.core.confidence import CONFIDENCE_Z, student_t
 from mcspectra.core.display import counted, shown
-from mcspectra.core.errors import FileFormatError, ParameterError
+from mcspectra.core.errors import FileFormatError, Parameter, ParameterError
 from mcspectra.core.images import Rings
 from mcspectra.rendering.frame_files import FrameFiles
 from mcspectra.rendering.frame_filters import SpatialPower
@@ -50,6 +50,7 @@ def sequence_files(groups: list[FrameFiles], pattern: str | None) -> list[FrameF
         Files of each number of samples per pixel.
     pattern
         Text such as ``"shot_s{seed}_t{frame}.exr"`` that matches the end of every path.
+        A ``*`` matches any text inside a name.
         If it is None, names such as ``shot_s3_t012.exr`` are recognized.
 
     Returns
@@ -73,10 +74,14 @@ def _compiled(pattern: object) -> re.Pattern[str]:
     parts = re.split(r"\{(\w*)\}", pattern) if isinstance(pattern, str) else []
     if sorted(parts[1::2]) != ["frame", "seed"]:
         raise ParameterError(
-            f"sequence is {shown(pattern)}; give names with {{seed}} and {{frame}} once each, such "
-            "as 'shot_s{seed}_t{frame}.exr'."
+            Parameter("sequence"),
+            f" is {shown(pattern)}; give names with {{seed}} and {{frame}} once each, such "
+            "as 'shot_s{seed}_t{frame}.exr'.",
         )
-    text = "".join(_NAMES[part] if k % 2 else re.escape(part) for k, part in enumerate(parts))
+    text = "".join(
+        _NAMES[part] if k % 2 else re.escape(part).replace(r"\*", "[^/]*")
+        for k, part in enumerate(parts)
+    )
     return re.compile(rf"(?:^|/){text}$")
 
 
@@ -244,10 +249,13 @@ def temporal_of(found: TimeStatistics, m2: Array, count: int) -> Temporal:
 
 
 def _factor(value: float, half: float) -> tuple[float, Array]:
-    """Return a positive value with its interval, which is symmetric on a logarithmic scale."""
+    """Return a positive value with its interval, which is symmetric on a logarithmic scale.
+
+    If the value is less than its error, its upper end is at most two half intervals above it.
+    """
     value = max(value, 1e-12)
-    factor = math.exp(min(half / value, 700.0))
-    return value, np.array([value / factor, value * factor])
+    factor = math.exp(min(half / value, 50.0))
+    return value, np.array([value / factor, min(value * factor, value + 2.0 * half)])
 
 
 @final

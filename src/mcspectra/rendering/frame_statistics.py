@@ -205,7 +205,7 @@ def frames(
     words = None if filter_command is None else command_words(filter_command)
     wait = as_real("filter_timeout", filter_timeout, above=0.0)
     if reference is not None and not is_path(reference):
-        raise ParameterError(f"reference is {reference!r:.80}; give a file.")
+        raise ParameterError(Parameter("reference"), f" is {reference!r:.80}; give a file.")
     found = _measured(paths, read, chains, sequence)
     best, ns = found[-1], np.array([each.spp for each in found])
     if layer is None and best.files[0].suffix.lower() == ".exr":
