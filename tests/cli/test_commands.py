@@ -232,7 +232,7 @@ def test_converge_finds_no_rate_in_noise_or_in_rounding(run, run_json):
     row = next(line.split() for line in out.splitlines() if line.startswith("random"))
     assert row[3] == "unresolved"
     assert float(row[4]) > 0.5
-    assert "the rate is not resolved: use more realizations or larger counts" in out
+    assert "is not resolved: use five or more counts, more realizations or larger counts" in out
     assert "sobol has no variance: add owen or shift, or compare |bias|" in out
     assert [line.split()[1:4] for line in out.splitlines() if line.startswith("sobol  ")] == [
         ["0", "0", "–"]
@@ -409,3 +409,15 @@ sys.exit(module.main())
     done = python("-c", code)
     assert (done.returncode, done.stdout) == (130, "")
     assert done.stderr == ("mcspectra: Interrupted; finished work is in out; --resume continues.\n")
+
+
+def test_several_samplers_share_one_picture_of_a_spectrum(run, run_json, tmp_path):
+    arguments = ("spectrum", "jittered", "random", "-n", 16, "-m", 4, "--half-width", 4)
+    code, out, _ = run(*arguments, "--show", "radial", "-o", tmp_path / "r.svg")
+    assert code == 0
+    assert "jittered\n|m|" in out
+    assert "random\n|m|" in out
+    assert "anisotropy dB" in out
+    assert (tmp_path / "r.svg").stat().st_size > 1000
+    assert np.shape(run_json(*arguments)["power"])[0] == 2
+    assert "is given twice" in run("spectrum", "random", "random", "-n", 16)[2]
