@@ -316,7 +316,8 @@ def bench_(options: argparse.Namespace) -> VerbOutput:
     if options.screen is not None:
         if paper or look:
             raise ParameterError(
-                "--screen ranks masks and has no figures for a paper; leave out --style paper and its options."
+                "--screen ranks masks and has no figures for a paper; leave out --style paper and "
+                "its options."
             )
         return _screen(options)
     for name in ("block", "sigma", "alpha"):
