@@ -336,7 +336,7 @@ def _doubts(found: dict[str, Any]) -> Iterator[_Finding]:
     for k in range(last, -1, -1):
         if change := found["drift"][k]:
             yield _Finding(
-                _SURELY + _lost(found["drift_share"][k]),
+                _lost(found["drift_share"][k]),
                 f"The frames drift: their image means change by {_signed(change)} per frame, "
                 "in the order of their names. Brightness explains "
                 f"{percent(found['drift_share'][k])} of the measured variance. Give frames of one "
@@ -427,7 +427,7 @@ def _noise(result: xr.Dataset, found: dict[str, Any]) -> Iterator[_Finding]:
             f"95 % need at most {number(found['needed_95'])}{times}. The estimate for one pixel "
             f"scatters by ± {percent(doubt)}, which these two numbers do not contain.",
         )
-    if found["drift"][-1] or _flickers(found, -1):
+    if (found["drift"][-1] and found["drift_share"][-1] > _CARRIED) or _flickers(found, -1):
         yield _Finding(
             0.0,
             "Correlations of errors between pixels are not interpreted, because the brightness of "
