@@ -425,7 +425,7 @@ def _noise(result: xr.Dataset, found: dict[str, Any]) -> Iterator[_Finding]:
             + (". By their rates" if resolved else ". If the variance falls as 1/n")
             + f", half of the pixels need {number(found['needed_median'])}{times}, and "
             f"95 % need at most {number(found['needed_95'])}{times}. The estimate for one pixel "
-            f"scatters by ± {percent(doubt)}, which these two numbers do not contain.",
+            f"scatters by ± {percent(doubt)}; this scatter is removed from both numbers.",
         )
     if (found["drift"][-1] and found["drift_share"][-1] > _CARRIED) or _flickers(found, -1):
         yield _Finding(
