@@ -97,6 +97,9 @@ error_ratio_ci | f | 1 | remedy bound | simultaneous 95 % interval of the ratio 
 rank | f | 1 | sampler integrand | rank by n · variance at the largest n, 1: least
 rank_ci | f | 1 | sampler integrand bound | simultaneous 95 % interval of the rank
 pictured_n | f | 1 | sampler | number of points of the spectrum and the pair correlation
+spectrum_sets | f | 1 | sampler | number of sets over which the spectrum is averaged
+pair_sets | f | 1 | sampler | number of sets over which the pair correlation is averaged
+quality_sets | f | 1 | sampler n | number of sets over which the figures of quality are averaged
 points_made | f | 1 | sampler integrand n | number of points taken, the nearest that can be made
 points_per_second | f | 1/s | sampler n | points made in a second by one thread
 rank_by_rate | i | 1 | remedy | rank by rate, 1: steepest

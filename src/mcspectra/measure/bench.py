@@ -176,6 +176,7 @@ def sampler_bench(
 
         On (sampler, point, axis): ``points``, one set in the sampler's largest number of dims.
         ``pictured_n`` is the number of points of the spectra and pair correlations.
+        ``spectrum_sets``, ``pair_sets`` and ``quality_sets`` are the numbers of averaged sets.
 
         Values are NaN if a sampler does not allow the dims or the count.
         Variances may be measured with an added randomization.
@@ -388,26 +389,30 @@ def _look(source: Sampler, asked: Sequence[int], own: Any, seed: int) -> xr.Data
     slow = isinstance(source.plain, OptimisedSampler)
     sets = different_realizations(source, n, stream, SHARED_SETS if slow else 100)
     parts = []
+    known: dict[str, tuple[tuple[str, ...], Any]] = {"pictured_n": ((), float(n))}
     if source.dims <= len(_SETTINGS.half_widths):
         wide = _SETTINGS.half_widths[source.dims - 1]
         spectrum = power_spectrum(source, n, half_width=wide, realizations=sets, rng=own)
         rings = radial_statistics(spectrum)[["anisotropy_db", "anisotropy_noise_db"]]
         parts += [spectrum[["power", "radial_power"]], rings]
+        known["spectrum_sets"] = ((), float(sets))
     if n > 1:
-        pairs = pair_correlation(source, n, realizations=min(sets, _SETTINGS.pair_sets), rng=own)
+        paired = min(sets, _SETTINGS.pair_sets)
+        pairs = pair_correlation(source, n, realizations=paired, rng=own)
+        known["pair_sets"] = ((), float(paired))
         if sets < _SETTINGS.few_sets:  # Wide intervals from few sets would hide the curve
             pairs["pair_correlation_ci"][:] = np.nan
         parts.append(pairs[["pair_correlation", "pair_correlation_ci"]])
-    means: dict[str, list[float]] = {name: [] for name in (*BENCH_QUALITY, "points_per_second")}
+    names = (*BENCH_QUALITY, "quality_sets", "points_per_second")
+    means: dict[str, list[float]] = {name: [] for name in names}
     for count in nearest.values():
         some = different_realizations(source, count, stream, _SETTINGS.quality_sets)
         figures = quality_figures(source, count, figures=BENCH_QUALITY, realizations=some, rng=own)
         for name, values in figures.data_vars.items():
             means[str(name)].append(float(values.mean(skipna=False)))
+        means["quality_sets"].append(float(some))
         means["points_per_second"].append(count / making_seconds(source, count, seed))
-    known: dict[str, tuple[tuple[str, ...], Any]]
-    known = {k: (("n",), v) for k, v in means.items() if not np.isnan(v).all()}
-    known["pictured_n"] = ((), float(n))
+    known |= {k: (("n",), v) for k, v in means.items() if not np.isnan(v).all()}
     parts.append(dataset(known, {"n": list(nearest)}))
     return _joined(parts)
 

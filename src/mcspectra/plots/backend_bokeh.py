@@ -78,6 +78,7 @@ _MARKERS = {
     "v": "inverted_triangle",
     "P": "plus",
     "X": "x",
+    "*": "star",
     "|": "dash",  # Bokeh's dash is horizontal, so it is rotated by 90°
 }
 _DASHES = {"-": "solid", "--": "dashed", ":": "dotted", "-.": "dashdot"}

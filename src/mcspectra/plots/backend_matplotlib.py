@@ -13,9 +13,10 @@ import math
 import textwrap
 import warnings
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias, final
 
 import numpy as np
 
@@ -49,11 +50,13 @@ if TYPE_CHECKING:
 __all__ = [
     "FORMATS",
     "GivenAxes",
+    "Look",
     "draw",
     "encode",
     "escaped",
     "panel_axes",
     "write",
+    "write_figure",
     "write_pages",
 ]
 
@@ -68,22 +71,13 @@ FORMATS = (".svg", ".png", ".pdf", ".pgf")
 _TINY, _NARROW, _WIDE = 2.35, 4.9, 7.4
 # Inches: smallest side of a panel among several panels, and largest side of a square panel
 _LEAST_SIDE, _LARGEST_SQUARE = 2.3, 3.4
-_LABEL, _SMALL = 8.5, 7.5  # font sizes in points
-_LETTER = 0.062  # mean width in inches of a letter in a small text
-_TITLE_LETTER = 0.075  # mean width in inches of a letter in a title
+_LETTER = 0.0083  # mean width of a letter in inches, per point of its size
+_TITLE_LETTER = 0.0088  # the same for titles, which may have many capitals
 _DPI, _PDF_DPI = 120, 200  # resolution of PNG files, and of rasterized parts of a PDF
 _MOST_VECTORS = 5000  # largest number of points drawn as vectors; more make files large and slow
 # Number of colors of a PNG. Files are three times smaller, and flat colors look the same
 _COLORS = 256
 _MOST_PIXELS = 2**15  # largest side of an image in pixels; half of Matplotlib's own limit
-_TICKS: dict[str, Any] = {
-    "which": "both",
-    "width": 0.6,
-    "length": 2.5,
-    "labelsize": _SMALL,
-    "color": GRAY,
-    "labelcolor": INK,
-}
 _LINEAR = 0.45  # each side of the linear part of an axis takes half a decade
 _SIDES = {
     "right": ((4, 0), "left", "center"),
@@ -94,7 +88,46 @@ _SIDES = {
 }
 
 
-def draw(plot: Plot, axes: GivenAxes = None, *, pyplot: bool = False) -> Figure:
+@final
+@dataclass(frozen=True, kw_only=True)
+class Look:
+    """Sizes and colors of a figure.
+
+    Attributes
+    ----------
+    width
+        Width of the figure in inches. None: chosen from the numbers of panels and columns.
+    label, small, title
+        Font sizes in points: labels of axes, other small texts, and titles of panels.
+    background
+        Color behind the panels.
+    colors
+        Color map of the palette ``sequential``. None: viridis.
+    """
+
+    width: float | None = None
+    label: float = 8.5
+    small: float = 7.5
+    title: float = 8.5
+    background: str = PAPER
+    colors: str | None = None
+
+    @property
+    def ticks(self) -> dict[str, Any]:
+        """Arguments of Matplotlib's ``tick_params``."""
+        look = {"labelsize": self.small, "color": GRAY, "labelcolor": INK}
+        return {"which": "both", "width": 0.6, "length": 2.5, **look}
+
+    @property
+    def letter(self) -> float:
+        """Mean width in inches of a letter in a small text."""
+        return _LETTER * self.small
+
+
+_PAGE = Look()
+
+
+def draw(plot: Plot, axes: GivenAxes = None, *, pyplot: bool = False, look: Look = _PAGE) -> Figure:
     """Draw a plot.
 
     Parameters
@@ -106,6 +139,8 @@ def draw(plot: Plot, axes: GivenAxes = None, *, pyplot: bool = False) -> Figure:
     pyplot
         Whether to register a new figure in pyplot.
         Notebooks show a registered figure, and ``plt.savefig`` writes it.
+    look
+        Sizes and colors. Default: those of pages.
 
     Raises
     ------
@@ -129,10 +164,10 @@ def draw(plot: Plot, axes: GivenAxes = None, *, pyplot: bool = False) -> Figure:
     elif pictures := [m.rgb for panel in plot.panels for m in panel.marks if isinstance(m, Pixels)]:
         figure, panels = _exact_figure(plot, pictures[0].shape, pyplot)
     else:
-        figure, panels = _new_figure(plot, pyplot)
+        figure, panels = _new_figure(plot, pyplot, look)
     bars: dict[Scale, tuple[ScalarMappable, list[Axes]]] = {}
     for panel, each in zip(plot.panels, panels, strict=True):
-        for scale, drawn in _panel(each, panel):
+        for scale, drawn in _panel(each, panel, look):
             bars.setdefault(scale, (drawn, []))[1].append(each)
     for scale, (drawn, where) in bars.items():
         if not scale.label or scale.kind == "names":
@@ -140,7 +175,7 @@ def draw(plot: Plot, axes: GivenAxes = None, *, pyplot: bool = False) -> Figure:
         extend: Any = "max" if scale.beyond else "neither"
         bar = figure.colorbar(drawn, ax=where, shrink=0.85, aspect=24, pad=0.02, extend=extend)
         bar.outline.set_visible(False)
-        bar.ax.tick_params(**_TICKS)
+        bar.ax.tick_params(**look.ticks)
         ticks = scale.ticks
         if ticks is None and scale.kind == "log":
             ticks = log_ticks(scale.low, scale.high)
@@ -150,8 +185,9 @@ def draw(plot: Plot, axes: GivenAxes = None, *, pyplot: bool = False) -> Figure:
             bar.set_ticks(list(ticks), labels=[escaped(text) for text in ticks.values()])
         bar.minorticks_off()
         length = 0.85 * bar.ax.get_window_extent().height / figure.dpi
-        bar.set_label(escaped(_broken(scale.label, length)), fontsize=_SMALL, color=INK)
-    _legend(figure, panels[0] if axes is not None else None, plot)
+        label = escaped(_broken(scale.label, length, look))
+        bar.set_label(label, fontsize=look.small, color=INK)
+    _legend(figure, panels[0] if axes is not None else None, plot, look)
     return figure
 
 
@@ -222,24 +258,36 @@ def write(plot: Plot, path: str | PathLike[str], *, captioned: bool = False) -> 
     ------
     FileFormatError
         If the extension is not in `FORMATS`, or the file cannot be written.
-    ParameterError
-        If a plot with a map is written as PGF.
     """
-    import matplotlib as mpl
-
     file = Path(path)
-    extension = file.suffix.lower()
-    if extension not in FORMATS:
+    if file.suffix.lower() not in FORMATS:
         raise FileFormatError(
             f"{file} has no extension of an image file; give one of {', '.join(FORMATS)}."
         )
     figure = draw(plot)
     if captioned:
         text = escaped(shorten(plot.caption, int(17 * figure.get_figwidth())))
-        figure.supxlabel(text, x=0.02, ha="left", fontsize=_SMALL, color=INK)
+        figure.supxlabel(text, x=0.02, ha="left", fontsize=_PAGE.small, color=INK)
+    write_figure(figure, file)
+
+
+def write_figure(figure: Figure, file: Path) -> None:
+    """Write a figure in its own size to a file in the format of its extension.
+
+    A map in a PGF file is a PNG file with the same name and a number.
+
+    Raises
+    ------
+    FileFormatError
+        If the file cannot be written.
+    """
+    import matplotlib as mpl
+
+    extension = file.suffix.lower()
     stamps: dict[str, Any] = {".png": {}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
-    # A fixed salt makes the ids in an SVG reproducible
-    with writing(file), mpl.rc_context({"svg.hashsalt": "mcspectra", "pdf.fonttype": 42}):
+    # A fixed salt makes the ids in an SVG reproducible. A tight box would change the width
+    fixed = {"svg.hashsalt": "mcspectra", "pdf.fonttype": 42, "savefig.bbox": None}
+    with writing(file), mpl.rc_context(fixed):
         if extension == ".pgf":
             _write_pgf(figure, file)
         else:
@@ -287,11 +335,21 @@ def _write_pgf(figure: Figure, file: Path) -> None:
             plain = s if ismath else s.translate(LATEX_TEXT)
             super().draw_text(gc, x, y, plain, prop, angle, ismath, mtext)  # type: ignore[no-untyped-call]
 
-        def draw_image(self, *_: Any, **__: Any) -> None:
-            raise ParameterError(
-                f"{file} cannot hold a map, since PGF has lines and points only; give a .pdf file."
+        def draw_image(self, gc: Any, x: float, y: float, im: Any, transform: Any = None) -> None:
+            from PIL import Image as Picture
+
+            # PGF has lines and points only, so a map is a picture of its own
+            picture = file.with_name(f"{file.stem}-{self.image_counter}.png")
+            Picture.fromarray(im[::-1]).save(picture)
+            self.image_counter += 1
+            across, down = (f"{size / self.dpi:f}in" for size in im.shape[1::-1])
+            left, bottom = (f"{at / self.dpi:f}in" for at in (x, y))
+            self.fh.write(
+                f"\\pgftext[left,bottom,at=\\pgfqpoint{{{left}}}{{{bottom}}}]"
+                f"{{\\includegraphics[width={across},height={down}]{{{picture.name}}}}}%\n"
             )
 
+    figure.set_dpi(_PDF_DPI)  # the resolution of maps
     canvas = FigureCanvasAgg(figure)
     canvas.draw()  # type: ignore[no-untyped-call]
     figure.set_layout_engine("none")
@@ -301,7 +359,7 @@ def _write_pgf(figure: Figure, file: Path) -> None:
     mixed: Any = MixedModeRenderer(figure, width, height, figure.dpi, inner)  # type: ignore[no-untyped-call]
     figure.draw(mixed)
     file.write_text(
-        "% for LaTeX with the package pgf\n"
+        "% for LaTeX with the package pgf, and graphicx if there is a map\n"
         "\\begingroup\n\\makeatletter\n\\begin{pgfpicture}\n"
         f"\\pgfpathrectangle{{\\pgfpointorigin}}{{\\pgfqpoint{{{width:f}in}}{{{height:f}in}}}}\n"
         "\\pgfusepath{use as bounding box, clip}\n"
@@ -317,27 +375,27 @@ def _share(axes: Axes, first: Axes, share: str) -> None:
             getattr(axes, f"share{which}")(first)
 
 
-def _empty(size: tuple[float, float], pyplot: bool, layout: Any) -> Figure:
+def _empty(size: tuple[float, float], pyplot: bool, layout: Any, background: str = PAPER) -> Figure:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     if pyplot:
         from matplotlib import pyplot as plt
 
-        return plt.figure(figsize=size, facecolor=PAPER, layout=layout)
-    figure = Figure(figsize=size, facecolor=PAPER, layout=layout)
+        return plt.figure(figsize=size, facecolor=background, layout=layout)
+    figure = Figure(figsize=size, facecolor=background, layout=layout)
     FigureCanvasAgg(figure)
     return figure
 
 
-def _new_figure(plot: Plot, pyplot: bool) -> tuple[Figure, list[Axes]]:
+def _new_figure(plot: Plot, pyplot: bool, look: Look) -> tuple[Figure, list[Axes]]:
     """Create a figure for the panels of a plot; inner labels of shared axes are hidden."""
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     count, columns = len(plot.panels), min(plot.columns, len(plot.panels))
     rows = math.ceil(count / columns)
     width = max(_WIDE, _LEAST_SIDE * columns) if plot.wide or columns > 2 else _NARROW
-    width = _TINY if plot.small else width
+    width = look.width or (_TINY if plot.small else width)
     bar = any(scale.label and scale.kind != "names" for p in plot.panels for scale in p.scales)
     labelled = 1 if plot.share in ("y", "both") else columns
     side = (width - 0.85 * bar - 0.5 * labelled) / columns
@@ -347,19 +405,19 @@ def _new_figure(plot: Plot, pyplot: bool) -> tuple[Figure, list[Axes]]:
     heights = [side * plot.height * part for part in plot.rows or (1.0,) * rows]
 
     # Add the space for titles, tick labels, axis labels and the legend
-    below = plot.share in ("x", "both")
+    below, line = plot.share in ("x", "both"), look.small / _PAGE.small
     strips = 0.2
     for row in range(rows):
         panels = plot.panels[row * columns : (row + 1) * columns]
-        strips += 0.12 + 0.19 * any(panel.title for panel in panels)
+        strips += 0.12 + 0.19 * line * any(panel.title for panel in panels)
         if row == rows - 1 or not below:
             lines = (panel.x.label.count("\n") + bool(panel.x.label) for panel in panels)
-            strips += 0.2 + 0.15 * max(lines)
-    entries = _entries(plot)
-    strips += 0.18 * math.ceil(len(entries) / _legend_columns(entries, width)) if entries else 0.0
+            strips += (0.2 + 0.15 * max(lines)) * line
+    if entries := _entries(plot):
+        strips += 0.18 * line * math.ceil(len(entries) / _legend_columns(entries, width, look))
 
     layout = ConstrainedLayoutEngine(w_pad=0.07, h_pad=0.05)
-    figure = _empty((width, sum(heights) + strips), pyplot, layout)
+    figure = _empty((width, sum(heights) + strips), pyplot, layout, look.background)
     grid = figure.add_gridspec(rows, columns, height_ratios=heights)
     made: list[Axes] = []
     for k in range(count):
@@ -399,7 +457,7 @@ def _exact_figure(plot: Plot, shape: tuple[int, ...], pyplot: bool) -> tuple[Fig
     return figure, made
 
 
-def _panel(axes: Axes, panel: Panel) -> Iterator[tuple[Scale, ScalarMappable]]:
+def _panel(axes: Axes, panel: Panel, look: Look) -> Iterator[tuple[Scale, ScalarMappable]]:
     """Draw the marks of a panel; yield its color scales with the artists that show them."""
     named = any(isinstance(mark, BarChart) and mark.lying for mark in panel.marks)
     # Draw thin axis lines on two or four sides, small dark ticks, and faint grid lines if requested
@@ -410,7 +468,7 @@ def _panel(axes: Axes, panel: Panel) -> Iterator[tuple[Scale, ScalarMappable]]:
         plain = side == "bottom" or (side == "left" and not named)
         spine.set_visible(panel.framed or plain)
         spine.set_in_layout(False)  # a spine needs no extra space, and is slow to measure
-    axes.tick_params(**_TICKS)
+    axes.tick_params(**look.ticks)
     if named:
         axes.tick_params(axis="y", length=0)
     axes.set_axisbelow(True)
@@ -424,35 +482,35 @@ def _panel(axes: Axes, panel: Panel) -> Iterator[tuple[Scale, ScalarMappable]]:
             getattr(axes, f"set_{which}scale")("symlog", **options)
     found: dict[Scale, ScalarMappable] = {}
     for k, mark in enumerate(panel.marks):
-        drawn = _mark(axes, mark, 1.0 + 0.01 * k)
+        drawn = _mark(axes, mark, 1.0 + 0.01 * k, look)
         scale = getattr(mark, "scale", None)
         if scale is not None and drawn is not None:
             found.setdefault(scale, drawn)
     if panel.square:
         axes.set_aspect("equal")
     for which, axis in (("x", panel.x), ("y", panel.y)):
-        _finish_axis(axes, which, axis)
+        _finish_axis(axes, which, axis, look)
     room = axes.get_window_extent().width / axes.figure.dpi
     if panel.title:
         # Fix the title's y, because finding a free place takes longer than the rest of the layout
-        letters = max(int(room / _TITLE_LETTER), 12)
+        letters = max(int(room / (_TITLE_LETTER * look.title)), 12)
         lines = textwrap.wrap(panel.title, letters, break_long_words=False)
         fits = len(lines) < 3 and max(map(len, lines)) <= letters
         text = escaped("\n".join(lines) if fits else shorten(panel.title, letters))
         left = room > 0.6 * _NARROW
         axes.set_title(
-            text, loc="left" if left else "center", fontsize=_LABEL, color=INK, pad=4, y=1.0
+            text, loc="left" if left else "center", fontsize=look.title, color=INK, pad=4, y=1.0
         )
     if panel.note:
         axes.text(
             0.5, 0.5, escaped(panel.note), transform=axes.transAxes, ha="center", va="center",
-            fontsize=_SMALL, color=INK, style="italic",
+            fontsize=look.small, color=INK, style="italic",
             bbox={"facecolor": "white", "edgecolor": "none", "pad": 2.0},
         )  # fmt: skip
     yield from found.items()
 
 
-def _finish_axis(axes: Axes, which: str, given: Axis) -> None:
+def _finish_axis(axes: Axes, which: str, given: Axis, look: Look) -> None:
     from matplotlib.ticker import MaxNLocator, NullLocator
 
     axis = getattr(axes, f"{which}axis")
@@ -471,39 +529,40 @@ def _finish_axis(axes: Axes, which: str, given: Axis) -> None:
     getattr(axes, f"set_{which}lim")(*((high, low) if given.flipped else (low, high)))
     room = axes.get_window_extent()
     length = (room.width if which == "x" else room.height) / axes.figure.dpi
-    axis.set_label_text(escaped(_broken(given.label, length)), fontsize=_LABEL, color=INK)
+    label = escaped(_broken(given.label, length, look))
+    axis.set_label_text(label, fontsize=look.label, color=INK)
     if which == "x" and ticks:
         # Rotate labels that would touch
         at = np.sort(axis.get_transform().transform(np.array(list(ticks))))
         first, last = axis.get_transform().transform(np.array([low, high]))
         gap = length * np.diff(at).min(initial=np.inf) / (last - first)
-        if _LETTER * (max(map(len, ticks.values())) + 1) > gap:
+        if look.letter * (max(map(len, ticks.values())) + 1) > gap:
             axes.tick_params(axis="x", rotation=90)
 
 
-def _broken(label: str, length: float) -> str:
+def _broken(label: str, length: float, look: Look) -> str:
     """Put the note of a label on its own line if the label is longer than `length` inches."""
-    return label.replace("   (", "\n(") if len(label) * _LETTER * 1.15 > length else label
+    return label.replace("   (", "\n(") if len(label) * look.letter * 1.15 > length else label
 
 
-def _mark(axes: Axes, mark: Mark, depth: float) -> ScalarMappable | None:
+def _mark(axes: Axes, mark: Mark, depth: float, look: Look) -> ScalarMappable | None:
     """Draw a mark; return the artist if its colors show a scale."""
     from matplotlib.collections import LineCollection
 
-    look: dict[str, Any] = {"color": getattr(mark, "color", INK), "zorder": depth}
+    paint: dict[str, Any] = {"color": getattr(mark, "color", INK), "zorder": depth}
     match mark:
         case Line():
             if mark.low is not None and mark.high is not None:
                 opacity = 0.2 if mark.width else 1.0
                 axes.fill_between(
                     mark.x, mark.low, mark.high, step="mid" if mark.step else None, alpha=opacity,
-                    linewidth=0, **look,
+                    linewidth=0, **paint,
                 )  # fmt: skip
             if mark.width:
                 style: Any = "steps-mid" if mark.step else "default"
                 axes.plot(
                     mark.x, mark.y, ls=mark.dashes, lw=mark.width, drawstyle=style,
-                    solid_capstyle="round", **look,
+                    solid_capstyle="round", **paint,
                 )  # fmt: skip
         case Dots():
             plain = isinstance(mark.color, str)
@@ -512,7 +571,7 @@ def _mark(axes: Axes, mark: Mark, depth: float) -> ScalarMappable | None:
                 at = mark.x if mark.across else mark.y
                 reach = np.maximum([at - mark.low, mark.high - at], 0.0)
                 _whiskers(axes, (mark.x, mark.y), reach, mark.across, color, depth)
-            norm, colors = (None, None) if mark.scale is None else _norm(mark.scale)
+            norm, colors = (None, None) if mark.scale is None else _norm(mark.scale, look)
             shown: dict[str, Any] = (
                 {"color": color} if plain else {"c": mark.color, "norm": norm, "cmap": colors}
             )
@@ -532,9 +591,9 @@ def _mark(axes: Axes, mark: Mark, depth: float) -> ScalarMappable | None:
             base = np.broadcast_to(mark.base, np.shape(mark.value))[there]
             if not isinstance(mark.color, str):
                 pairs = zip(mark.color, there, strict=True)
-                look |= {"color": [each for each, present in pairs if present]}
+                paint |= {"color": [each for each, present in pairs if present]}
             if mark.thickness:
-                options = look | {"alpha": mark.opacity, "linewidth": 0}
+                options = paint | {"alpha": mark.opacity, "linewidth": 0}
                 if mark.lying:
                     axes.barh(at, value - base, mark.thickness, left=base, **options)
                 else:
@@ -544,7 +603,7 @@ def _mark(axes: Axes, mark: Mark, depth: float) -> ScalarMappable | None:
                 length = (room.height if mark.lying else room.width) * 72 / axes.figure.dpi
                 width = float(np.clip(0.55 * length / max(len(mark.at), 1), 0.5, 5.0))
                 stems = axes.hlines if mark.lying else axes.vlines
-                stems(at, base, value, lw=width, alpha=mark.opacity, **look)
+                stems(at, base, value, lw=width, alpha=mark.opacity, **paint)
             if mark.low is not None and mark.high is not None:
                 # Omit the whisker of an end that is not finite
                 low, high = (np.where(np.isfinite(e), e, mark.value) for e in (mark.low, mark.high))
@@ -557,10 +616,10 @@ def _mark(axes: Axes, mark: Mark, depth: float) -> ScalarMappable | None:
                 offset, across, up = _SIDES["right" if mark.lying else "above"]
                 axes.annotate(
                     escaped(text), end, xycoords=frame, xytext=offset, textcoords="offset points",
-                    ha=across, va=up, fontsize=_SMALL, color=INK,
+                    ha=across, va=up, fontsize=look.small, color=INK,
                 )  # fmt: skip
         case Heatmap():
-            norm, colors = _norm(mark.scale)
+            norm, colors = _norm(mark.scale, look)
             halves = [float(at[1] - at[0]) / 2 if len(at) > 1 else 0.5 for at in (mark.x, mark.y)]
             (left, right), (bottom, top) = (
                 (float(at[0]) - half, float(at[-1]) + half)
@@ -583,16 +642,18 @@ def _mark(axes: Axes, mark: Mark, depth: float) -> ScalarMappable | None:
             for spine in axes.spines.values():
                 spine.set_visible(False)
         case Segments():
-            lines = LineCollection(list(mark.ends), linewidths=mark.width, capstyle="round", **look)
+            lines = LineCollection(
+                list(mark.ends), linewidths=mark.width, capstyle="round", **paint
+            )
             axes.add_collection(lines)
         case ReferenceLine():
             line = axes.axvline if mark.axis == "x" else axes.axhline
-            line(mark.at, ls=mark.dashes, lw=mark.width, **look)
+            line(mark.at, ls=mark.dashes, lw=mark.width, **paint)
         case TextMark():
             offset, across, up = _SIDES[mark.side]
             axes.annotate(
                 escaped(mark.text), (mark.x, mark.y), xytext=offset, textcoords="offset points",
-                ha=across, va=up, fontsize=_SMALL, **look,
+                ha=across, va=up, fontsize=look.small, **paint,
             )  # fmt: skip
     return None
 
@@ -606,7 +667,7 @@ def _whiskers(
     )
 
 
-def _norm(scale: Scale) -> tuple[Any, Any]:
+def _norm(scale: Scale, look: Look) -> tuple[Any, Any]:
     """Return the norm and the color map of a scale; NaN is light gray."""
     from matplotlib import colormaps, colors
 
@@ -614,7 +675,8 @@ def _norm(scale: Scale) -> tuple[Any, Any]:
         chosen: Any = colors.ListedColormap(scale.colors)
         norm: Any = colors.Normalize(scale.low - 0.5, scale.low + len(scale.names) - 0.5)
     else:
-        gradient = GRADIENTS[scale.palette]
+        sequential = scale.palette == "sequential"
+        gradient = (look.colors if sequential else None) or GRADIENTS[scale.palette]
         chosen = (
             colormaps[gradient]
             if isinstance(gradient, str)
@@ -640,19 +702,19 @@ def _entries(plot: Plot) -> dict[str, list[Mark | str]]:
     return found
 
 
-def _legend_columns(labels: Iterable[str], width: float) -> int:
+def _legend_columns(labels: Iterable[str], width: float, look: Look) -> int:
     longest = max(map(len, labels))
-    return max(1, min(4, int(width / (_LETTER * (longest + 7)))))
+    return max(1, min(4, int(width / (look.letter * (longest + 7)))))
 
 
-def _legend(figure: Figure, given: Axes | None, plot: Plot) -> None:
+def _legend(figure: Figure, given: Axes | None, plot: Plot, look: Look) -> None:
     """Draw the legend below a figure of our own, or inside axes given by the user."""
     from matplotlib.collections import LineCollection, PathCollection
 
     entries = _entries(plot)
     if not entries:
         return
-    options: dict[str, Any] = {"frameon": False, "fontsize": _SMALL, "labelcolor": INK}
+    options: dict[str, Any] = {"frameon": False, "fontsize": look.small, "labelcolor": INK}
     handles = [_handle(marks) for marks in entries.values()]
     texts = [escaped(label) for label in entries]
     if given is not None:
@@ -669,12 +731,15 @@ def _legend(figure: Figure, given: Axes | None, plot: Plot) -> None:
         ]
         hidden = any(box.count_contains(places) for places in dots)
         if hidden or any(path.intersects_bbox(box, filled=False) for path in drawn):
-            inches, scale = (1.5 * len(handles) + 1.5) * _SMALL / 72, given.yaxis.get_transform()
+            inches, scale = (
+                (1.5 * len(handles) + 1.5) * look.small / 72,
+                given.yaxis.get_transform(),
+            )
             bottom, top = scale.transform(np.array(given.get_ylim()))
             kept = max(1.0 - inches * figure.dpi / given.get_window_extent().height, 0.5)
             given.set_ylim(top=float(scale.inverted().transform(bottom + (top - bottom) / kept)))
         return
-    columns = min(_legend_columns(entries, figure.get_figwidth()), len(entries))
+    columns = min(_legend_columns(entries, figure.get_figwidth(), look), len(entries))
     figure.legend(
         handles, texts, loc="outside lower center", ncols=columns, handlelength=1.8, **options
     )

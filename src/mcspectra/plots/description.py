@@ -35,7 +35,7 @@ Hover: TypeAlias = Mapping[str, Sequence[str]]
 """Tooltips of a mark: title → one text per item. Only Bokeh shows them."""
 
 Dashes: TypeAlias = Literal["-", "--", ":", "-."]
-Marker: TypeAlias = Literal["o", "s", "^", "D", "v", "P", "X", "|"]
+Marker: TypeAlias = Literal["o", "s", "^", "D", "v", "P", "X", "*", "|"]
 """Shapes of `Dots`; ``|`` is a vertical stroke whose length is the size."""
 
 

