@@ -89,6 +89,9 @@ class BenchSettings:
     # Largest number of sets over which the pair correlation is averaged.
     # At 256 points in 2-D, 8, 16 and 32 sets give half widths of 0.05, 0.03 and 0.02.
     pair_sets: int = 16
+    # Largest distance of the pair correlation, in mean spacings n^(−1/d).
+    # Correlations of blue noise end before 6 spacings, and 100 bins then resolve its peak.
+    pair_spacings: float = 6.0
     # Largest number of points of a drawn set. Pictures of more points have overlapping dots.
     most_pictured: int = 1024
     # Largest number of dims of the integrands. Genz's difficulty is divided among the dims.
@@ -398,7 +401,9 @@ def _look(source: Sampler, asked: Sequence[int], own: Any, seed: int) -> xr.Data
         known["spectrum_sets"] = ((), float(sets))
     if n > 1:
         paired = min(sets, _SETTINGS.pair_sets)
-        pairs = pair_correlation(source, n, realizations=paired, rng=own)
+        # All samplers have the same bins, although their counts may differ
+        reach = min(0.5, _SETTINGS.pair_spacings * asked[-1] ** (-1.0 / source.dims))
+        pairs = pair_correlation(source, n, realizations=paired, rng=own, max_distance=reach)
         known["pair_sets"] = ((), float(paired))
         if sets < _SETTINGS.few_sets:  # Wide intervals from few sets would hide the curve
             pairs["pair_correlation_ci"][:] = np.nan

@@ -335,9 +335,10 @@ def _write_pgf(figure: Figure, file: Path) -> None:
             plain = s if ismath else s.translate(LATEX_TEXT)
             super().draw_text(gc, x, y, plain, prop, angle, ismath, mtext)  # type: ignore[no-untyped-call]
 
-        def draw_image(self, gc: Any, x: float, y: float, im: Any, transform: Any = None) -> None:
+        def draw_image(self, *given: Any, **_: Any) -> None:
             from PIL import Image as Picture
 
+            _graphics, x, y, im, *_transform = given
             # PGF has lines and points only, so a map is a picture of its own
             picture = file.with_name(f"{file.stem}-{self.image_counter}.png")
             Picture.fromarray(im[::-1]).save(picture)

@@ -33,6 +33,8 @@ __all__ = [
     "not_finite",
     "numbers",
     "pairs",
+    "point_dims",
+    "root_of_n",
     "shared",
     "variant_dims",
 ]
@@ -112,6 +114,16 @@ def variant_dims(data: xr.Dataset) -> list[str]:
 def frequency_dims(data: xr.Dataset) -> list[str]:
     """Return the names of the frequency dims of a result: m0, m1, …"""
     return sorted(str(d) for d in data.dims if str(d)[0] == "m" and str(d)[1:].isdigit())
+
+
+def root_of_n(dims: int) -> str:
+    """Return the text of n^(1/d): n, √n, ∛n or n^(1/4)."""
+    return {1: "n", 2: "√n", 3: "∛n"}.get(dims, f"n^(1/{dims})")
+
+
+def point_dims(data: xr.Dataset) -> int:
+    """Return the number of dims of the points of a result; a bench lists several numbers."""
+    return int(str(data.attrs["dims"]).strip("[]").partition(",")[0])
 
 
 def abreast(count: int) -> int:

@@ -171,9 +171,11 @@ PLOT_KINDS: Mapping[str, PlotKind] = {
     "spectrum": PlotKind(spectra.spectrum, ("power",), 2),
     "lines": PlotKind(spectra.lines, ("power",), 1),
     "radial": PlotKind(spectra.radial, ("power", "radial_power")),
+    "anisotropy": PlotKind(spectra.anisotropy, ("anisotropy_db", "spectrum_sets")),
     "pair-correlation": PlotKind(
         spectra.pair_correlation, ("pair_correlation", "pair_correlation_ci")
     ),
+    "quality": PlotKind(points.quality, ("points_made", "quality_sets")),
     "points": PlotKind(points.points, ("points", "axis")),
     "integrand": PlotKind(points.integrand, ("points", "integrand_value")),
     "remedies": PlotKind(variance.remedies, ("remedy", "error_ratio", "error_ratio_ci", "verdict")),
@@ -229,6 +231,8 @@ def describe(kind: str, data: Data, styles: Styles | None = None) -> Plot:
         If the kind is unknown, if there is nothing to draw, or if the kind does not fit the result.
     """
     chosen = PLOT_KINDS[as_choice("kind", kind, tuple(PLOT_KINDS))]
+    if isinstance(data, xr.Dataset) and "rate" not in chosen.variables:
+        data = data.drop_vars("rate", errors="ignore")  # no split by the integrands of a bench
     group, note = as_group(data)
     for name, each in group.items():
         if lacking := chosen.lacks(each):

@@ -24,6 +24,7 @@ from mcspectra.plots.description import (
 )
 from mcspectra.plots.groups import Group, Styles, abreast, numbers
 from mcspectra.plots.scales import (
+    count_axis,
     linear_axis,
     log_axis,
     name_axis,
@@ -35,7 +36,25 @@ from mcspectra.plots.spectra import frequency_map, relative_power
 from mcspectra.plots.style import ACCENT, FAINT, GRAY, INK, PALETTE, PAPER, labels
 from mcspectra.plots.text import SUBSCRIPTS
 
-__all__ = ["integrand", "point_sets", "points", "sampler_card", "strata"]
+__all__ = [
+    "QUALITY_HEADS",
+    "integrand",
+    "point_sets",
+    "points",
+    "quality",
+    "sampler_card",
+    "strata",
+]
+
+QUALITY_HEADS = {
+    "relative_minimum_distance": "Minimum distance",
+    "star_discrepancy": "Star discrepancy",
+    "centered_discrepancy": "Centered discrepancy",
+    "diaphony": "Diaphony",
+    "transport_cost": "Transport cost",
+    "t_value": "t",
+}
+"""Short names of quality figures."""
 
 _MOST_NAMED = 2**14  # largest number of points with tooltips
 _MOST_STRATA = 64  # largest number of strata whose borders are drawn in a strip
@@ -128,6 +147,46 @@ def integrand(group: Group, styles: Styles) -> Plot:
         words=f"Integrand between {values.min():.3g} and {values.max():.3g}, "
         f"with points of {', '.join(group)}.",
         height=0.62 if values.ndim == 1 else 1.0,
+    )
+
+
+def quality(group: Group, styles: Styles) -> Plot:
+    """Plot figures of quality against n, with a panel per figure and a line per sampler."""
+    heads = QUALITY_HEADS | {"generalized_l2_discrepancy": "Generalized L2 discrepancy"}
+    short, panels = labels(list(group), 30), []
+    for key, head in heads.items():
+        marks: list[Mark] = []
+        every, counts = [np.empty(0)], list[int]()
+        for name, each in group.items():
+            values = each[key].values if key in each else np.empty(0)
+            there = np.isfinite(values)
+            if not there.any():
+                continue
+            n, style = each["n"].values[there], styles[name]
+            at, values = n.astype(float), values[there]
+            look = {"color": style.color, "label": short[name]}
+            hover = {"sampler": [name] * n.size, "n": [str(m) for m in n], head: numbers(values)}
+            marks.append(Line(x=at, y=values, dashes=style.dashes, width=1.0, **look))
+            marks.append(Dots(x=at, y=values, marker=style.marker, hover=hover, **look))
+            every.append(values)
+            counts += n.tolist()
+        found = np.concatenate(every)
+        if not found.size:
+            continue
+        low, high = float(found.min()), float(found.max())
+        y = log_axis(head, low, high, 5) if low > 0 else linear_axis(head, low, high, 4)
+        x = count_axis("number of points n", counts, 4)
+        panels.append(Panel(marks=tuple(marks), x=x, y=y, grid=True))
+    return Plot(
+        panels=tuple(panels),
+        columns=3,
+        caption="Figures of quality against n, as means over sets. Minimum distances are relative "
+        "to the densest packing. A large minimum distance is good; other figures should be small.",
+        words="Figures of quality against n. "
+        + "; ".join(panel.y.label for panel in panels)
+        + f", for {', '.join(group)}.",
+        height=0.8,
+        wide=True,
     )
 
 

@@ -25,6 +25,7 @@ from mcspectra.plots.description import (
     Plot,
     ReferenceLine,
     Scale,
+    TextMark,
 )
 from mcspectra.plots.groups import (
     Group,
@@ -36,9 +37,19 @@ from mcspectra.plots.groups import (
     lines_of,
     not_finite,
     numbers,
+    point_dims,
+    root_of_n,
     shared,
 )
-from mcspectra.plots.scales import log_axis, signed_axis, signed_scale, tick_label, whole_ticks
+from mcspectra.plots.scales import (
+    linear_axis,
+    log_axis,
+    log_scale,
+    signed_axis,
+    signed_scale,
+    tick_label,
+    whole_ticks,
+)
 from mcspectra.plots.style import FAINT, GRAY, INK, labels, sampler_styles
 from mcspectra.plots.text import NEGLIGIBLE, number, percent
 
@@ -46,6 +57,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
+    "anisotropy",
     "bands",
     "chains",
     "contributions",
@@ -65,16 +77,24 @@ _LINEAR_TOP = 12.0  # largest power that is shown on a linear axis
 _MOST_NUMBERS, _MOST_NAMES = 7, 13  # largest number of labels along an axis: numbers, names
 _MOST_ENTRIES = 257  # largest number of entries per side of a matrix that is drawn
 _MOST_CHAINS = 6  # largest number of quantities of Markov chains that one plot shows
+_SPACINGS = 6.0  # largest distance that is shown, in mean spacings of points
+_SLOPES = (1, 2, 4)  # slopes of the guides over the radial mean
 _LEVEL = "expected power relative to random points (∫1/p / n); m = 0 is omitted."
 
 
-def spectrum(group: Group, _: Styles) -> Plot:
-    """Plot two-dimensional power spectra on one color scale, without dc."""
+def spectrum(group: Group, _: Styles, *, logarithmic: bool = False) -> Plot:
+    """Plot two-dimensional power spectra on one color scale, without dc.
+
+    With `logarithmic`, the scale has three decades, and smaller powers have its lowest color.
+    """
     images = {name: relative_power(each) for name, each in group.items()}
     # The scale ends at 2, or at the 99th percentile if that is larger
     every = np.concatenate([np.ravel(values) for values in images.values()])
     top = max(2.0, float(np.percentile(np.append(0.0, every[np.isfinite(every)]), 99.0)))
     scale = Scale(label=_power_label(group), low=0.0, high=top, beyond=True)
+    if logarithmic:
+        scale = replace(log_scale(scale.label, 1e-3 * top, top), beyond=True)
+        images = {name: np.maximum(values, scale.low) for name, values in images.items()}
     panels = [
         frequency_map(name, group[name], values, scale, "power") for name, values in images.items()
     ]
@@ -117,13 +137,14 @@ def radial(group: Group, styles: Styles) -> Plot:
         power = n / _random_level(each) * each["radial_power"].values
         curves[name] = (each["radius"].values / n ** (1 / dims), power)
     every = np.concatenate([x[x > 0] for x, _ in curves.values()])
-    root = {1: "n", 2: "√n", 3: "∛n"}.get(dims, f"n^(1/{dims})")
-    axis = log_axis(f"|m| / {root}", float(every.min(initial=1.0)), float(every.max(initial=1.0)))
+    label = f"frequency |m| / {root_of_n(dims)}"
+    axis = log_axis(label, float(every.min(initial=1.0)), float(every.max(initial=1.0)))
     hover = {name: numbers(power) for name, (_, power) in curves.items()}
+    panel = _with_guides(_power_panel(group, curves, styles, hover, axis))
     return Plot(
-        panels=(_power_panel(group, curves, styles, hover, axis),),
+        panels=(panel,),
         caption="Mean power over all directions against the length of the frequency, in units of "
-        "n^(1/d). The slope at low frequencies determines the rate."
+        "n^(1/d). The slope at low frequencies determines the rate; dotted lines are guides."
         + (
             " In three or more dims it replaces an image of the whole spectrum." if dims > 2 else ""
         ),
@@ -132,20 +153,57 @@ def radial(group: Group, styles: Styles) -> Plot:
 
 
 def pair_correlation(group: Group, styles: Styles) -> Plot:
-    """Plot the pair correlation g(r) with its 95 % interval and the level of random points."""
-    curves = {}
+    """Plot the pair correlation g(r) with its 95 % interval and the level of random points.
+
+    Distances are in mean spacings n^(−1/d), so that sets of different sizes can be compared.
+    """
+    curves, dims = {}, 1
     for name, each in group.items():
         g, ends = (each[f"pair_correlation{part}"].values for part in ("", "_ci"))
-        curves[name] = (each["r"].values, g, *ends.T)
+        dims = point_dims(each)
+        r = each["r"].values * _points(each) ** (1.0 / dims)
+        near = r <= _SPACINGS
+        curves[name] = (r[near], g[near], *ends[near].T)
     found: list[Mark] = [ReferenceLine(at=1.0), *lines_of(curves, styles, ("r", "g"))]
-    axis = Axis(label="pair correlation g(r)", low=0.0)
-    panel = Panel(marks=tuple(found), x=Axis(label="distance r"), y=axis, grid=True)
+    x = Axis(label=f"distance r · {root_of_n(dims)} (mean spacings)", low=0.0)
+    y = Axis(label="pair correlation g(r)   (random: 1)", low=0.0)
+    panel = Panel(marks=tuple(found), x=x, y=y, grid=True)
     return Plot(
         panels=(panel,),
         caption="Pair correlation g(r) of the points before any warp: density of points at "
-        "distance r from another point, relative to random points, with 95 % intervals.",
+        "distance r from another point, relative to random points, with 95 % intervals. "
+        "Distances are in mean spacings n^(−1/d).",
         words="Pair correlation against the distance. " + for_each(group, _pair_words),
         height=0.52,
+    )
+
+
+def anisotropy(group: Group, styles: Styles) -> Plot:
+    """Plot the variance of the power over directions in dB, relative to random points.
+
+    The power of random points, averaged over k sets, has the variance mean² / k.
+    This level is 0 dB, so that spectra of different numbers of sets can be compared.
+    """
+    curves, dims = {}, 1
+    for name, each in group.items():
+        dims = point_dims(each)
+        level = 10.0 * np.log10(float(each["spectrum_sets"]))
+        curves[name] = (
+            each["radius"].values / _points(each) ** (1.0 / dims),
+            each["anisotropy_db"].values + level,
+        )
+    every = np.concatenate([x for x, _ in curves.values()])
+    x = log_axis(f"frequency |m| / {root_of_n(dims)}", float(every.min()), float(every.max()))
+    found = np.concatenate([y[np.isfinite(y)] for _, y in curves.values()])
+    low, high = float(found.min(initial=-10.0)), float(found.max(initial=10.0))
+    y = linear_axis("anisotropy (dB)   (random: 0)", low, high)
+    marks: list[Mark] = [ReferenceLine(at=0.0), *lines_of(curves, styles, ("|m|", "dB"))]
+    return Plot(
+        panels=(Panel(marks=tuple(marks), x=x, y=y, grid=True),),
+        caption="Anisotropy: variance of the power over directions / mean², in dB. "
+        "0 dB is the level of random points, which noise alone causes.",
+        words="Anisotropy against the length of the frequency. "
+        + for_each(group, lambda d: f"largest {number(float(d['anisotropy_db'].max()))} dB"),
     )
 
 
@@ -613,6 +671,22 @@ def _power_panel(
     return Panel(marks=tuple(marks), x=axis, y=power, grid=True, note=note)
 
 
+def _with_guides(panel: Panel) -> Panel:
+    """Return a logarithmic panel with dotted guides of a few slopes through (1, 1)."""
+    low, left = panel.y.low, panel.x.low
+    if panel.y.kind != "log" or not low or not left or low > 0.3 or left > 0.5:
+        return panel
+    marks: list[Mark] = []
+    for slope in _SLOPES:
+        start = max(left * 1.15, (1.3 * low) ** (1.0 / slope))
+        at = np.array([start, 1.0])
+        marks.append(Line(x=at, y=at**slope, color=GRAY, dashes=":", width=0.8))
+        side: Any = "above" if start == left * 1.15 else "right"
+        x, y = float(at[0]), float(at[0] ** slope)
+        marks.append(TextMark(x=x, y=y, text=f"slope {slope}", color=GRAY, side=side))
+    return replace(panel, marks=(*marks, *panel.marks))
+
+
 def frequency_map(
     title: str, data: xr.Dataset, values: Array, scale: Scale, name: str, power: Array | None = None
 ) -> Panel:
@@ -621,7 +695,7 @@ def frequency_map(
     more = {} if power is None else {"power part": power.T}
     x, y = (
         Axis(
-            label=label,
+            label=f"frequency {label}",
             low=1.5 * float(m[0]) - 0.5 * float(m[1]) if m.size > 1 else None,
             high=1.5 * float(m[-1]) - 0.5 * float(m[-2]) if m.size > 1 else None,
             ticks=_frequency_ticks(m),

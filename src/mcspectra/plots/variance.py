@@ -89,6 +89,8 @@ _MOST_BINS = 60  # largest number of bars of a histogram; narrower bars are not 
 _SMALLER = 2.1  # how many times smaller the panel of a small picture is
 _VERDICTS = {"better": "#009E73", "worse": ACCENT, "given": INK}
 _CURVE = ("variance", "variance_ci", "rate", "rate_ci")
+_GUIDES = 3  # largest number of slopes that guides show
+_GUIDE_ROOM = 0.14  # fraction of a small panel's width for the label of a slope
 _PREDICTED = ("predicted_variance", "predicted_variance_ci")
 
 
@@ -97,7 +99,10 @@ def convergence(group: Group, styles: Styles, *, small: bool = False) -> Plot:
 
     Variances that are not finite, zero or rounding noise are omitted and counted in the legend.
     Results with `predicted_variance` also show the predictions as crosses.
+    Results of a bench have a panel for each integrand.
     """
+    if all("points_made" in each for each in group.values()):
+        return _bench_curves(group)
     names = labels(list(group), 44)
     curves = [
         mark for name, each in group.items() for mark in _curve(each, styles[name], names[name])
@@ -159,6 +164,20 @@ def overlaid(measured: Group, predicted: Group) -> dict[str, xr.Dataset]:
     return both
 
 
+def _bench_curves(group: Group) -> Plot:
+    """Plot the variances of a bench, with a panel for each integrand."""
+    tasks: dict[str, dict[str, xr.Dataset]] = {}
+    for each in group.values():
+        made = each.dropna("n", subset=["variance"])
+        made = made.assign_coords(n=made["points_made"].values.astype(int))
+        made = made.isel(n=np.unique(made["n"].values, return_index=True)[1])
+        if made.sizes["n"]:
+            name, title = (str(each[key].item()) for key in ("label", "integrand"))
+            tasks.setdefault(title, {})[name] = made
+    names = dict.fromkeys(name for task in tasks.values() for name in task)
+    return task_curves(tasks, sampler_styles(list(names)))
+
+
 def task_curves(
     tasks: Mapping[str, Group],
     styles: Styles,
@@ -178,11 +197,17 @@ def task_curves(
     parts = [styled] if alike else [{title: curves} for title, curves in styled.items()]
     made = [_curve_panels(part, x, joined=True) for part in parts]
     panels = [panel for few, _ in made for panel in few]
+    if not alike:
+        panels = [
+            _with_slope_guides(panel, [data for data, _ in curves.values()])
+            for panel, curves in zip(panels, styled.values(), strict=True)
+        ]
+    guides = "" if alike else " Dotted lines are guides with the slopes at their ends."
     return Plot(
         panels=tuple(panels),
         kind="task-curves",
         columns=2 if alike else 3,
-        caption=f"Variance against n {by}, with 95 % intervals.",
+        caption=f"Variance against n {by}, with 95 % intervals.{guides}",
         words=" ".join(said for _, said in made),
         height=0.62 if alike else 0.8,
         share=shared(panels) if panels else "",
@@ -829,6 +854,39 @@ def _with_slopes(panel: Panel, group: Group, styles: Styles, *, small: bool) -> 
     return replace(
         panel, marks=tuple(marks), x=replace(panel.x, high=across), y=replace(panel.y, high=top)
     )
+
+
+def _with_slope_guides(panel: Panel, results: Sequence[xr.Dataset]) -> Panel:
+    """Return a panel with dotted lines of the slopes −1, −1.5, −2 and so on nearest to the rates.
+
+    The lines begin at the largest variance of the smallest n.
+    """
+    starts = [
+        (float(each["n"].values[i]), float(each["variance"].values[i]))
+        for each in results
+        for i in np.flatnonzero(usable_counts(each))[:1]
+    ]
+    low, high, bottom = panel.x.low, panel.x.high, panel.y.low
+    if not starts or not (low and high and bottom):
+        return panel
+    n, top = min(n for n, _ in starts), max(value for _, value in starts)
+    last = max(float(each["n"].values[-1]) for each in results)
+    rates = np.array([float(each["rate"]) for each in results])
+    near = np.round(2.0 * rates[np.isfinite(rates) & (rates < -1.25)]) / 2.0
+    slopes, counts = np.unique(near, return_counts=True)
+    common = slopes[np.argsort(-counts, kind="stable")][: _GUIDES - 1]
+    marks: list[Mark] = []
+    for slope in (-1.0, *sorted(common, reverse=True)):
+        end = min(last, n * (top / (1.2 * bottom)) ** (-1.0 / slope))
+        if end <= 1.5 * n:
+            continue
+        at = np.array([n, end])
+        y = top * (at / n) ** slope
+        text = f"{slope:g}".replace("-", "−")
+        marks.append(Line(x=at, y=y, color=GRAY, dashes=":", width=0.8))
+        marks.append(TextMark(x=end, y=float(y[1]), text=text, color=GRAY))
+    across = high * (high / low) ** (_GUIDE_ROOM / (1.0 - _GUIDE_ROOM))
+    return replace(panel, marks=(*marks, *panel.marks), x=replace(panel.x, high=across))
 
 
 def _rate_text(data: xr.Dataset) -> str:

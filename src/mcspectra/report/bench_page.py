@@ -8,25 +8,26 @@ import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import xarray as xr
 
+from mcspectra.core.display import counted
 from mcspectra.core.errors import FileFormatError, writing
 from mcspectra.measure.bench import BENCH_QUALITY
 from mcspectra.plots import backend_matplotlib
 from mcspectra.plots.description import Plot
-from mcspectra.plots.groups import Group
+from mcspectra.plots.groups import Group, Styles, point_dims
 from mcspectra.plots.kinds import describe
-from mcspectra.plots.points import point_sets
-from mcspectra.plots.scales import count_axis, log_axis
+from mcspectra.plots.points import QUALITY_HEADS, point_sets
+from mcspectra.plots.spectra import spectrum as describe_spectrum
 from mcspectra.plots.style import INK, PAPER, labels, sampler_styles
-from mcspectra.plots.text import MISSING, number, rate
+from mcspectra.plots.text import MISSING, number, rate, slug
 from mcspectra.plots.variance import task_curves
 from mcspectra.report import page as html
 from mcspectra.report.result_files import check_result_file, csv_text, latex_table, result_table
-from mcspectra.report.sampler_cards import QUALITY_HEADS, Card, card_sections
+from mcspectra.report.sampler_cards import Card, card_sections
 from mcspectra.version import __version__
 
 if TYPE_CHECKING:
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BENCH_FILES",
+    "BenchFigure",
+    "bench_labels",
     "bench_plots",
     "bench_table",
     "check_bench_file",
@@ -114,9 +117,10 @@ def write_bench(bench: xr.Dataset, file: str, cards: Sequence[Card] = ()) -> Pat
                 columns, rows = bench_table(bench)
                 path.write_text(latex_table(columns, rows), encoding="utf-8")
             case ".pgf":
-                backend_matplotlib.write(next(bench_plots(bench))[1], file)
+                backend_matplotlib.write(next(bench_plots(bench)).plot, file)
             case ".pdf":
-                backend_matplotlib.write_pages([*_sheets(bench), *bench_plots(bench)], file)
+                titled = [(f"{f.title} ({f.sets})", f.plot) for f in bench_plots(bench)]
+                backend_matplotlib.write_pages([*_sheets(bench), *titled], file)
             case _:
                 html.write_page(_page(bench, cards), path)
     return path
@@ -137,7 +141,7 @@ def bench_table(bench: xr.Dataset) -> tuple[list[str], list[list[str]]]:
             shown = rate(float(slope), *map(float, of_task["rate_ci"].values[k]))
             cells.append(f"{shown} ({place})" if math.isfinite(low) else MISSING)
         rows.append(cells)
-    columns = ["Integrand", *_labels(bench)]
+    columns = ["Integrand", *bench_labels(bench)]
     if bench.sizes["sampler"] <= _ABREAST:
         return columns, rows
     first, *others = map(list, zip(columns, *rows, strict=True))
@@ -163,23 +167,47 @@ def _sampler_table(bench: xr.Dataset) -> tuple[list[str], list[list[tuple[str, f
     return ["Sampler", "Randomized by", "n", *(_HEADS[name] for name in names), "Points/s"], rows
 
 
-def _labels(bench: xr.Dataset) -> list[str]:
+def bench_labels(bench: xr.Dataset) -> list[str]:
+    """Return short and distinct names of the samplers of a bench."""
     return list(labels([str(label) for label in bench["label"].values], 26).values())
 
 
-def bench_plots(bench: xr.Dataset) -> Iterator[tuple[str, Plot]]:
-    """Yield section titles and figures; each figure shows at most ten samplers."""
-    whole = {name: bench.isel(sampler=k) for k, name in enumerate(_labels(bench))}
-    styles, names = sampler_styles(list(whole)), list(whole)
+class BenchFigure(NamedTuple):
+    """A figure of a bench: its section on the page, a name for files, the plot, n and sets."""
+
+    title: str
+    name: str
+    plot: Plot
+    sets: str
+
+
+def bench_plots(
+    bench: xr.Dataset, styles: Styles | None = None, *, logarithmic: bool = False
+) -> Iterator[BenchFigure]:
+    """Yield the figures of a bench; each figure shows at most ten samplers.
+
+    Parameters
+    ----------
+    bench
+        Result of `mcspectra.sampler_bench`.
+    styles
+        Style of each label in `bench_labels`. Default: distinct styles.
+    logarithmic
+        Whether spectra have a logarithmic scale.
+    """
+    names = bench_labels(bench)
+    whole = {name: bench.isel(sampler=k) for k, name in enumerate(names)}
     for start in range(0, len(names), _IN_OVERLAY):
         ones = {name: whole[name] for name in names[start : start + _IN_OVERLAY]}
-        yield from _plots_of(bench, ones, styles)
+        part = f"-{1 + start // _IN_OVERLAY}" if len(names) > _IN_OVERLAY else ""
+        for each in _plots_of(bench, ones, styles or sampler_styles(names), logarithmic):
+            yield each._replace(name=f"{each.name}{part}")
 
 
 def _plots_of(
-    bench: xr.Dataset, ones: dict[str, xr.Dataset], styles: Any
-) -> Iterator[tuple[str, Plot]]:
-    """Yield section titles and figures for a few samplers of a bench."""
+    bench: xr.Dataset, ones: dict[str, xr.Dataset], styles: Styles, logarithmic: bool
+) -> Iterator[BenchFigure]:
+    """Yield the figures of a few samplers of a bench."""
 
     # Plot convergence, one sheet per number of dims; each sampler has its own counts
     for d in dict.fromkeys(bench["integrand_dims"].values.tolist()):
@@ -192,61 +220,71 @@ def _plots_of(
                 if curve.sizes["n"]:
                     tasks.setdefault(str(title).rpartition(",")[0], {})[name] = curve  # type: ignore[index]
         if tasks:
-            yield f"Convergence in {d}-D", task_curves(tasks, styles)
+            sets = f"{d}-D, {counted(bench.attrs['realizations'], 'set')} per variance"
+            plot = task_curves(tasks, styles)
+            yield BenchFigure(f"Convergence in {d}-D", f"convergence-{d}d", plot, sets)
 
-    def of(*names: str) -> dict[str, xr.Dataset]:
-        """Return variables by sampler, for samplers with finite values of the first variable."""
-        return {
-            name: each[list(names)].assign_attrs(n=int(each["pictured_n"]))
+    def of(*names: str, sets: str) -> tuple[dict[str, xr.Dataset], str]:
+        """Return variables of the samplers that have the first one, and their n and sets."""
+        dims, kept = point_dims(bench), [*names, sets]
+        found = {
+            name: each[kept].assign_attrs(n=int(each["pictured_n"]), dims=dims)
             for name, each in ones.items()
             if names[0] in each and each[names[0]].notnull().any()
         }
+        points = _range([each.attrs["n"] for each in found.values()])
+        many = _range([int(each[sets]) for each in found.values()])
+        return found, f"{dims}-D, n = {points}, {many} set{'' if many == '1' else 's'}"
 
-    spectra, where = of("power", "radial_power"), "Spectra and pairs"
-    if spectra:
-        if "m1" in bench.dims and "m2" not in bench.dims:
-            yield f"{where}: spectra", describe("spectrum", spectra, styles)
-        yield f"{where}: means over directions", describe("radial", spectra, styles)
-    if "anisotropy_db" in bench and (rings := of("anisotropy_db", "anisotropy_noise_db")):
-        plot, panels = describe("anything", rings, styles), []
-        for panel, title in zip(
-            plot.panels, ("anisotropy", "expected from noise alone"), strict=True
-        ):
-            panels.append(replace(panel, y=replace(panel.y, label="dB"), title=title))
-        yield f"{where}: anisotropy", replace(plot, panels=tuple(panels), height=0.9)
-    if pairs := of("pair_correlation", "pair_correlation_ci"):
-        yield f"{where}: pair correlation", describe("pair-correlation", pairs, styles)
-
-    # Plot quality, on logarithmic axes if all values are positive
-    known = [name for name in BENCH_QUALITY if name in bench]
-    if known:
-        plot, panels = (
-            describe("anything", {k: each[known] for k, each in ones.items()}, styles),
-            [],
-        )
-        for name, panel in zip(known, plot.panels, strict=True):
-            values = np.array([each[name].values for each in ones.values()])
-            low, high = np.nanmin(values), np.nanmax(values)
-            y = log_axis("", low, high, 5) if low > 0 else replace(panel.y, label="")
-            x = count_axis("number of points n", bench["n"].values.tolist(), 4)
-            panels.append(replace(panel, x=x, y=y, title=_HEADS[name]))
-        yield "Quality", replace(plot, panels=tuple(panels), columns=3, height=0.8, wide=True)
+    where = "Spectra and pairs"
+    if "power" in bench:
+        spectra, sets = of("power", "radial_power", sets="spectrum_sets")
+        if spectra and "m1" in bench.dims and "m2" not in bench.dims:
+            plot = describe_spectrum(spectra, styles, logarithmic=logarithmic)
+            yield BenchFigure(f"{where}: spectra", "spectra", plot, sets)
+        if spectra:
+            plot = describe("radial", spectra, styles)
+            yield BenchFigure(f"{where}: means over directions", "radial", plot, sets)
+    if "anisotropy_db" in bench:
+        rings, sets = of("anisotropy_db", sets="spectrum_sets")
+        if rings:
+            plot = describe("anisotropy", rings, styles)
+            yield BenchFigure(f"{where}: anisotropy", "anisotropy", plot, sets)
+    if "pair_correlation" in bench:
+        pairs, sets = of("pair_correlation", "pair_correlation_ci", sets="pair_sets")
+        if pairs:
+            plot = describe("pair-correlation", pairs, styles)
+            yield BenchFigure(f"{where}: pair correlation", "pair-correlation", plot, sets)
+    if "quality_sets" in bench:
+        many = bench["quality_sets"].values
+        sets = f"{point_dims(bench)}-D, means of {_range(many[np.isfinite(many)])} sets"
+        yield BenchFigure("Quality", "quality", describe("quality", ones, styles), sets)
 
     # Plot one set of each sampler, projected on all pairs of axes
-    sets = {
+    sampled = {
         name: each[["points"]].dropna("axis", how="all").dropna("point")
         for name, each in ones.items()
     }
-    flat = {name: each.assign_attrs(n=1) for name, each in sets.items() if each.sizes["axis"] <= 2}
+    flat = {
+        name: each.assign_attrs(n=1) for name, each in sampled.items() if each.sizes["axis"] <= 2
+    }
     if flat:
-        yield "Points", describe("points", flat, styles)
-    for name, each in sets.items():
+        sets = f"n = {_range([each.sizes['point'] for each in flat.values()])}, one set each"
+        yield BenchFigure("Points", "points", describe("points", flat, styles), sets)
+    for name, each in sampled.items():
         if each.sizes["axis"] > 2:
             caption = f"{name}, n = {each.sizes['point']}"
             plot = point_sets(each["points"].values, caption, _MOST_AXES)
-            count = len(plot.panels)
-            columns = -(-count // -(-count // 5))
-            yield f"Projections: {name}", replace(plot, columns=columns, wide=True)
+            columns = -(-len(plot.panels) // -(-len(plot.panels) // 5))
+            plot = replace(plot, columns=columns, wide=True)
+            stem = f"projections-{slug(name)}"
+            yield BenchFigure(f"Projections: {name}", stem, plot, f"{caption}, one set")
+
+
+def _range(values: Iterable[float]) -> str:
+    """Return the text of one number, or of the smallest and the largest: ``1021 to 1024``."""
+    found = sorted({int(value) for value in values})
+    return " to ".join(map(str, found[:1] + found[1:][-1:]))
 
 
 def _said(bench: xr.Dataset) -> list[str]:
@@ -266,7 +304,7 @@ def _said(bench: xr.Dataset) -> list[str]:
 
 
 def _page(bench: xr.Dataset, cards: Sequence[Card]) -> html.Page:
-    names = _labels(bench)
+    names = bench_labels(bench)
     anchors = html.anchors(names, "s-")
     linked = [
         html.TableCell(text=name, numeric=False, link=f"#{anchor}" if cards else "")
@@ -296,8 +334,9 @@ def _page(bench: xr.Dataset, cards: Sequence[Card]) -> html.Page:
     )
     sections = [html.Section(title="Summary", anchor="summary", blocks=tables)]
     plots: dict[str, list[Plot]] = {}
-    for title, plot in bench_plots(bench):
-        plots.setdefault(title.partition(":")[0], []).append(plot)
+    for title, _, plot, sets in bench_plots(bench):
+        told = replace(plot, caption=f"{plot.caption} Here: {sets}.")
+        plots.setdefault(title.partition(":")[0], []).append(told)
     for k, (title, found) in enumerate(plots.items()):
         blocks = html.figures_of(found, live=title != "Projections")
         sections.append(html.Section(title=title, anchor=f"part-{k}", blocks=blocks))
@@ -315,7 +354,8 @@ def _sheets(bench: xr.Dataset) -> Iterator[Drawn]:
     lines += [(line, False) for text in _said(bench) for line in textwrap.wrap(text, 108)]
     alone, own = _sampler_table(bench)
     texts = [
-        [name, *(text for text, _ in row)] for name, row in zip(_labels(bench), own, strict=True)
+        [name, *(text for text, _ in row)]
+        for name, row in zip(bench_labels(bench), own, strict=True)
     ]
     for heads, rows in ((alone, texts), bench_table(bench)):
         # Wrap long heads over several lines

@@ -33,7 +33,7 @@ from mcspectra.measure.bench import SHARED_SETS, making_seconds, randomized, sha
 from mcspectra.measure.converge import convergence
 from mcspectra.plots import backend_matplotlib
 from mcspectra.plots.description import Plot
-from mcspectra.plots.points import sampler_card
+from mcspectra.plots.points import QUALITY_HEADS, sampler_card
 from mcspectra.plots.text import NEGLIGIBLE, number, rate, with_error
 from mcspectra.quality import quality_figures, summarize
 from mcspectra.quality.figures import different_realizations
@@ -44,7 +44,6 @@ from mcspectra.spectra.power import power_spectrum
 
 __all__ = [
     "FULL",
-    "QUALITY_HEADS",
     "QUICK",
     "Card",
     "CardEffort",
@@ -67,15 +66,6 @@ _ALSO = (
 """Specs that `all_samplers` adds to the registered samplers."""
 
 _PROJECTED_DIMS = 4
-QUALITY_HEADS = {
-    "relative_minimum_distance": "Minimum distance",
-    "star_discrepancy": "Star discrepancy",
-    "centered_discrepancy": "Centered discrepancy",
-    "diaphony": "Diaphony",
-    "transport_cost": "Transport cost",
-    "t_value": "t",
-}
-"""Column headers of quality figures, by the name of the figure."""
 _INTEGRANDS = {1: ("gaussian", "step(at=0.3)"), 2: ("gaussian", "disk")}
 
 
