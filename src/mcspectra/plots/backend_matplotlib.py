@@ -72,12 +72,15 @@ _TINY, _NARROW, _WIDE = 2.35, 4.9, 7.4
 # Inches: smallest side of a panel among several panels, and largest side of a square panel
 _LEAST_SIDE, _LARGEST_SQUARE = 2.3, 3.4
 _LETTER = 0.0083  # mean width of a letter in inches, per point of its size
+_CLOSE_LETTER = 0.0076  # the same without a margin for wide letters
 _TITLE_LETTER = 0.0088  # the same for titles, which may have many capitals
 _DPI, _PDF_DPI = 120, 200  # resolution of PNG files, and of rasterized parts of a PDF
 _MOST_VECTORS = 5000  # largest number of points drawn as vectors; more make files large and slow
 # Number of colors of a PNG. Files are three times smaller, and flat colors look the same
 _COLORS = 256
 _MOST_PIXELS = 2**15  # largest side of an image in pixels; half of Matplotlib's own limit
+# Space of a legend's handle and gaps, in letters, in figures of a free and of a given width
+_HANDLE, _TIGHT_HANDLE = 7.0, 5.5
 _LINEAR = 0.45  # each side of the linear part of an axis takes half a decade
 _SIDES = {
     "right": ((4, 0), "left", "center"),
@@ -173,18 +176,21 @@ def draw(plot: Plot, axes: GivenAxes = None, *, pyplot: bool = False, look: Look
         if not scale.label or scale.kind == "names":
             continue
         extend: Any = "max" if scale.beyond else "neither"
-        bar = figure.colorbar(drawn, ax=where, shrink=0.85, aspect=24, pad=0.02, extend=extend)
+        # The bar is on the right, or below if the width is given
+        below = look.width is not None
+        place: dict[str, Any] = {"location": "bottom", "aspect": 32} if below else {"aspect": 24}
+        bar = figure.colorbar(drawn, ax=where, shrink=0.85, pad=0.02, extend=extend, **place)
         bar.outline.set_visible(False)
         bar.ax.tick_params(**look.ticks)
         ticks = scale.ticks
         if ticks is None and scale.kind == "log":
             ticks = log_ticks(scale.low, scale.high)
         if ticks is None:
-            bar.ax.locator_params(axis="y", nbins=5)
+            bar.ax.locator_params(axis="x" if below else "y", nbins=5)
         else:
             bar.set_ticks(list(ticks), labels=[escaped(text) for text in ticks.values()])
         bar.minorticks_off()
-        length = 0.85 * bar.ax.get_window_extent().height / figure.dpi
+        length = 0.85 * (look.width or bar.ax.get_window_extent().height / figure.dpi)
         label = escaped(_broken(scale.label, length, look))
         bar.set_label(label, fontsize=look.small, color=INK)
     _legend(figure, panels[0] if axes is not None else None, plot, look)
@@ -399,7 +405,7 @@ def _new_figure(plot: Plot, pyplot: bool, look: Look) -> tuple[Figure, list[Axes
     width = look.width or (_TINY if plot.small else width)
     bar = any(scale.label and scale.kind != "names" for p in plot.panels for scale in p.scales)
     labelled = 1 if plot.share in ("y", "both") else columns
-    side = (width - 0.85 * bar - 0.5 * labelled) / columns
+    side = (width - 0.85 * (bar and not look.width) - 0.5 * labelled) / columns
     side = (
         min(side, _LARGEST_SQUARE) if columns == 1 and plot.height > 0.8 and not plot.wide else side
     )
@@ -414,6 +420,7 @@ def _new_figure(plot: Plot, pyplot: bool, look: Look) -> tuple[Figure, list[Axes
         if row == rows - 1 or not below:
             lines = (panel.x.label.count("\n") + bool(panel.x.label) for panel in panels)
             strips += (0.2 + 0.15 * max(lines)) * line
+    strips += 0.55 * line * (bar and look.width is not None)
     if entries := _entries(plot):
         strips += 0.18 * line * math.ceil(len(entries) / _legend_columns(entries, width, look))
 
@@ -425,7 +432,8 @@ def _new_figure(plot: Plot, pyplot: bool, look: Look) -> tuple[Figure, list[Axes
         axes = figure.add_subplot(grid[divmod(k, columns)])
         if made:
             _share(axes, made[0], plot.share)
-        if below and k + columns < count:
+        # In a given width, also a panel without a panel below it has no labels
+        if below and (k // columns < rows - 1 if look.width else k + columns < count):
             axes.tick_params(labelbottom=False)
             axes.xaxis.label.set_visible(False)
         if plot.share in ("y", "both") and k % columns:
@@ -494,7 +502,9 @@ def _panel(axes: Axes, panel: Panel, look: Look) -> Iterator[tuple[Scale, Scalar
     room = axes.get_window_extent().width / axes.figure.dpi
     if panel.title:
         # Fix the title's y, because finding a free place takes longer than the rest of the layout
-        letters = max(int(room / (_TITLE_LETTER * look.title)), 12)
+        # In a given width, letters are counted closely, so that fewer titles are shortened
+        size = look.title * (_TITLE_LETTER if look.width is None else _CLOSE_LETTER)
+        letters = max(int(room / size), 12 if look.width is None else 13)
         lines = textwrap.wrap(panel.title, letters, break_long_words=False)
         fits = len(lines) < 3 and max(map(len, lines)) <= letters
         text = escaped("\n".join(lines) if fits else shorten(panel.title, letters))
@@ -521,6 +531,13 @@ def _finish_axis(axes: Axes, which: str, given: Axis, look: Look) -> None:
     ticks = given.ticks
     if ticks is None and given.kind == "log":
         ticks = log_ticks(low, high)
+    if which == "x" and ticks and look.width:
+        # In narrow panels, omit every other tick until the labels do not touch
+        across = axes.get_window_extent().width / axes.figure.dpi
+        wide = look.letter * (max(map(len, ticks.values())) + 1)
+        while 1 < len(ticks) > across / wide:
+            kept = list(ticks)[::-2]
+            ticks = {tick: ticks[tick] for tick in reversed(kept)}
     if ticks is None:
         axis.set_major_locator(MaxNLocator(4, steps=[1, 2, 2.5, 5, 10]))
     else:
@@ -704,8 +721,15 @@ def _entries(plot: Plot) -> dict[str, list[Mark | str]]:
 
 
 def _legend_columns(labels: Iterable[str], width: float, look: Look) -> int:
-    longest = max(map(len, labels))
-    return max(1, min(4, int(width / (look.letter * (longest + 7)))))
+    """Return the largest number of columns, at most four, whose texts fit into the width."""
+    lengths, handle = list(map(len, labels)), _TIGHT_HANDLE if look.width else _HANDLE
+    for columns in (4, 3, 2):
+        # Matplotlib fills the columns one after the other
+        rows = math.ceil(len(lengths) / columns)
+        parts = [lengths[start : start + rows] for start in range(0, len(lengths), rows)]
+        if sum(look.letter * (max(part) + handle) for part in parts) <= width:
+            return columns
+    return 1
 
 
 def _legend(figure: Figure, given: Axes | None, plot: Plot, look: Look) -> None:
@@ -741,9 +765,10 @@ def _legend(figure: Figure, given: Axes | None, plot: Plot, look: Look) -> None:
             given.set_ylim(top=float(scale.inverted().transform(bottom + (top - bottom) / kept)))
         return
     columns = min(_legend_columns(entries, figure.get_figwidth(), look), len(entries))
-    figure.legend(
-        handles, texts, loc="outside lower center", ncols=columns, handlelength=1.8, **options
-    )
+    if look.width:
+        options |= {"columnspacing": 1.0, "handletextpad": 0.5, "borderaxespad": 0.2}
+    options |= {"loc": "outside lower center", "ncols": columns, "handlelength": 1.8}
+    figure.legend(handles, texts, **options)
 
 
 def _handle(marks: list[Mark | str]) -> Any:

@@ -681,9 +681,10 @@ def _with_guides(panel: Panel) -> Panel:
         start = max(left * 1.15, (1.3 * low) ** (1.0 / slope))
         at = np.array([start, 1.0])
         marks.append(Line(x=at, y=at**slope, color=GRAY, dashes=":", width=0.8))
-        side: Any = "above" if start == left * 1.15 else "right"
-        x, y = float(at[0]), float(at[0] ** slope)
-        marks.append(TextMark(x=x, y=y, text=f"slope {slope}", color=GRAY, side=side))
+        # Place the text below the lower part of the line, where curves are rare
+        x = start**0.8
+        text = f"slope {slope}"
+        marks.append(TextMark(x=x, y=0.75 * x**slope, text=text, color=GRAY, side="below"))
     return replace(panel, marks=(*marks, *panel.marks))
 
 
@@ -695,7 +696,7 @@ def frequency_map(
     more = {} if power is None else {"power part": power.T}
     x, y = (
         Axis(
-            label=f"frequency {label}",
+            label=f"{label} (cycles)",
             low=1.5 * float(m[0]) - 0.5 * float(m[1]) if m.size > 1 else None,
             high=1.5 * float(m[-1]) - 0.5 * float(m[-2]) if m.size > 1 else None,
             ticks=_frequency_ticks(m),

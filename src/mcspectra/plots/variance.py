@@ -90,6 +90,7 @@ _SMALLER = 2.1  # how many times smaller the panel of a small picture is
 _VERDICTS = {"better": "#009E73", "worse": ACCENT, "given": INK}
 _CURVE = ("variance", "variance_ci", "rate", "rate_ci")
 _GUIDES = 3  # largest number of slopes that guides show
+_GUIDE_GAP = 0.11  # least distance of labels of slopes, as a fraction of the panel's height
 _GUIDE_ROOM = 0.14  # fraction of a small panel's width for the label of a slope
 _PREDICTED = ("predicted_variance", "predicted_variance_ci")
 
@@ -876,12 +877,16 @@ def _with_slope_guides(panel: Panel, results: Sequence[xr.Dataset]) -> Panel:
     slopes, counts = np.unique(near, return_counts=True)
     common = slopes[np.argsort(-counts, kind="stable")][: _GUIDES - 1]
     marks: list[Mark] = []
+    lowest = math.inf
     for slope in (-1.0, *sorted(common, reverse=True)):
         end = min(last, n * (top / (1.2 * bottom)) ** (-1.0 / slope))
         if end <= 1.5 * n:
             continue
         at = np.array([n, end])
         y = top * (at / n) ** slope
+        if end == last and lowest / y[1] < (top / bottom) ** _GUIDE_GAP:
+            continue  # The label would touch the label above
+        lowest = float(y[1])
         text = f"{slope:g}".replace("-", "−")
         marks.append(Line(x=at, y=y, color=GRAY, dashes=":", width=0.8))
         marks.append(TextMark(x=end, y=float(y[1]), text=text, color=GRAY))
