@@ -76,6 +76,8 @@ _CLOSE_LETTER = 0.0076  # the same without a margin for wide letters
 _TITLE_LETTER = 0.0088  # the same for titles, which may have many capitals
 _DPI, _PDF_DPI = 120, 200  # resolution of PNG files, and of rasterized parts of a PDF
 _MOST_VECTORS = 5000  # largest number of points drawn as vectors; more make files large and slow
+_PGF_DPI = 400  # resolution of maps and dots that belong to a PGF file
+_MOST_PGF = 1500  # largest number of dots in a PGF file; TeX's memory ends at about 5000
 # Number of colors of a PNG. Files are three times smaller, and flat colors look the same
 _COLORS = 256
 _MOST_PIXELS = 2**15  # largest side of an image in pixels; half of Matplotlib's own limit
@@ -328,6 +330,7 @@ def _write_pgf(figure: Figure, file: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.backends.backend_mixed import MixedModeRenderer
     from matplotlib.backends.backend_pgf import RendererPgf
+    from matplotlib.collections import PathCollection
 
     class Renderer(RendererPgf):
         def get_text_width_height_descent(self, s: str, prop: Any, ismath: Any) -> Any:
@@ -356,7 +359,12 @@ def _write_pgf(figure: Figure, file: Path) -> None:
                 f"{{\\includegraphics[width={across},height={down}]{{{picture.name}}}}}%\n"
             )
 
-    figure.set_dpi(_PDF_DPI)  # the resolution of maps
+    figure.set_dpi(_PGF_DPI)
+    dots = [each for axes in figure.axes for each in axes.collections]
+    dots = [each for each in dots if isinstance(each, PathCollection)]
+    if sum(len(each.get_offsets()) for each in dots) > _MOST_PGF:
+        for each in dots:
+            each.set_rasterized(True)
     canvas = FigureCanvasAgg(figure)
     canvas.draw()  # type: ignore[no-untyped-call]
     figure.set_layout_engine("none")
