@@ -157,7 +157,7 @@ def test_slopes_of_equal_curves_do_not_overlap():
 def test_components_have_a_method_plot():
     sampler = mcs.sampler("jittered", dims=2)
     assert sampler.plot().get_xlabel() == "x₀"
-    assert sampler.plot("spectrum", n=16).get_xlabel() == "m₀"
+    assert sampler.plot("spectrum", n=16).get_xlabel() == "m₀ (cycles)"
     assert mcs.density("linear(slope=1)", dims=1).plot().get_ylabel() == "p(x)"
     assert mcs.integrand("step", dims=1).plot().get_ylabel() == "f(x)"
     assert len(mcs.Estimator("step", dims=1).plot("strata")) == 2

@@ -332,7 +332,7 @@ def test_spectrum__wrong_number_of_dims(make, kind):
 @pytest.mark.parametrize("dims", [1, 2, 3])
 def test_radial__axis_in_units_of_the_root_of_n(make, dims):
     data = make["spectrum"](dims=dims, n=64, half_width=3)
-    (line,) = marks(describe("radial", {"x": data}), Line)
+    (line,) = [m for m in marks(describe("radial", {"x": data}), Line) if m.label]
     np.testing.assert_allclose(line.x, data["radius"].values / 64 ** (1 / dims))
     np.testing.assert_allclose(line.y, np.maximum(64 * data["radial_power"].values, 1e-4))
 
@@ -447,6 +447,7 @@ def correlation(values=(0.0, 0.5, 1.0)):
             "pair_correlation_ci": (("r", "bound"), np.add.outer(values, [-0.1, 0.3])),
         },
         {"r": [0.1, 0.2, 0.3]},
+        {"n": 16, "dims": 2},
     )
 
 
@@ -454,6 +455,7 @@ def test_pair_correlation__describes_the_minimum():
     plot = describe("pair-correlation", {"random": correlation(), "shift": correlation()})
     assert "random: least 0 at r = 0.100" in plot.words
     (random, shift) = marks(plot, Line)
+    np.testing.assert_allclose(random.x, [0.4, 0.8, 1.2])  # in units of 1/√16
     assert (random.label, shift.label) == ("random", "shift")
     np.testing.assert_allclose(random.high - random.low, 0.4)
     none = describe("pair-correlation", {"random": correlation((math.nan,) * 3)})

@@ -38,7 +38,7 @@ def test_many_samplers_become_rows_and_figures_of_ten(bench, tmp_path, monkeypat
     columns, rows = bench_table(many)
     assert columns == ["Sampler", *bench["integrand"].values]
     assert [row[0] for row in rows] == [f"s{k}" for k in range(12)]
-    quality = [plot for title, plot in bench_plots(many) if title == "Quality"]
+    quality = [f.plot for f in bench_plots(many) if f.title == "Quality"]
     assert len(quality) == 2
     # The page without images, which take most of the time
     monkeypatch.setattr(bench_page, "bench_plots", lambda *_: iter(()))
@@ -49,20 +49,20 @@ def test_many_samplers_become_rows_and_figures_of_ten(bench, tmp_path, monkeypat
 
 
 def test_every_part_has_a_figure(bench):
-    titles = [title for title, _ in bench_plots(bench)]
+    titles = [figure.title for figure in bench_plots(bench)]
     assert titles == [
         "Convergence in 2-D", "Convergence in 3-D", "Spectra and pairs: spectra",
         "Spectra and pairs: means over directions", "Spectra and pairs: anisotropy",
         "Spectra and pairs: pair correlation", "Quality", "Points",
         "Projections: jittered", "Projections: sobol | owen",
     ]  # fmt: skip
-    plots = dict(bench_plots(bench))
+    plots = {figure.title: figure.plot for figure in bench_plots(bench)}
     # Three labeled pairs of axes
     named = [(p.x.label, p.y.label) for p in plots["Projections: jittered"].panels]
     assert named == [("x₀", "x₁"), ("x₀", "x₂"), ("x₁", "x₂")]
     assert [p.title for p in plots["Points"].panels] == ["pmj02"]
     assert len(plots["Convergence in 3-D"].panels) == 8
-    assert all(plot.words for _, plot in bench_plots(bench))
+    assert all(plot.words for plot in plots.values())
 
 
 def test_all_file_formats_are_written(bench, tmp_path):

@@ -6,6 +6,7 @@ import argparse
 import importlib
 import inspect
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -31,9 +32,11 @@ from mcspectra.core.decoding import path_to_write
 from mcspectra.core.display import QUOTED, counted, printable, shown
 from mcspectra.core.errors import FileFormatError, MissingDependency, Parameter, ParameterError
 from mcspectra.core.progress import report
+from mcspectra.plots.paper import COLORS, SPECTRA, inches
 
 __all__ = ["bench_", "integrate_", "list_", "points_"]
 
+_STYLES = ("page", "paper")
 _NO_VERB = "no verb: for study files"
 _REGISTRIES = {
     "samplers": ("mcspectra.samplers", "SAMPLERS"),
@@ -44,6 +47,11 @@ _REGISTRIES = {
     "filters": ("mcspectra.rendering.frame_filters", "FILTERS"),
     "analyses": ("mcspectra.core.analysis", "ANALYSES"),
 }
+
+
+def _choice(known: tuple[str, ...]) -> Callable[[str, str], str]:
+    """Return a parser of one of a few words."""
+    return lambda name, text: as_choice(name, text, known)
 
 
 @verb(option("KIND", f"one of {', '.join(_REGISTRIES)}"))
@@ -245,7 +253,7 @@ def integrate_(options: argparse.Namespace) -> VerbOutput:
     option("-m, --realizations R", "point sets per variance (default 400)", whole(2)),
     out(
         ".html, or a folder: the page; .pdf: its tables and pictures; .csv, .tex: rates; .pgf: "
-        "convergence"
+        "convergence; with --style paper a folder"
     ),
     group(
         lambda parser: parser.add_argument_group(
@@ -258,6 +266,30 @@ def integrate_(options: argparse.Namespace) -> VerbOutput:
         option("--block W,H,T", "pixels and frames (default 64,64,128)", wholes("W,H,T")),
         option("--sigma S", "width of the blur in pixels (default 1.5)", real(least=0.0)),
         option("--alpha A", "weight of a new frame in the EMA (default 0.1)", real(above=0.0)),
+    ),
+    group(
+        lambda parser: parser.add_argument_group("figures for a paper"),
+        option(
+            "--style NAME",
+            "page (default), or paper: figures and tables for LaTeX",
+            _choice(_STYLES),
+        ),
+        option(
+            "--width W", "width of a paper's figures, e.g. 3.33in or 84mm (default 3.33in)", inches
+        ),
+        option(
+            "--font-size PT",
+            "size of a paper's texts in points (default 8)",
+            real(least=3.0, most=30.0),
+        ),
+        option(
+            "--spectra SCALE",
+            "color scale of a paper's spectra: linear (default), log",
+            _choice(SPECTRA),
+        ),
+        option(
+            "--colors MAP", "colors of a paper's spectra: gray, viridis (default)", _choice(COLORS)
+        ),
     ),
 )
 def bench_(options: argparse.Namespace) -> VerbOutput:
@@ -273,8 +305,18 @@ def bench_(options: argparse.Namespace) -> VerbOutput:
 
     --screen compares masks and screen-space samplers by their errors in images, before any render.
     The table has the variance, its share at low frequencies, and the variance after filters.
+
+    With --style paper, DIR has each figure as PDF, PGF and SVG, tables, and main.tex with all.
+    Width, sizes and colors that are not given follow the rcParams of Matplotlib.
     """
+    look = given_of(options, "width", "font_size", "spectra", "colors")
+    paper = options.style == "paper"
+    if look and not paper:
+        name = next(iter(look)).replace("_", "-")
+        raise ParameterError(f"--{name} is for figures of a paper; add --style paper.")
     if options.screen is not None:
+        if paper:
+            raise ParameterError("--style paper is not for --screen; leave one of them out.")
         return _screen(options)
     for name in ("block", "sigma", "alpha"):
         if getattr(options, name) is not None:
@@ -284,6 +326,10 @@ def bench_(options: argparse.Namespace) -> VerbOutput:
 
     for file in options.out:
         check_bench_file(file)
+        if paper and not is_folder(file):
+            raise ParameterError(f"--style paper writes a folder; {shown(file)} is a file.")
+    if paper and not options.out:
+        raise ParameterError("--style paper writes a folder; give its name with -o.")
     specs, seed = options.specs or all_samplers(options.dims or (2,)), options.seed or 0
     given = given_of(options, "counts", "dims", "realizations")
     bench = mcs.sampler_bench(specs, **given, rng=seed)
@@ -291,7 +337,7 @@ def bench_(options: argparse.Namespace) -> VerbOutput:
     # Measure a card of each sampler only if a page is written.
     # A card is measured at the largest count only, because `bench` already contains the rates
     cards = []
-    if any(is_folder(file) or file.endswith(".html") for file in options.out):
+    if not paper and any(is_folder(file) or file.endswith(".html") for file in options.out):
         spectra = min(200, options.realizations or 200)
         effort = CardEffort(n=min(int(bench["n"][-1]), 1024), spectra=spectra, counts=())
         for k, spec in enumerate(specs):
@@ -300,7 +346,14 @@ def bench_(options: argparse.Namespace) -> VerbOutput:
         report("cards", 1.0)
     columns, rows = bench_table(bench)
     lines = [text_table(["", *columns[1:]], rows), bench.attrs.get("note", "")]
-    written = [write_bench(bench, file, cards) for file in options.out]
+    written = []
+    for file in options.out:
+        if paper:
+            from mcspectra.report.paper import write_paper
+
+            written.append(write_paper(bench, file, **look)[-1])
+        else:
+            written.append(write_bench(bench, file, cards))
     lines += [f"bench: {path}" for path in written]
     data = data_of(bench) | ({"files": written} if written else {})
     return VerbOutput("\n".join(filter(None, lines)), data)

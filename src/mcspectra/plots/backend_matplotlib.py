@@ -294,7 +294,7 @@ def write_figure(figure: Figure, file: Path) -> None:
     extension = file.suffix.lower()
     stamps: dict[str, Any] = {".png": {}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
     # A fixed salt makes the ids in an SVG reproducible. A tight box would change the width
-    fixed = {"svg.hashsalt": "mcspectra", "pdf.fonttype": 42, "savefig.bbox": None}
+    fixed: Any = {"svg.hashsalt": "mcspectra", "pdf.fonttype": 42, "savefig.bbox": None}
     with writing(file), mpl.rc_context(fixed):
         if extension == ".pgf":
             _write_pgf(figure, file)
@@ -360,9 +360,9 @@ def _write_pgf(figure: Figure, file: Path) -> None:
             )
 
     figure.set_dpi(_PGF_DPI)
-    dots = [each for axes in figure.axes for each in axes.collections]
-    dots = [each for each in dots if isinstance(each, PathCollection)]
-    if sum(len(each.get_offsets()) for each in dots) > _MOST_PGF:
+    marks = [each for axes in figure.axes for each in axes.collections]
+    dots = [each for each in marks if isinstance(each, PathCollection)]
+    if sum(len(np.asarray(each.get_offsets())) for each in dots) > _MOST_PGF:
         for each in dots:
             each.set_rasterized(True)
     canvas = FigureCanvasAgg(figure)
@@ -417,6 +417,8 @@ def _new_figure(plot: Plot, pyplot: bool, look: Look) -> tuple[Figure, list[Axes
     side = (
         min(side, _LARGEST_SQUARE) if columns == 1 and plot.height > 0.8 and not plot.wide else side
     )
+    if look.width and all(panel.square for panel in plot.panels):
+        side -= 0.028 * look.label  # labels of a square panel make it narrower and lower
     heights = [side * plot.height * part for part in plot.rows or (1.0,) * rows]
 
     # Add the space for titles, tick labels, axis labels and the legend
@@ -540,12 +542,16 @@ def _finish_axis(axes: Axes, which: str, given: Axis, look: Look) -> None:
     if ticks is None and given.kind == "log":
         ticks = log_ticks(low, high)
     if which == "x" and ticks and look.width:
-        # In narrow panels, omit every other tick until the labels do not touch
-        across = axes.get_window_extent().width / axes.figure.dpi
-        wide = look.letter * (max(map(len, ticks.values())) + 1)
-        while 1 < len(ticks) > across / wide:
-            kept = list(ticks)[::-2]
-            ticks = {tick: ticks[tick] for tick in reversed(kept)}
+        # In a given width, omit ticks whose labels would touch the next label on the right
+        at = {tick: float(axis.get_transform().transform(np.array([tick]))[0]) for tick in ticks}
+        first, last = axis.get_transform().transform(np.array([low, high]))
+        inches = axes.get_window_extent().width / axes.figure.dpi / abs(last - first)
+        kept: list[float] = []
+        for tick in sorted(ticks, reverse=True):
+            half = 0.5 * look.letter * (len(ticks[tick]) + len(ticks[kept[-1]]) if kept else 0)
+            if not kept or inches * abs(at[kept[-1]] - at[tick]) > half:
+                kept.append(tick)
+        ticks = {tick: ticks[tick] for tick in sorted(kept)}
     if ticks is None:
         axis.set_major_locator(MaxNLocator(4, steps=[1, 2, 2.5, 5, 10]))
     else:
@@ -557,7 +563,7 @@ def _finish_axis(axes: Axes, which: str, given: Axis, look: Look) -> None:
     length = (room.width if which == "x" else room.height) / axes.figure.dpi
     label = escaped(_broken(given.label, length, look))
     axis.set_label_text(label, fontsize=look.label, color=INK)
-    if which == "x" and ticks:
+    if which == "x" and ticks and look.width is None:
         # Rotate labels that would touch
         at = np.sort(axis.get_transform().transform(np.array(list(ticks))))
         first, last = axis.get_transform().transform(np.array([low, high]))
@@ -736,7 +742,7 @@ def _legend_columns(labels: Iterable[str], width: float, look: Look) -> int:
         rows = math.ceil(len(lengths) / columns)
         parts = [lengths[start : start + rows] for start in range(0, len(lengths), rows)]
         if sum(look.letter * (max(part) + handle) for part in parts) <= width:
-            return columns
+            return math.ceil(len(lengths) / rows)
     return 1
 
 

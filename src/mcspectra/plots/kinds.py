@@ -231,8 +231,9 @@ def describe(kind: str, data: Data, styles: Styles | None = None) -> Plot:
         If the kind is unknown, if there is nothing to draw, or if the kind does not fit the result.
     """
     chosen = PLOT_KINDS[as_choice("kind", kind, tuple(PLOT_KINDS))]
-    if isinstance(data, xr.Dataset) and "rate" not in chosen.variables:
-        data = data.drop_vars("rate", errors="ignore")  # no split by the integrands of a bench
+    # Only curves of a bench are split by integrand
+    if isinstance(data, xr.Dataset) and "points_made" in data and kind != "convergence":
+        data = data.drop_vars("rate")
     group, note = as_group(data)
     for name, each in group.items():
         if lacking := chosen.lacks(each):

@@ -21,7 +21,18 @@ from mcspectra.plots.backend_matplotlib import Look
 from mcspectra.plots.description import Dots, Line, Mark, Panel, Plot, ReferenceLine, Segments
 from mcspectra.plots.style import GRAY, INK, PALETTE, LineStyle, sampler_styles
 
-__all__ = ["COLORS", "FORMATS", "PaperStyle", "inches", "paper_plot", "write_paper_figure"]
+__all__ = [
+    "COLORS",
+    "FORMATS",
+    "SPECTRA",
+    "PaperStyle",
+    "inches",
+    "paper_plot",
+    "write_paper_figure",
+]
+
+SPECTRA = ("linear", "log")
+"""Color scales of spectra."""
 
 COLORS = ("gray", "viridis")
 """Color maps of spectra."""
@@ -33,6 +44,7 @@ _INCHES = {"in": 1.0, "mm": 1.0 / 25.4, "cm": 1.0 / 2.54, "pt": 1.0 / 72.27, "bp
 _WIDTH, _FONT, _LINE = 3.33, 8.0, 1.0  # inches (a column of two), points, points
 _THIN = 0.6  # width in points of guides and reference lines
 _DOT = 3.2  # largest diameter in points of markers
+_USUAL = 2.3  # width in inches of a panel on a page
 _MARKERS = 6  # number of markers along a curve without dots
 # Least width of a panel in units of the font size. Labels of ticks then do not touch
 _SQUARE, _WIDE = 9.5, 14.0
@@ -164,6 +176,15 @@ def paper_plot(plot: Plot, style: PaperStyle, styles: Mapping[str, LineStyle]) -
     styles
         Style of each sampler.
     """
+    # Choose the columns. Dots of point sets are made for panels of 2.3 inches
+    square = all(panel.square for panel in plot.panels)
+    least = (_SQUARE if square else _WIDE) * style.look.label / 72.0
+    whole, count = style.look.width or _WIDTH, len(plot.panels)
+    most = max(1, int(whole / least))
+    columns = 1 if plot.columns == 1 else min(most, count)
+    columns = math.ceil(count / math.ceil(count / columns))
+    shrunk = min(1.0, whole / columns / _USUAL)
+
     markers = {(each.color, each.dashes): each.marker for each in styles.values()}
     panels = []
     for panel in plot.panels:
@@ -191,19 +212,14 @@ def paper_plot(plot: Plot, style: PaperStyle, styles: Mapping[str, LineStyle]) -
                     marks.append(replace(mark, width=_THIN) if thin else mark)
                 case Dots():
                     if np.isfinite(np.asarray(mark.y, float)).any():
-                        size: Any = np.minimum(mark.size, _DOT)
+                        size: Any = mark.size if panel.square else np.minimum(mark.size, _DOT)
+                        size = np.asarray(size) * (shrunk if panel.square else 1.0)
                         marks.append(replace(mark, size=float(size) if size.ndim == 0 else size))
                 case _:
                     marks.append(mark)
         panels.append(replace(panel, marks=tuple(marks)))
 
-    # Choose the columns, and omit labels of axes that the panel below or on the left repeats
-    square = all(panel.square for panel in panels)
-    least = (_SQUARE if square else _WIDE) * style.look.label / 72.0
-    most = max(1, int((style.look.width or _WIDTH) / least))
-    columns = 1 if plot.columns == 1 else min(most, len(panels))
-    rows = math.ceil(len(panels) / columns)
-    columns = math.ceil(len(panels) / rows)
+    # Omit labels of axes that the panel below or on the left repeats
     for k, panel in enumerate(panels):
         x, y = panel.x, panel.y
         if k + columns < len(panels) and x.label == panels[k + columns].x.label:

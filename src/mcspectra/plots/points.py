@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -164,7 +165,7 @@ def quality(group: Group, styles: Styles) -> Plot:
                 continue
             n, style = each["n"].values[there], styles[name]
             at, values = n.astype(float), values[there]
-            look = {"color": style.color, "label": short[name]}
+            look: dict[str, Any] = {"color": style.color, "label": short[name]}
             hover = {"sampler": [name] * n.size, "n": [str(m) for m in n], head: numbers(values)}
             marks.append(Line(x=at, y=values, dashes=style.dashes, width=1.0, **look))
             marks.append(Dots(x=at, y=values, marker=style.marker, hover=hover, **look))

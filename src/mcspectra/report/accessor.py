@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
 import xarray as xr
@@ -117,6 +118,52 @@ class Result:
         """
         self._chosen(None)
         return {kind: draw(describe(kind, self._data)) for kind in self.kinds}
+
+    def paper(
+        self,
+        folder: str | Path,
+        *,
+        width: str | float | None = None,
+        font_size: float | None = None,
+        spectra: str = "linear",
+        colors: str | None = None,
+    ) -> list[Path]:
+        """Write figures and tables for a paper, and a LaTeX page that includes them.
+
+        Each figure is written as PDF, PGF and SVG. Tables need the package booktabs.
+        Options that are not given follow Matplotlib's rcParams where these were changed.
+
+        Parameters
+        ----------
+        folder
+            Folder for the files. Existing files with the same names are replaced.
+        width
+            Width of each figure: inches, or a text such as ``"3.33in"`` or ``"84mm"``.
+            Default: 3.33 inches.
+        font_size
+            Size of all texts in points. Default: 8.
+        spectra
+            Color scale of a bench's spectra: ``"linear"`` or ``"log"``.
+        colors
+            Color map of spectra: ``"gray"`` or ``"viridis"``.
+
+        Returns
+        -------
+        list of Path
+            Paths of the figures, the tables and ``main.tex``, which is the last.
+
+        Raises
+        ------
+        ParameterError
+            If an option is not allowed, or no figure shows this result.
+        FileFormatError, StoreError, StorageError
+            If a file cannot be written.
+        """
+        from mcspectra.report.paper import write_paper
+
+        self._chosen(None)
+        options = {"width": width, "font_size": font_size, "spectra": spectra, "colors": colors}
+        return write_paper(self._data, folder, **options)  # type: ignore[arg-type]
 
     def summary(self) -> str:
         """Describe the result in sentences: rates, terms, predictions or numbers."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import textwrap
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -52,6 +53,7 @@ _ROWS = 44  # lines of text on a PDF sheet
 _ABREAST = 6  # more samplers than this become rows of a table, fewer become columns
 _IN_OVERLAY = 10  # largest number of samplers in one plot
 _MOST_AXES = 10
+_MOST_NAMED = 2  # largest number of samplers whose own number of sets is stated
 _CURVES = ["points_made", "variance", "variance_ci", "rate", "rate_ci", "rank", "rank_ci"]
 
 
@@ -233,8 +235,7 @@ def _plots_of(
             if names[0] in each and each[names[0]].notnull().any()
         }
         points = _range([each.attrs["n"] for each in found.values()])
-        many = _range([int(each[sets]) for each in found.values()])
-        return found, f"{dims}-D, n = {points}, {many} set{'' if many == '1' else 's'}"
+        return found, f"{dims}-D, n = {points}, {_sets_of(found, sets)}"
 
     where = "Spectra and pairs"
     if "power" in bench:
@@ -256,8 +257,8 @@ def _plots_of(
             plot = describe("pair-correlation", pairs, styles)
             yield BenchFigure(f"{where}: pair correlation", "pair-correlation", plot, sets)
     if "quality_sets" in bench:
-        many = bench["quality_sets"].values
-        sets = f"{point_dims(bench)}-D, means of {_range(many[np.isfinite(many)])} sets"
+        least = {name: each.min() for name, each in ones.items()}
+        sets = f"{point_dims(bench)}-D, means of {_sets_of(least, 'quality_sets')}"
         yield BenchFigure("Quality", "quality", describe("quality", ones, styles), sets)
 
     # Plot one set of each sampler, projected on all pairs of axes
@@ -276,9 +277,19 @@ def _plots_of(
             caption = f"{name}, n = {each.sizes['point']}"
             plot = point_sets(each["points"].values, caption, _MOST_AXES)
             columns = -(-len(plot.panels) // -(-len(plot.panels) // 5))
-            plot = replace(plot, columns=columns, wide=True)
+            plot = replace(plot, columns=columns, wide=True, caption="Projections on all axes.")
             stem = f"projections-{slug(name)}"
             yield BenchFigure(f"Projections: {name}", stem, plot, f"{caption}, one set")
+
+
+def _sets_of(group: Group, key: str) -> str:
+    """Return the usual number of averaged sets, and samplers with another number in brackets."""
+    counts = {name: int(each[key]) for name, each in group.items() if np.isfinite(each[key])}
+    usual = Counter(counts.values()).most_common(1)[0][0] if counts else 0
+    others = [f"{name}: {count}" for name, count in counts.items() if count != usual]
+    if len(others) > _MOST_NAMED:
+        return f"{_range(counts.values())} sets"
+    return counted(usual, "set") + (f" ({', '.join(others)})" if others else "")
 
 
 def _range(values: Iterable[float]) -> str:

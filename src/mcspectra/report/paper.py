@@ -16,17 +16,14 @@ from mcspectra.core.errors import ParameterError, writing
 from mcspectra.measure.bench import BENCH_QUALITY
 from mcspectra.plots.groups import as_group, point_dims
 from mcspectra.plots.kinds import describe, kinds_of
-from mcspectra.plots.paper import PaperStyle, paper_plot, write_paper_figure
+from mcspectra.plots.paper import SPECTRA, PaperStyle, paper_plot, write_paper_figure
 from mcspectra.plots.points import QUALITY_HEADS
 from mcspectra.plots.style import LineStyle
 from mcspectra.plots.text import LATEX_TEXT, latex_maths
 from mcspectra.report.bench_page import BenchFigure, bench_labels, bench_plots
 from mcspectra.report.result_files import latex_table, result_table
 
-__all__ = ["SPECTRA", "write_paper"]
-
-SPECTRA = ("linear", "log")
-"""Color scales of spectra."""
+__all__ = ["write_paper"]
 
 _COLUMN = 3.34  # inches; wider figures span both columns of the page
 _MOST_ROWS = 60  # larger tables do not fit on a page, and are left to .csv files
@@ -133,6 +130,8 @@ def _bench_tables(bench: xr.Dataset) -> Iterator[_Table]:
         cells = {"rates": list[list[str]](), "variances": list[list[str]]()}
         for i in range(part.sizes["sampler"]):
             one = part.isel(sampler=i)
+            if not one["variance"].notnull().any():  # a sampler without sets in these dims
+                continue
             rates = [
                 _with_digits(float(slope), *map(float, ends))
                 for slope, ends in zip(one["rate"].values, one["rate_ci"].values, strict=True)
@@ -219,8 +218,6 @@ def _main(figures: Sequence[BenchFigure], tables: Sequence[_Table], width: float
             f"\\caption{{{table.caption}}}\n\\label{{tab:{table.name}}}\n"
             f"\\mctable{{{table.name}}}\n\\end{{table*}}"
         )
-    # LaTeX holds at most 18 floats at a time
-    parts = [part + ("\n\\clearpage" if k % 6 == 5 else "") for k, part in enumerate(parts)]
     body = "\n\n".join(parts)
     return _PAGE.replace("BODY", body)
 
@@ -232,6 +229,10 @@ _PAGE = r"""% Figures and tables for a paper. Compile: pdflatex main.tex
 % Figures as PDF; for texts in the fonts of the document replace this line by the next one
 \newcommand{\mcfigure}[1]{\includegraphics{#1.pdf}}
 %\newcommand{\mcfigure}[1]{\input{#1.pgf}}
+\extrafloats{100}
+\renewcommand{\topfraction}{0.9}
+\renewcommand{\floatpagefraction}{0.7}
+\renewcommand{\dblfloatpagefraction}{0.5}
 % Tables shrink if they are wider than the text
 \newsavebox{\mcbox}
 \newcommand{\mctable}[1]{\sbox{\mcbox}{\input{#1.tex}\unskip}%
