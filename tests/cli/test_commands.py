@@ -232,7 +232,7 @@ def test_converge_finds_no_rate_in_noise_or_in_rounding(run, run_json):
     row = next(line.split() for line in out.splitlines() if line.startswith("random"))
     assert row[3] == "unresolved"
     assert float(row[4]) > 0.5
-    assert "the rate is not resolved: use more realizations or larger counts" in out
+    assert "is not resolved: use five or more counts, more realizations or larger counts" in out
     assert "sobol has no variance: add owen or shift, or compare |bias|" in out
     assert [line.split()[1:4] for line in out.splitlines() if line.startswith("sobol  ")] == [
         ["0", "0", "–"]

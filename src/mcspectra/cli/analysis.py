@@ -142,7 +142,12 @@ def analysis_verb(names: Sequence[str], given: Sequence[str] = ()) -> Verb:
         # An analysis of point sets uses all given sets, unless an option sets their number
         all_sets = any(each.name == "realizations" for each in own)
         declarations = [
-            option("SAMPLER", "sampler spec; - reads point sets from standard input"),
+            option(
+                "SAMPLER",
+                "sampler spec, or several for one picture; - reads point sets from standard input",
+                dest="sampler",
+                nargs="+",
+            ),
             option("-d, --dims D", "number of dims (default 2)", whole()),
         ]
         if not takes or "density" in takes:
@@ -184,16 +189,30 @@ def analysis_verb(names: Sequence[str], given: Sequence[str] = ()) -> Verb:
                 check_result_file(file)
 
         # Compute the result, write the output files, and print a view
-        given = given_of(options, *(each.name for each in own))
-        subject = _subject(options, analysis, default_sampler)
-        if all_sets and isinstance(subject.sampler, GivenPoints):
-            sets = subject.sampler.sets.get(given.get("n", 0), subject.sampler.points)
-            given = {"realizations": len(sets), **given}
-        result = compute(analysis(**given), subject, options.seed or 0)
+        wanted = given_of(options, *(each.name for each in own))
+        results: dict[str, xr.Dataset] = {}
+        for subject in _subjects(options, analysis, default_sampler):
+            given = wanted
+            if all_sets and isinstance(subject.sampler, GivenPoints):
+                sets = subject.sampler.sets.get(given.get("n", 0), subject.sampler.points)
+                given = {"realizations": len(sets), **given}
+            spec = "" if subject.sampler is None else subject.sampler.spec
+            results[spec] = compute(analysis(**given), subject, options.seed or 0)
+        result = next(iter(results.values()))
+        if len(results) > 1:
+            import xarray as xr
+
+            result = xr.concat(results.values(), "sampler", combine_attrs="override")
+            result = result.assign_coords(sampler=list(results))
         for file in options.out:
             write_result_file(result, file, f"mcspectra {analysis.command()}", view)
-        shown = views[view](result)
-        return VerbOutput(shown.text, {**data_of(result), **shown.data})
+        shown = [views[view](each) for each in results.values()]
+        if len(results) == 1:
+            return VerbOutput(shown[0].text, {**data_of(result), **shown[0].data})
+        text = "\n\n".join(
+            f"{spec}\n{each.text}" for spec, each in zip(results, shown, strict=True)
+        )
+        return VerbOutput(text, data_of(result))
 
     about = inspect.cleandoc(analysis.__doc__ or "").partition("\n\n")[0]
     if len(splits) > 1:
@@ -203,15 +222,29 @@ def analysis_verb(names: Sequence[str], given: Sequence[str] = ()) -> Verb:
     return Verb(f"{about}\n\n{printed}".strip(), tuple(declarations), run)
 
 
-def _subject(
+def _subjects(
     options: argparse.Namespace, analysis: type[Analysis], default_sampler: str | None
-) -> Subject:
-    """Make the subject: a sampler with its density, or an estimator with samplers."""
+) -> list[Subject]:
+    """Make the subjects: each sampler with its density, or an estimator with its samplers."""
     if analysis.about == "sampler":
         from mcspectra.densities.registry import as_warp
 
-        source = read_sampler(options.sampler, options.dims)
-        return Subject(None, source, as_warp(getattr(options, "density", None), source.dims))
+        sources = [read_sampler(text, options.dims) for text in options.sampler]
+        for source in sources:
+            if source.dims != sources[0].dims:
+                raise ParameterError(
+                    f"The samplers have {sources[0].dims} and {source.dims} dims; give samplers of "
+                    "the same dims."
+                )
+            if sources.count(source) > 1:
+                raise ParameterError(f"The sampler {source.spec} is given twice; give it once.")
+        density = getattr(options, "density", None)
+        return [Subject(None, source, as_warp(density, source.dims)) for source in sources]
+    return [_estimator_subject(options, default_sampler)]
+
+
+def _estimator_subject(options: argparse.Namespace, default_sampler: str | None) -> Subject:
+    """Make the subject of an analysis of an estimator with its samplers."""
     from mcspectra.estimators import (
         MIRRORINGS,
         Estimator,

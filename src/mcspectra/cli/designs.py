@@ -89,8 +89,11 @@ def design_(options: argparse.Namespace) -> VerbOutput:
     first, *copies = options.out or [None]
     text, data = (_density if density else _sampler)(options, first)
     for file in copies:
+        sets = Path(first).with_suffix(".npz")
         with writing(file):
             shutil.copyfile(first, file)
+            if sets.exists() and sets.parent != Path(file).parent:
+                shutil.copyfile(sets, Path(file).parent / sets.name)
     return VerbOutput(text, data)
 
 
@@ -143,8 +146,10 @@ def _sampler(options: argparse.Namespace, path: str | None) -> tuple[str, dict[s
         },
     }
     if path is not None:
+        sets = str(Path(path).with_suffix(".npz"))
+        stored = spec.replace(repr(sets), repr(Path(sets).name))  # relative to the file's folder
         with writing(path):
-            Path(path).write_text(json.dumps(data, indent=2) + "\n")
+            Path(path).write_text(json.dumps(data | {"spec": stored}, indent=2) + "\n")
     return text, data
 
 

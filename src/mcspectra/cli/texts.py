@@ -20,6 +20,7 @@ from mcspectra.cli.common import VerbOutput, page_table, text_table
 from mcspectra.core.errors import NoClosedForm
 from mcspectra.core.fits import UNRESOLVED, is_resolved
 from mcspectra.plots.groups import along, method_of
+from mcspectra.plots.variance import BELOW_ROUNDING, below_rounding
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -145,7 +146,7 @@ def _error(result: xr.Dataset, name: str, place: tuple[int, ...]) -> str:
 def convergence(result: xr.Dataset) -> VerbOutput:
     """Prints the variance at each n, the rate ± half its interval, and how well a line fits."""
     header = ["sampler", "", *(f"n = {n}" for n in result["n"].values), "rate", "±"]
-    rows, curves, notes, unresolved = [], [], [], ""
+    rows, curves, notes = [], [], list[str]()
     for sampler, picked in along(result, "sampler"):
         channels = picked.sizes.get("channel", 0)
         for channel in range(max(channels, 1)):
@@ -161,10 +162,13 @@ def convergence(result: xr.Dataset) -> VerbOutput:
                     _number(float(curve["fit_chi2"]), 3),
                 ]
                 if not is_resolved(low, high):
-                    fit[:2], unresolved = (
-                        ["unresolved", _number((high - low) / 2, 3)],
-                        f"unresolved: the rate is {UNRESOLVED}",
+                    half = _number((high - low) / 2, 3)
+                    fit[:2] = ["unresolved", half]
+                    notes.append(
+                        f"{sampler}{label}: the fitted rate, {rate:+.2f} ± {half}, is {UNRESOLVED}"
                     )
+            elif below_rounding(curve):
+                fit[0] = BELOW_ROUNDING
             # If the interval has no upper end, print the lower end with the number
             variances = [
                 f"{v:.4g}" + (f" (≥ {low:.4g})" if math.isinf(high) else "")
@@ -184,7 +188,7 @@ def convergence(result: xr.Dataset) -> VerbOutput:
         curves.append({"sampler": sampler, "n": result["n"].values, **values})
     table = text_table([*header, "fit from n", "χ²/dof"], rows)
     title = f"variance of {result.attrs['estimator']}"
-    return _shown(title, table, *notes, unresolved, _note(result), curves=curves)
+    return _shown(title, table, *notes, _note(result), curves=curves)
 
 
 @_view("terms")

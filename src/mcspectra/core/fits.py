@@ -64,7 +64,7 @@ LACK_OF_FIT = 0.05
 CURVATURE = 0.1
 """Significance level of a quadratic term in log n below which a window is rejected as bent."""
 
-UNRESOLVED = "not resolved: use more realizations or larger counts"
+UNRESOLVED = "not resolved: use five or more counts, more realizations or larger counts"
 """Text that replaces a rate whose interval is too wide; results keep the number."""
 
 _WIDEST = 0.5  # largest half interval of a reported rate, so that −1 and −2 are distinguished

@@ -543,13 +543,15 @@ def _finish_axis(axes: Axes, which: str, given: Axis, look: Look) -> None:
         ticks = log_ticks(low, high)
     if which == "x" and ticks and look.width:
         # In a given width, omit ticks whose labels would touch the next label on the right
-        at = {tick: float(axis.get_transform().transform(np.array([tick]))[0]) for tick in ticks}
+        places = {
+            tick: float(axis.get_transform().transform(np.array([tick]))[0]) for tick in ticks
+        }
         first, last = axis.get_transform().transform(np.array([low, high]))
         inches = axes.get_window_extent().width / axes.figure.dpi / abs(last - first)
         kept: list[float] = []
         for tick in sorted(ticks, reverse=True):
             half = 0.5 * look.letter * (len(ticks[tick]) + len(ticks[kept[-1]]) if kept else 0)
-            if not kept or inches * abs(at[kept[-1]] - at[tick]) > half:
+            if not kept or inches * abs(places[kept[-1]] - places[tick]) > half:
                 kept.append(tick)
         ticks = {tick: ticks[tick] for tick in sorted(kept)}
     if ticks is None:

@@ -57,7 +57,9 @@ from mcspectra.plots.style import (
 from mcspectra.plots.text import MISSING, NEGLIGIBLE, number, number_beside, percent, rate, shorten
 
 __all__ = [
+    "BELOW_ROUNDING",
     "anova",
+    "below_rounding",
     "captured",
     "convergence",
     "estimates",
@@ -88,6 +90,9 @@ _TEXT_LINE, _TEXT_LETTER = 0.06, 0.018
 _MOST_BINS = 60  # largest number of bars of a histogram; narrower bars are not visible
 _SMALLER = 2.1  # how many times smaller the panel of a small picture is
 _VERDICTS = {"better": "#009E73", "worse": ACCENT, "given": INK}
+BELOW_ROUNDING = "below rounding"
+"""Text for the rate of a curve without variances above rounding noise."""
+
 _CURVE = ("variance", "variance_ci", "rate", "rate_ci")
 _GUIDES = 3  # largest number of slopes that guides show
 _GUIDE_GAP = 0.11  # least distance of labels of slopes, as a fraction of the panel's height
@@ -643,6 +648,12 @@ def estimates(group: Group, styles: Styles) -> Plot:
         height=0.7,
         share="x",
     )
+
+
+def below_rounding(data: xr.Dataset) -> bool:
+    """Whether a curve has no rate because its finite variances are zero or rounding noise."""
+    finite = np.isfinite(data["variance"].values)
+    return bool(finite.any() and usable_counts(data)[finite].sum() < 2 and finite.sum() > 1)
 
 
 def usable_counts(curve: xr.Dataset) -> Array:

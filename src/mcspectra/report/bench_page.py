@@ -25,7 +25,7 @@ from mcspectra.plots.points import QUALITY_HEADS, point_sets
 from mcspectra.plots.spectra import spectrum as describe_spectrum
 from mcspectra.plots.style import INK, PAPER, labels, sampler_styles
 from mcspectra.plots.text import MISSING, number, rate, slug
-from mcspectra.plots.variance import task_curves
+from mcspectra.plots.variance import BELOW_ROUNDING, below_rounding, task_curves
 from mcspectra.report import page as html
 from mcspectra.report.result_files import check_result_file, csv_text, latex_table, result_table
 from mcspectra.report.sampler_cards import Card, card_sections
@@ -141,6 +141,8 @@ def bench_table(bench: xr.Dataset) -> tuple[list[str], list[list[str]]]:
             low, high = rank
             place = f"{low:.0f}" if low == high else f"{low:.0f}–{high:.0f}"
             shown = rate(float(slope), *map(float, of_task["rate_ci"].values[k]))
+            if shown == MISSING and below_rounding(of_task.isel(sampler=k)):
+                shown = BELOW_ROUNDING
             cells.append(f"{shown} ({place})" if math.isfinite(low) else MISSING)
         rows.append(cells)
     columns = ["Integrand", *bench_labels(bench)]

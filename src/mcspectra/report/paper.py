@@ -20,6 +20,7 @@ from mcspectra.plots.paper import SPECTRA, PaperStyle, paper_plot, write_paper_f
 from mcspectra.plots.points import QUALITY_HEADS
 from mcspectra.plots.style import LineStyle
 from mcspectra.plots.text import LATEX_TEXT, latex_maths
+from mcspectra.plots.variance import BELOW_ROUNDING, below_rounding
 from mcspectra.report.bench_page import BenchFigure, bench_labels, bench_plots
 from mcspectra.report.result_files import latex_table, result_table
 
@@ -132,10 +133,11 @@ def _bench_tables(bench: xr.Dataset) -> Iterator[_Table]:
             one = part.isel(sampler=i)
             if not one["variance"].notnull().any():  # a sampler without sets in these dims
                 continue
-            rates = [
-                _with_digits(float(slope), *map(float, ends))
-                for slope, ends in zip(one["rate"].values, one["rate_ci"].values, strict=True)
-            ]
+            rates = []
+            for k in range(one.sizes["integrand"]):
+                curve = one.isel(integrand=k)
+                text = _with_digits(float(curve["rate"]), *map(float, curve["rate_ci"].values))
+                rates.append(BELOW_ROUNDING if text == "--" and below_rounding(curve) else text)
             at_last = one["variance"].isel(n=-1).values
             variances = [_scientific(float(value)) for value in at_last]
             cells["rates"].append([names[i], *rates])

@@ -167,6 +167,8 @@ def design(
     path
         File for the sampler or the density, with the suffix .json.
         Point sets are stored in a .npz file of the same name. The default is the cache folder.
+        The file names its sets relative to its own folder; the spec of the result has the path
+        relative to the current folder.
     family, sampler, budget, defensive
         Options of a density, passed to `learned_density`: `kind` (default ``"mixture"``),
         `sampler` (default ``"sobol | owen"``), `evaluations` and `defensive`.
@@ -288,10 +290,14 @@ def _saved(found: Sampler, target: Path) -> Sampler:
     spec = found.spec
     source = next((w for w in spec.split("'") if w.endswith(".npz")), None)
     if source is not None:
-        copy = str(target.with_suffix(".npz").resolve())  # An absolute path, for use in any folder
+        copy = target.with_suffix(".npz")
         shutil.copyfile(source, copy)
-        spec = spec.replace(repr(source), repr(copy))
-    target.write_text(json.dumps({"spec": spec, "dims": found.dims}) + "\n")
+        # The file names its sets relative to its own folder, so that both can be moved together
+        stored = spec.replace(repr(source), repr(copy.name))
+        spec = spec.replace(repr(source), repr(str(copy)))
+    else:
+        stored = spec
+    target.write_text(json.dumps({"spec": stored, "dims": found.dims}) + "\n")
     return sampler_of(spec, found.dims)
 
 
