@@ -293,7 +293,9 @@ def test_an_unresolved_steepest_rate_is_not_a_finding(tree):
     ends = curves["rate"] + xr.DataArray([-2.68, 2.68], dims="bound")
     wide["convergence"] = xr.DataTree(curves.assign(rate_ci=ends.transpose(..., "bound")))
     said = dict(pixel_sentences(wide))["fastest"]
-    assert said.startswith("The rates are not resolved: use five or more counts, more realizations or larger counts")
+    assert said.startswith(
+        "The rates are not resolved: use five or more counts, more realizations or larger counts"
+    )
     assert "±" not in said
 
 

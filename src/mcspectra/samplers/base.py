@@ -84,7 +84,7 @@ class Sampler(Component, ABC):
     min_dims, max_dims, max_count
         Smallest and largest number of dims, and largest number of points.
         Larger sets would take too much time or memory.
-        The error message contains the advice `other_dims`.
+        Error messages contain the advice `other_dims` and the reason `cost_of_more`.
     scrambles
         Number of built-in randomizations, such as owen in ``halton(scramble='owen')``.
     """
@@ -100,6 +100,7 @@ class Sampler(Component, ABC):
     max_dims: ClassVar[int | None] = None
     other_dims: ClassVar[str] = ""
     max_count: ClassVar[int] = MAX_COUNT
+    cost_of_more: ClassVar[str] = ""
     scrambles: ClassVar[int] = 0
 
     def __post_init__(self) -> None:
@@ -219,9 +220,10 @@ class Sampler(Component, ABC):
         except ParameterError as error:
             raise CountError(error) from None
         if count > self.max_count:
+            cost = f" ({self.cost_of_more})" if self.cost_of_more else ""
             raise CountError(
-                f"{self.spec} makes at most {self.max_count} points, not {count}; ask for fewer, "
-                "or use a sampler that needs no optimization.",
+                f"{self.spec} makes at most {self.max_count} points, not {count}{cost}; ask for "
+                "fewer, or use a sampler that needs no optimization.",
                 (self.max_count,),
             )
         below, above = self._counts_near(count)

@@ -289,7 +289,7 @@ class Determinantal(Sampler):
 
     The kernel is K(x, y) = Σ exp(2πi m·(x − y)) over M, the n frequencies of smallest norm.
     Ties between norms are broken lexicographically.
-    The set M need not be symmetric, so any count up to 4096 is possible.
+    The set M need not be symmetric, so any count up to 2048 is possible.
     An exact draw takes about n³ log n steps.
 
     Notes
@@ -307,7 +307,8 @@ class Determinantal(Sampler):
 
     structure: ClassVar[Structure] = Structure.TORUS
     max_dims: ClassVar[int | None] = 64
-    max_count: ClassVar[int] = 2**12  # work grows as n³ log n, memory as n²
+    max_count: ClassVar[int] = 2**11
+    cost_of_more: ClassVar[str] = "the time grows as n³ log n: 4096 points take about a minute"
     dims: int = DEFAULT_DIMS
 
     def frequencies(self, n: int) -> Array:

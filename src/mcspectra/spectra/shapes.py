@@ -351,8 +351,9 @@ def low_frequency_exponent(
     power, se, _ = half.mean_by(label, len(lengths))
     if np.isnan(se).any():
         raise ParameterError(
-            "The spectrum has no standard errors to weight the fit by; use two or more "
-            "realizations."
+            "The spectrum is from one set, whose power at single frequencies varies by 100 %, so "
+            "there are no standard errors to weight the fit by; use two or more realizations, or "
+            "files of several sets as in points(path='set_*.dat')."
         )
     approximate = spectrum.attrs.get("engine") == "nufft"
     least = 10 * spectrum.attrs.get("eps", 0.0) if approximate else 0.0
