@@ -66,6 +66,7 @@ _OWN = {  # Fields of the set-up on which each part depends
 
 _FIRST_ROUND, _GROWTH = 16, 4
 _LONGEST_ROUND = 30.0  # Longest expected duration of a round in seconds; longer ones are not begun
+_MATRIX_HALF_WIDTH = 64  # Largest half width at which the cross matrix is computed
 _KEPT = 64  # Maximum number of cached datasets, of about 1 MB each
 _GRID = {1: 1024, 2: 128}  # Grid points per axis for plots of the integrand, by dims
 _FILTERS = threading.Lock()  # Warning filters belong to the process, not to a thread
@@ -380,6 +381,9 @@ def analyses_of(setup: ExplorerSetup) -> dict[str, Analysis]:
     given = {each.name: getattr(setup, each.name) for each in dataclasses.fields(setup)}
     given["counts"] = setup.counts or tuple(ladder(setup))
     given["space"] = setup.space or make_parts(setup).space
+    # In 1-D also compute the matrix of all pairs of frequencies, for one technique
+    small = setup.dims == 1 and setup.half_width <= _MATRIX_HALF_WIDTH
+    given["cross_matrix"] = small and len(techniques(setup.integrand)) == 1
     made = {
         name: kind(**{o.name: given[o.name] for o in options_of(kind) if o.name in given})
         for name, kind in ANALYSES.items()

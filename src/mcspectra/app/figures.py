@@ -23,6 +23,7 @@ FIGURES = {
     "lines": "Power spectrum",
     "radial": "Radial power",
     "contributions": "Contributions by frequency",
+    "cross-matrix": "Cross matrix: pairs of frequencies",
     "bands": "Covariance of bands",
 }
 """Kinds of plots in the order on the page, and their titles."""

@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, final
-from urllib.parse import urlencode
+from urllib.parse import parse_qsl, urlencode
 
 from bokeh.core.templates import get_env
 from bokeh.models import Column, CustomJS, InlineStyleSheet, Row, Spacer, TabPanel, Tabs
@@ -52,6 +52,7 @@ h2 { font-size: 15px; margin: 8px 0 0; } h3 { font-size: 13px; margin: 4px 0 0; 
 p { margin: 0 0 4px; } .soft { color: var(--soft); } a { color: var(--link); }
 .alert { border-left: 4px solid #D55E00; padding-left: 8px; font-weight: 600; }
 .bk-clearfix { width: 100%; } progress { width: 100%; height: 6px; }
+ul { margin: 4px 0 8px; padding-left: 18px; }
 td, th { padding: 2px 16px 2px 0; text-align: left; }
 """
 _GRID = ":host {{ display: grid !important; gap: 14px; grid-template-columns: {columns}; }}"
@@ -67,6 +68,22 @@ _TELL = (
 )
 _COPY = "navigator.clipboard.writeText(text.value)"
 _PROGRAM = "import mcspectra as mcs\n"
+_EXAMPLES = {
+    "A shift costs a power of n": "integrand=linear&dims=1&b.sampler=jittered | shift"
+    "&b.integrand=linear&b.dims=1",
+    "Random and jittered samples": "sampler=random&b.sampler=jittered",
+    "Spectra: jittered and Poisson disk": "sampler=jittered&b.sampler=poisson-disk",
+    "A density that fits the integrand": "integrand=gaussian(width=0.2)&dims=1"
+    "&b.integrand=gaussian(width=0.2)&b.dims=1&b.density=truncated-normal(mean=0.5, sigma=0.25)",
+    "Importance sampling can lose the rate": "integrand=linear&dims=1&b.integrand=linear"
+    "&b.dims=1&b.density=linear(slope=-1.2)",
+    "Strata at an edge, and between": "n=64&integrand=half-space(normal=[1, 0], offset=0.5)"
+    "&b.n=64&b.integrand=half-space(normal=[1, 0], offset=0.5)&b.strata_shift=0.5",
+    "Mirroring removes the jump": "sampler=jittered | shift&integrand=linear&dims=1"
+    "&b.sampler=jittered | shift&b.integrand=linear&b.dims=1&b.mirror=integrand",
+    "A pixel of Veach's scene": f"integrand={pixel_spec(96, 100)}&n=64",
+}
+"""Main examples of the talk: text of the link, and query of the state."""
 
 
 @final
@@ -84,7 +101,10 @@ class Explorer:
     def __init__(self, document: Any, query: str) -> None:
         refused = ""
         try:
-            self.state = ExplorerState.from_query(query)
+            # Without a set-up in the address, begin with the first example
+            first = "" if "=" in query.replace("theme=", "") else next(iter(_EXAMPLES.values()))
+            begin = urlencode(parse_qsl(first) + parse_qsl(query)) if first else query
+            self.state = ExplorerState.from_query(begin)
         except McspectraError as error:
             self.state, refused = ExplorerState(), f"{error} The defaults are shown."
         self._document, self._loop = document, IOLoop.current(instance=False)
@@ -128,9 +148,16 @@ class Explorer:
             button = Button(label=f"Copy as {name}", width=140, stylesheets=[self._sheet])
             button.js_on_click(CustomJS(args={"text": area}, code=_COPY))
             texts.children.append(Column(children=[button, area], sizing_mode="stretch_width"))
+        examples = "".join(
+            f'<li><a href="?{urlencode(parse_qsl(query))}">{escape_html(title)}</a></li>'
+            for title, query in _EXAMPLES.items()
+        )
+        talk = f"<details><summary>Examples of the talk</summary><ul>{examples}</ul></details>"
         # Use separate roots, so that a changed text does not move the figures
         self.roots: dict[str, Any] = {
-            "side": Column(children=[self._compare, self._sides], sizing_mode="stretch_width"),
+            "side": Column(
+                children=[block(text=talk), self._compare, self._sides], sizing_mode="stretch_width"
+            ),
             "head": Column(
                 children=[self._refused, self._headers, self._summary], sizing_mode="stretch_width"
             ),
@@ -147,6 +174,9 @@ class Explorer:
             self._started = True
             for side, setup in self.state.setups():
                 self._boards[side].run(setup)
+            # A shared link to a pixel also shows the picture
+            if any("pixel(" in setup.integrand for _, setup in self.state.setups()):
+                self._scene.open()
 
     def close(self) -> None:
         """Cancel all jobs when the tab is closed."""
