@@ -409,3 +409,15 @@ sys.exit(module.main())
     done = python("-c", code)
     assert (done.returncode, done.stdout) == (130, "")
     assert done.stderr == ("mcspectra: Interrupted; finished work is in out; --resume continues.\n")
+
+
+def test_several_samplers_share_one_picture_of_a_spectrum(run, run_json, tmp_path):
+    arguments = ("spectrum", "jittered", "random", "-n", 16, "-m", 4, "--half-width", 4)
+    code, out, _ = run(*arguments, "--show", "radial", "-o", tmp_path / "r.svg")
+    assert code == 0
+    assert "jittered\n|m|" in out
+    assert "random\n|m|" in out
+    assert "anisotropy dB" in out
+    assert (tmp_path / "r.svg").stat().st_size > 1000
+    assert np.shape(run_json(*arguments)["power"])[0] == 2
+    assert "is given twice" in run("spectrum", "random", "random", "-n", 16)[2]

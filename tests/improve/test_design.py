@@ -230,6 +230,8 @@ def test_the_same_seed_gives_the_same_sampler_with_and_without_cache(tmp_path, m
     np.testing.assert_array_equal(again.draw(9, realizations=5, rng=1), first)
     assert str(tmp_path / "mine.npz") in again.spec
     spec = json.loads((tmp_path / "mine.json").read_text())["spec"]
+    assert spec == "shared-cells(path='mine.npz')"  # relative to the folder of the file
+    monkeypatch.chdir(tmp_path)
     np.testing.assert_array_equal(mcs.sampler(spec).draw(9, realizations=5, rng=1), first)
     monkeypatch.setenv("MCSPECTRA_CACHE", str(tmp_path / "other"))
     fresh = design("strata", "disks", 9, rng=4)
@@ -253,13 +255,17 @@ def test_classes_of_small_spots_have_different_cache_keys(tmp_path, monkeypatch)
         assert first.spec != second.spec
 
 
-def test_a_design_in_a_file_loads_from_any_folder(tmp_path, monkeypatch):
+def test_a_design_in_a_file_can_be_moved_with_its_sets(tmp_path, monkeypatch):
     monkeypatch.setenv("MCSPECTRA_CACHE", str(tmp_path / "cache"))
     (tmp_path / "sets").mkdir()
     monkeypatch.chdir(tmp_path)
-    made = design("strata", "gaussians", 16, path="mine.json").draw(16, rng=3)
+    found = design("strata", "gaussians", 16, path="mine.json")
+    assert found.spec == "shared-cells(path='mine.npz')"
+    made = found.draw(16, rng=3)
+    for name in ("mine.json", "mine.npz"):
+        (tmp_path / name).rename(tmp_path / "sets" / name)
     monkeypatch.chdir(tmp_path / "sets")
-    spec = json.loads((tmp_path / "mine.json").read_text())["spec"]
+    spec = json.loads((tmp_path / "sets" / "mine.json").read_text())["spec"]
     assert np.array_equal(mcs.sampler(spec, dims=2).draw(16, rng=3), made)
 
 

@@ -69,18 +69,18 @@ _TELL = (
 _COPY = "navigator.clipboard.writeText(text.value)"
 _PROGRAM = "import mcspectra as mcs\n"
 _EXAMPLES = {
-    "A shift costs a power of n": "integrand=linear&dims=1&b.sampler=jittered | shift"
-    "&b.integrand=linear&b.dims=1",
+    "A shift costs a power of n": "integrand=linear&dims=1&n=16&b.sampler=jittered | shift"
+    "&b.integrand=linear&b.dims=1&b.n=16",
     "Random and jittered samples": "sampler=random&b.sampler=jittered",
     "Spectra: jittered and Poisson disk": "sampler=jittered&b.sampler=poisson-disk",
     "A density that fits the integrand": "integrand=gaussian(width=0.2)&dims=1"
     "&b.integrand=gaussian(width=0.2)&b.dims=1&b.density=truncated-normal(mean=0.5, sigma=0.25)",
-    "Importance sampling can lose the rate": "integrand=linear&dims=1&b.integrand=linear"
-    "&b.dims=1&b.density=linear(slope=-1.2)",
+    "Importance sampling can lose the rate": "integrand=linear&dims=1&n=16&b.integrand=linear"
+    "&b.dims=1&b.n=16&b.density=linear(slope=-1.2)",
     "Strata at an edge, and between": "n=64&integrand=half-space(normal=[1, 0], offset=0.5)"
     "&b.n=64&b.integrand=half-space(normal=[1, 0], offset=0.5)&b.strata_shift=0.5",
-    "Mirroring removes the jump": "sampler=jittered | shift&integrand=linear&dims=1"
-    "&b.sampler=jittered | shift&b.integrand=linear&b.dims=1&b.mirror=integrand",
+    "Mirroring removes the jump": "sampler=jittered | shift&integrand=linear&dims=1&n=16"
+    "&b.sampler=jittered | shift&b.integrand=linear&b.dims=1&b.n=16&b.mirror=integrand",
     "A pixel of Veach's scene": f"integrand={pixel_spec(96, 100)}&n=64",
 }
 """Main examples of the talk: text of the link, and query of the state."""

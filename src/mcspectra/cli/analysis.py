@@ -196,7 +196,7 @@ def analysis_verb(names: Sequence[str], given: Sequence[str] = ()) -> Verb:
             if all_sets and isinstance(subject.sampler, GivenPoints):
                 sets = subject.sampler.sets.get(given.get("n", 0), subject.sampler.points)
                 given = {"realizations": len(sets), **given}
-            spec = "" if subject.sampler is None else subject.sampler.spec
+            spec = subject.sampler.spec if analysis.about == "sampler" else ""
             results[spec] = compute(analysis(**given), subject, options.seed or 0)
         result = next(iter(results.values()))
         if len(results) > 1:
