@@ -16,7 +16,7 @@ from mcspectra.plots.description import Dots, Line
 from mcspectra.plots.paper import PaperStyle, inches, paper_plot
 from mcspectra.plots.style import PALETTE, sampler_styles
 from mcspectra.report import paper
-from mcspectra.report.bench_page import bench_labels, bench_plots
+from mcspectra.report.bench_page import bench_labels, bench_plots, bench_table
 from mcspectra.report.paper import write_paper
 
 NAMED = "points(path='{}', name='50 % & a_b')"
@@ -258,6 +258,15 @@ def test_other_results_have_figures_and_a_table_too(tmp_path):
         "values.tex",
         "main.tex",
     ]
+
+
+def test_rates_of_rounding_noise_are_named(bench):
+    tiny = bench.copy(deep=True)
+    tiny["variance"][0, 0] = 1e-34 * np.array([1.0, 2.0])
+    tiny["rate"][0, 0] = np.nan
+    rates = next(table for table in paper._bench_tables(tiny) if table.name == "rates-2d")
+    assert "jittered & below rounding & " in rates.source
+    assert "below rounding" in bench_table(tiny)[1][0][1]
 
 
 def test_wrong_options_are_refused(bench, tmp_path):

@@ -256,6 +256,18 @@ def integrate_(options: argparse.Namespace) -> VerbOutput:
         "convergence; with --style paper a folder"
     ),
     group(
+        lambda parser: parser.add_argument_group(
+            "masks and screen-space samplers",
+            "SPEC may also be tiles(path='mask.npy'), tables(path='….cpp'), python('mod:function') "
+            "or command('./mine {width} {height} {frames} {n} {seed}'). -n is the number of points "
+            "per pixel (default 1), -m the number of blocks (default 8).",
+        ),
+        option("--screen INTEGRAND", "rank by the errors of pixels, over space and time"),
+        option("--block W,H,T", "pixels and frames (default 64,64,128)", wholes("W,H,T")),
+        option("--sigma S", "width of the blur in pixels (default 1.5)", real(least=0.1)),
+        option("--alpha A", "weight of a new frame in the EMA (default 0.1)", real(least=0.001)),
+    ),
+    group(
         lambda parser: parser.add_argument_group("figures for a paper"),
         option(
             "--style NAME",
@@ -279,20 +291,6 @@ def integrate_(options: argparse.Namespace) -> VerbOutput:
             "--colors MAP", "colors of a paper's spectra: gray, viridis (default)", _choice(COLORS)
         ),
     ),
-    group(
-        lambda parser: parser.add_argument_group(
-            "masks and screen-space samplers",
-            "SPEC may also be tiles(path='mask.npy'), tables(path='….cpp'), "
-            "python('module:function')\n"
-            "or command('./mine {width} {height} {frames} {n} {seed}').\n"
-            "-n is the number of points per pixel (default 1), -m that of blocks (default 8).\n"
-            "-o: .html or a folder: the page; .csv: the table; .png, .svg, .pdf: the spectra.",
-        ),
-        option("--screen INTEGRAND", "rank by the errors of pixels, over space and time"),
-        option("--block W,H,T", "pixels and frames (default 64,64,128)", wholes("W,H,T")),
-        option("--sigma S", "width of the blur in pixels (default 1.5)", real(least=0.1)),
-        option("--alpha A", "weight of a new frame in the EMA (default 0.1)", real(least=0.001)),
-    ),
 )
 def bench_(options: argparse.Namespace) -> VerbOutput:
     """Compare samplers: rates, ranks, points, spectra, projections, quality, speed.
@@ -305,20 +303,20 @@ def bench_(options: argparse.Namespace) -> VerbOutput:
     A section shows points and spectrum in 2-D, and lists dims, counts and sources.
     DIR/bench.csv has the numbers.
 
-    With --style paper, DIR has each figure as PDF, PGF and SVG, tables, and main.tex with all.
-    Width, sizes and colors that are not given follow the rcParams of Matplotlib.
-
     --screen compares masks and screen-space samplers by their errors in images, before any render.
     The table has the variance, its share at low frequencies, and the variance after filters.
+
+    With --style paper, DIR has each figure as PDF, PGF and SVG, tables, and main.tex with all.
+    Width, sizes and colors that are not given follow the rcParams of Matplotlib.
     """
     look = given_of(options, "width", "font_size", "spectra", "colors")
     paper = options.style == "paper"
+    if look and not paper:
+        name = next(iter(look)).replace("_", "-")
+        raise ParameterError(f"--{name} is for figures of a paper; add --style paper.")
     if options.screen is not None:
-        if paper or look:
-            raise ParameterError(
-                "--screen ranks masks and has no figures for a paper; leave out --style paper and "
-                "its options."
-            )
+        if paper:
+            raise ParameterError("--style paper is not for --screen; leave one of them out.")
         return _screen(options)
     for name in ("block", "sigma", "alpha"):
         if getattr(options, name) is not None:
@@ -326,9 +324,6 @@ def bench_(options: argparse.Namespace) -> VerbOutput:
     from mcspectra.report.bench_page import bench_table, check_bench_file, is_folder, write_bench
     from mcspectra.report.sampler_cards import CardEffort, all_samplers, measure_card
 
-    if look and not paper:
-        name = next(iter(look)).replace("_", "-")
-        raise ParameterError(f"--{name} is for figures of a paper; add --style paper.")
     for file in options.out:
         check_bench_file(file)
         if paper and not is_folder(file):

@@ -651,9 +651,10 @@ def estimates(group: Group, styles: Styles) -> Plot:
 
 
 def below_rounding(data: xr.Dataset) -> bool:
-    """Whether a curve has no rate because its finite variances are zero or rounding noise."""
-    finite = np.isfinite(data["variance"].values)
-    return bool(finite.any() and usable_counts(data)[finite].sum() < 2 and finite.sum() > 1)
+    """Whether a curve has no rate because its variances are rounding noise, but not all zero."""
+    variance = data["variance"].values
+    finite = variance[np.isfinite(variance)]
+    return bool(finite.size > 1 and (finite > 0).any() and usable_counts(data).sum() < 2)
 
 
 def usable_counts(curve: xr.Dataset) -> Array:
