@@ -143,7 +143,10 @@ def gate(
             f"{sources[0].name} has the size {sources[0].shape}; this reference needs at least "
             f"{size} pixels along each side."
         )
-    sets = [read_set(*each, size, read) for *each, read in zip(sources, chosen, readers, strict=True)]
+    sets = [
+        read_set(source, n, size, read)
+        for source, n, read in zip(sources, chosen, readers, strict=True)
+    ]
     case = _case(sets[0], sets[1])
     comparable = case.why is None and not case.copy
     result = _result(case, level, rng) if comparable else _empty(case)
@@ -184,7 +187,7 @@ class _Case:
 def _case(ours: FrameSet, theirs: FrameSet) -> _Case:
     """Leave out repeated frames, find pairs with one seed, and find copies."""
     notes: list[str] = []
-    bad = np.isnan(ours.rows).any(axis=0) | np.isnan(theirs.rows).any(axis=0)
+    bad: Array = np.isnan(ours.rows).any(axis=0) | np.isnan(theirs.rows).any(axis=0)
     if bad.all():
         raise ParameterError(
             f"{ours.name} and {theirs.name} have no pixel that is finite in all frames of both; "
@@ -444,6 +447,9 @@ def _verdict(
     else:
         verdict = "pass"
 
+    # The smallest bias that can be found is only known if there is none
+    hidden = copy or verdict == "fail"
+
     first = case.contrast.first
     ours, theirs = (part.mean(axis=0, dtype=np.float64) for part in np.split(finest.rows, [first]))
     valid = finest.valid
@@ -460,7 +466,10 @@ def _verdict(
         "test_p": (("test",), np.array([1.0 if copy else each.p for each in tests])),
         "test_statistic": (("test",), np.array([each.statistic for each in tests])),
         "test_size": (("test",), np.array([each.size for each in tests], dtype=np.int64)),
-        "detectable": (("test",), np.array([each.detectable for each in tests])),
+        "detectable": (
+            ("test",),
+            np.array([math.nan if hidden else each.detectable for each in tests]),
+        ),
     }
     return dataset(
         variables,
@@ -492,8 +501,8 @@ def _verdict(
         mean_difference=means[0] / means[1] - 1.0 if means[1] else None,
         noise_ratio=None if math.isnan(result.noise_ratio) else result.noise_ratio,
         trend=[list(each) for each in trend] or None,
-        detectable_image=None if copy or verdict == "fail" else _number(seen),
-        detectable_region=None if copy or verdict == "fail" else _number(region),
+        detectable_image=None if hidden else _number(seen),
+        detectable_region=None if hidden else _number(region),
         notes=case.notes or None,
         seed=rng,
     )
@@ -519,5 +528,3 @@ def _region(tests: list[Found], shape: tuple[int, int]) -> float:
         if each.name in ("tiles", "pixels") and math.isfinite(each.detectable)
     ]
     return min(known, default=math.nan)
-
-

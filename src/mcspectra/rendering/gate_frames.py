@@ -29,7 +29,15 @@ from mcspectra.rendering.frame_files import (
     frame_files,
 )
 
-__all__ = ["FrameSet", "Source", "coarsened", "finest_size", "read_set", "source_of", "write_reference"]
+__all__ = [
+    "FrameSet",
+    "Source",
+    "coarsened",
+    "finest_size",
+    "read_set",
+    "source_of",
+    "write_reference",
+]
 
 TILE = 4
 """Width in pixels of the tiles of which a stored reference has the mean in each frame."""
@@ -301,7 +309,7 @@ def _stored(source: Source, spp: int | None, size: int) -> FrameSet:
     height, width = source.shape
     tall, wide = height // TILE, width // TILE
     rows = np.empty((len(about["names"]), tall, wide), np.float32)
-    plane = np.empty(0)
+    plane: Array = np.empty((0, 0))
     for k in range(len(rows)):
         if k % _ACROSS**2 == 0:
             layer = f"frames{k // _ACROSS**2}"

@@ -269,7 +269,7 @@ def relabelled(levels: list[Level], contrast: Contrast, weights: Array, level: f
 
     def p_of(score: Any) -> Array:
         # Relabelings with equal statistics must count as equal in spite of rounding
-        return np.asarray(1.0 - np.searchsorted(ordered, score - 1e-4) / ordered.size)
+        return np.asarray((ordered.size - np.searchsorted(ordered, score - 1e-4)) / ordered.size)
 
     allowed = math.floor(level * ordered.size + 1e-9)
     critical = float(ordered[-allowed]) if allowed else math.inf
@@ -573,7 +573,7 @@ def cautious(
                 size=size,
                 p=float(p),
                 statistic=float(np.sqrt(squares.max())),
-                detectable=(critical + _POWER) * error,
+                detectable=float((critical + _POWER) * error),
             )
         )
         if own_map is not None and size:
@@ -611,7 +611,7 @@ def _skewness(frames: Array, contrast: Contrast) -> float:
     if not total:
         return math.inf
     one = abs(cubes / total) / (squares / total) ** 1.5
-    return one * abs(1 / first**2 - 1 / second**2) / contrast.factor**1.5
+    return float(one * abs(1 / first**2 - 1 / second**2) / contrast.factor**1.5)
 
 
 def _near(variance: Array, each: Level) -> Array:
