@@ -292,7 +292,7 @@ measured_power | f | f² | radius | power of an image of errors
 low_share | f | 1 | | power of errors at low frequencies between pixels / its mean; white noise: 1
 difference | f | f | y x | mean minus that of the other frames
 difference_z | f | 1 | y x | that difference over its standard error, as a normal deviate (Welch)
-single_p | f | 1 | y x | approximate p-value of the difference of a tile alone
+single_p | f | 1 | y x | p-value of the difference of a tile alone
 smallest_p | f | 1 | y x | smallest p-value of the tiles around a point, corrected for all tests
 p_share | f | 1 | bin | share of the tiles with a p-value in the bin
 test_p | f | 1 | test | p-value of a test, corrected for all tests

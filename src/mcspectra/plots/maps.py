@@ -452,9 +452,8 @@ def _p_histogram(group: Group, _: Styles) -> Plot:
                 grid=True,
             ),
         ),
-        caption=f"Histogram of the p-values of single {what}, by their own t values. Equal images "
-        "give nearly equal bars; a bias raises the bars at the left. Skewed noise bends them a "
-        "little.",
+        caption=f"Histogram of the p-values of single {what}, without correction. Equal "
+        "images give nearly equal bars, and a bias raises the bars at the left.",
         words=f"Histogram of p-values; the first bar holds {percent(float(share[0]))}.",
     )
 

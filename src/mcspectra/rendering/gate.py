@@ -94,7 +94,7 @@ def gate(
     -------
     xarray.Dataset
         On the finest tested tiles (y, x), which are single pixels unless the reference is stored:
-        ``single_p``, the approximate p-value of each tile alone, and its histogram ``p_share``;
+        ``single_p``, the p-value of each tile alone, and its histogram ``p_share``;
         ``smallest_p``, the smallest p-value of any tile around a point, corrected for all tests;
         ``difference``, new minus reference; and ``mean``, the mean of the reference.
         On the dim test: ``test_p`` (corrected for all tests), ``test_statistic``, ``test_size``,
@@ -187,7 +187,7 @@ class _Case:
 def _case(ours: FrameSet, theirs: FrameSet) -> _Case:
     """Leave out repeated frames, find pairs with one seed, and find copies."""
     notes: list[str] = []
-    bad: Array = np.isnan(ours.rows).any(axis=0) | np.isnan(theirs.rows).any(axis=0)
+    bad = np.isnan(np.concatenate([ours.rows, theirs.rows])).any(axis=0)
     if bad.all():
         raise ParameterError(
             f"{ours.name} and {theirs.name} have no pixel that is finite in all frames of both; "

@@ -190,7 +190,8 @@ class Outcome:
     smallest
         p-value (y, x), corrected for all tests, of the most significant tile around each point.
     single
-        Approximate p-value (y, x) of each finest tile alone, without any correction.
+        p-value (y, x) of each finest tile alone, without any correction.
+        With few frames and in t tests this is an approximation by Student's t.
     """
 
     p: float
@@ -259,9 +260,12 @@ def relabelled(levels: list[Level], contrast: Contrast, weights: Array, level: f
         Significance level, for the smallest bias that can be found.
     """
     families: list[_Family] = []
+    single = _single(levels[0], contrast)
     for each in levels:
         if each.count:
             families += _level_families(each, contrast, weights)
+            if each is levels[0] and families and families[0].alone is not None:
+                single = np.where(np.isnan(single), np.nan, families[0].alone)
     families += _noise_families(levels[0], contrast, weights)
     scores = np.array([family.score for family in families])
     top = scores.max(axis=0)
@@ -294,7 +298,7 @@ def relabelled(levels: list[Level], contrast: Contrast, weights: Array, level: f
         relabelings=len(weights),
         tests=tests,
         smallest=smallest,
-        single=_single(levels[0], contrast),
+        single=single,
     )
 
 
@@ -309,6 +313,8 @@ class _Family:
         −log p (relabeling,) on a scale on which all families are alike.
     own
         t² of every tile with the true labels, (y, x).
+    alone
+        p-value of every tile alone, (y, x).
     degrees, count
         Degrees of freedom of t, and the number of tiles of which t² is the largest.
     shift, stretch
@@ -322,6 +328,7 @@ class _Family:
     score: Array
     statistic: float
     own: Array | None = None
+    alone: Array | None = None
     degrees: float = math.nan
     count: int = 1
     shift: float = _MEDIAN
@@ -365,7 +372,7 @@ def _level_families(each: Level, contrast: Contrast, weights: Array) -> Iterator
         return
     total = np.where(valid, total + rounding, 1.0).astype(rows.dtype)
     rows = np.where(valid, rows, 0)
-    largest, own, degrees, error = _largest(rows, total, valid, each, contrast, weights)
+    largest, own, degrees, error, rank = _largest(rows, total, valid, each, contrast, weights)
     count = int(valid.sum())
     surprise = _surprise(largest, degrees, count)
     low, shift = np.quantile(surprise, [0.1, 0.5])
@@ -379,6 +386,7 @@ def _level_families(each: Level, contrast: Contrast, weights: Array) -> Iterator
         score=(surprise - shift) / stretch + _MEDIAN,
         statistic=math.sqrt(largest[0]),
         own=own.reshape(each.valid.shape) if each.size else None,
+        alone=None if rank is None else rank.reshape(each.valid.shape),
         degrees=degrees,
         count=count,
         shift=float(shift),
@@ -421,12 +429,13 @@ def _one_sided(share: Array, degrees: int) -> tuple[Array, float]:
 
 def _largest(
     rows: Array, total: Array, valid: Array, each: Level, contrast: Contrast, weights: Array
-) -> tuple[Array, Array, float, Array]:
-    """Return the largest t² for each relabeling, the t² of the true labels, and their error.
+) -> tuple[Array, Array, float, Array, Array | None]:
+    """Return the largest t² for each relabeling, and t², error and p-value of the true labels.
 
     The variance is the variance within the relabeled sets.
     The variance of a tile is averaged with the mean over its 3 × 3 neighborhood.
     Single pixels and the image use their own variance, and t² is then a function of r².
+    They also get a p-value of their own, which is exact for any noise.
     """
     from scipy.ndimage import uniform_filter
 
@@ -434,17 +443,20 @@ def _largest(
     labels = weights.astype(rows.dtype)
     if each.size < _SHARED:
         largest, own = np.zeros(len(labels)), np.empty(rows.shape[1])
+        above = np.empty(rows.shape[1])
         step = max(1, _BLOCK // len(labels))
         for begin in range(0, rows.shape[1], step):
             part = slice(begin, begin + step)
             share = np.square(labels @ rows[:, part])
             share *= (1.0 / factor) / total[part]
             own[part] = share[0]
+            above[part] = (share >= share[0] * (1.0 - 1e-5)).sum(axis=0)
             np.maximum(largest, share.max(axis=1), out=largest)
         within = np.maximum(total * (1.0 - own), 0.0) / degrees
         tops, mine = (np.minimum(v, 1.0 - 1e-7) for v in (largest, own))
         largest, own = (degrees * v / (1.0 - v) for v in (tops, mine))
-        return largest, own, float(degrees), np.sqrt(within * factor)
+        rank = above / len(labels)
+        return largest, own, float(degrees), np.sqrt(within * factor), rank
     shape = each.valid.shape
     around = uniform_filter(valid.reshape(shape).astype(np.float32), 3, mode="constant").ravel()
     around = np.where(around > 0, around, 1.0)
@@ -462,7 +474,7 @@ def _largest(
         largest[begin : begin + step] = squares.max(axis=1)
         if not begin:
             own, within = squares[0], variance[0]
-    return largest, own, 2.0 * degrees, np.sqrt(within * factor)
+    return largest, own, 2.0 * degrees, np.sqrt(within * factor), None
 
 
 def frame_features(finest: Level) -> dict[str, Array]:
