@@ -93,9 +93,9 @@ def alarms(name, pairs):
 
 @pytest.mark.parametrize("name", CLEAN)
 def test_clean_pairs_alarm_at_most_at_the_level(name):
-    count, level = alarms(name, 60)
+    count, level = alarms(name, 30)
     # The bound is exceeded with probability below 1e-4 if alarms have the level
-    assert count <= binom.ppf(1 - 1e-4, 60, level)
+    assert count <= binom.ppf(1 - 1e-4, 30, level)
 
 
 @pytest.mark.slow

@@ -357,6 +357,7 @@ def _result(case: _Case, level: float, rng: int) -> _Result:
 
 def _noise(finest: Level, contrast: Contrast) -> tuple[float, bool]:
     """Return the ratio of variances, and whether the noise differs significantly."""
+    from scipy.ndimage import uniform_filter
     from scipy.special import stdtr
 
     first = contrast.first
@@ -368,13 +369,15 @@ def _noise(finest: Level, contrast: Contrast) -> tuple[float, bool]:
     t = (ours.mean() - theirs.mean()) / max(spread, 1e-300)
     differs = 2.0 * float(stdtr(max(min(ours.size, theirs.size) - 1, 1), -abs(t))) < _DOUBT
 
-    # Compare the variances of the two sets, each pixel with the same weight
-    sums = []
-    rows = finest.rows
-    total = rows.var(axis=0, dtype=np.float64)
-    weight = np.divide(1.0, total, out=np.zeros_like(total), where=finest.valid & (total > 0))
-    for part in (rows[:first], rows[first:]):
-        sums.append(float((part.var(axis=0, ddof=1, dtype=np.float64) * weight).sum()))
+    # Compare the variances of the two sets; weights are from neighborhoods, since a weight that
+    # contains a pixel's own variance would pull the ratio towards 1
+    rows, valid = finest.rows, finest.valid
+    total = uniform_filter(np.where(valid, rows.var(axis=0, dtype=np.float64), 0.0), 5)
+    weight = np.divide(1.0, total, out=np.zeros_like(total), where=valid & (total > 0))
+    sums = [
+        float((part.var(axis=0, ddof=1, dtype=np.float64) * weight).sum())
+        for part in (rows[:first], rows[first:])
+    ]
     ratio = sums[0] / sums[1] if sums[1] > 0 else math.inf
     differs = differs or not 0.1 < ratio < 10.0
     return max(ratio, 1e-12), differs
