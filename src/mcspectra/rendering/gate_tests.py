@@ -41,6 +41,10 @@ __all__ = [
 _ROUNDING = 1e-5
 # Tiles of at least this width in pixels share variances with their neighbors
 _SHARED = 4
+# Tiles share variances only if there are at least this many of them
+_MANY = 64
+# Added to the score of the image, which most errors change: its p-value counts e^1.5 times as much
+_FAVOR = 1.5
 # Least width in pixels of the tiles whose means the t tests treat as normal
 _NORMAL = 8
 # Least degrees of freedom at which single pixels are tested; a pixel that is lit in half of few
@@ -317,8 +321,8 @@ class _Family:
         p-value of every tile alone, (y, x).
     degrees, count
         Degrees of freedom of t, and the number of tiles of which t² is the largest.
-    shift, stretch
-        The score is (−log p − shift) / stretch + median.
+    shift, stretch, favor
+        The score is (−log p − shift) / stretch + median + favor.
     standard_error
         Median over tiles of the relative standard error of the difference.
     """
@@ -333,11 +337,13 @@ class _Family:
     count: int = 1
     shift: float = _MEDIAN
     stretch: float = 1.0
+    favor: float = 0.0
     standard_error: float | None = None
 
     def score_of(self, squares: Array) -> Array:
         """Return the scores of t² values."""
-        return (_surprise(squares, self.degrees, self.count) - self.shift) / self.stretch + _MEDIAN
+        surprise = _surprise(squares, self.degrees, self.count)
+        return (surprise - self.shift) / self.stretch + _MEDIAN + self.favor
 
     def t_of(self, score: float) -> float:
         """Return the t value of a score, by bisection."""
@@ -378,12 +384,13 @@ def _level_families(each: Level, contrast: Contrast, weights: Array) -> Iterator
     low, shift = np.quantile(surprise, [0.1, 0.5])
     # Heavy tails stretch −log p; the lower half of its distribution is free of any bias
     stretch = max(1.0, (shift - low) / _SPREAD) if count > 1 else 1.0
+    favor = 0.0 if each.size else _FAVOR
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = np.where(valid & (mean > 0), error / mean, np.nan)
     family = _Family(
         name="image" if not each.size else "pixels" if each.size == 1 else "tiles",
         size=each.size,
-        score=(surprise - shift) / stretch + _MEDIAN,
+        score=(surprise - shift) / stretch + _MEDIAN + favor,
         statistic=math.sqrt(largest[0]),
         own=own.reshape(each.valid.shape) if each.size else None,
         alone=None if rank is None else rank.reshape(each.valid.shape),
@@ -391,9 +398,10 @@ def _level_families(each: Level, contrast: Contrast, weights: Array) -> Iterator
         count=count,
         shift=float(shift),
         stretch=float(stretch),
+        favor=favor,
         standard_error=_median(relative[:1] if not each.size else relative),
     )
-    if not 0 < each.size < _SHARED or degrees >= _FREE:
+    if not 0 < each.size < _SHARED or contrast.degrees >= _FREE:
         yield family
     if not each.size or len(rows) < 4 or count < _TILES:
         return
@@ -441,7 +449,7 @@ def _largest(
 
     degrees, factor = contrast.degrees, contrast.factor
     labels = weights.astype(rows.dtype)
-    if each.size < _SHARED:
+    if each.size < _SHARED or each.count < _MANY:
         largest, own = np.zeros(len(labels)), np.empty(rows.shape[1])
         above = np.empty(rows.shape[1])
         step = max(1, _BLOCK // len(labels))
