@@ -226,6 +226,15 @@ def test_copies_are_named(tmp_path, clean):
     same = gate(clean[0], clean[0])
     assert same.attrs["verdict"] == "pass"
     assert "copies or used the same seeds" in said(same)
+    files = sorted(str(file) for file in clean[0].glob("*.npy"))
+    assert gate(files[::-1], clean[0]).attrs["copy"] == 1
+    # The frames that are not copies are tested
+    rng = np.random.default_rng(20)
+    mixed = write(tmp_path / "mixed", [*clean[2][:4], *0.7 * frames(rng, 4)])
+    part = gate(mixed, clean[0])
+    assert part.attrs["verdict"] == "fail"
+    assert part.attrs["frames_new"] == 4
+    assert "4 of 8 new frames are copies" in said(part)
     # A difference of rounding is no difference
     near = gate(write(tmp_path / "near", clean[2] * (1 + 2e-7)), clean[0])
     assert near.attrs["copy"] == 1
@@ -249,8 +258,15 @@ def test_seeds_used_twice_are_left_out(tmp_path, clean):
     shutil.copy(folder / "view_16spp_02.npy", folder / "view_16spp_05.npy")
     shutil.copy(clean[1] / "view_16spp_03.npy", folder / "view_16spp_06.npy")
     result = gate(folder, clean[1])
-    assert (result.attrs["frames_new"], result.attrs["frames_reference"]) == (7, 7)
+    assert (result.attrs["frames_new"], result.attrs["frames_reference"]) == (6, 8)
     assert "view_16spp_05.npy; give every frame its own seed" in said(result)
+    assert "1 of 7 new frames are copies of reference frames" in said(result)
+    # The same seed with another result
+    shared = np.load(clean[1] / "view_16spp_03.npy")
+    changed = shared * (1 + 0.02 * rng.standard_normal(shared.shape))
+    np.save(folder / "view_16spp_06.npy", changed.astype(np.float32))
+    result = gate(folder, clean[1])
+    assert (result.attrs["frames_new"], result.attrs["frames_reference"]) == (7, 7)
     assert "1 frames of the reference have seeds of new frames" in said(result)
 
 
@@ -335,6 +351,18 @@ def test_swapped_colors_are_found(tmp_path):
         write(tmp_path / name, images / (tint @ np.array([0.2126, 0.7152, 0.0722])))
     assert gate(tmp_path / "a", tmp_path / "b").attrs["verdict"] == "pass"
     assert gate(tmp_path / "c", tmp_path / "b").attrs["verdict"] == "fail"
+
+
+@pytest.mark.parametrize("scale", [1e-30, 1e30])
+def test_the_unit_of_radiance_is_free(tmp_path, scale):
+    rng = np.random.default_rng(16)
+    a, b, c = (frames(rng, 6) for _ in range(3))
+    first = write(tmp_path / "a", scale * a)
+    good = gate(first, write(tmp_path / "b", scale * b))
+    assert good.attrs["verdict"] == "pass"
+    other = gate(write(tmp_path / "c", a), write(tmp_path / "d", b))
+    assert np.allclose(good["test_p"], other["test_p"], atol=0.03)
+    assert gate(first, write(tmp_path / "e", 0.8 * scale * c)).attrs["verdict"] == "fail"
 
 
 @pytest.mark.parametrize("level", [0.0, 1.0, 1e-5, float("nan"), "a"])

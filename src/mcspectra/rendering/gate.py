@@ -13,6 +13,7 @@ import numpy as np
 import xarray as xr
 
 from mcspectra.core.checks import Array, as_integer, as_real
+from mcspectra.core.display import counted
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.results import coordinate, dataset
 from mcspectra.rendering.frame_files import MOST_SPP, FrameReader, Frames
@@ -217,6 +218,21 @@ def _case(ours: FrameSet, theirs: FrameSet) -> _Case:
         parts.append(frames.only(kept))
     ours, theirs = parts
     pairs = _pairs(sample(ours), sample(theirs))
+
+    # New frames that are copies tell nothing about the others
+    copies = {i for i, k in pairs if _is_copy(ours.rows[i : i + 1], theirs.rows[k : k + 1], bad)}
+    if len(copies) == ours.count:
+        contrast = Contrast(first=ours.count, second=theirs.count, paired=False)
+        return _Case(
+            ours=ours, theirs=theirs, contrast=contrast, bad=bad, copy=True, why=None, notes=notes
+        )
+    if copies:
+        notes.append(
+            f"{len(copies)} of {ours.count} new frames are copies of reference frames and are left "
+            "out."
+        )
+        ours = ours.only([k for k in range(ours.count) if k not in copies])
+        pairs = _pairs(sample(ours), sample(theirs))
     paired = len(pairs) >= _LEAST_PAIRS and 2 * len(pairs) >= ours.count
     if paired:
         notes.append(
@@ -300,9 +316,10 @@ def _why(ours: FrameSet, theirs: FrameSet, contrast: Contrast) -> str | None:
     alike = ours.spp == theirs.spp
     if contrast.degrees < 2:
         return (
-            f"The noise is not known: there is {ours.count} new and {theirs.count} reference "
-            "frame that can be used. Samples of a pixel may be correlated, so only independent "
-            "renders tell their noise; give at least 2 + 2, better 5 + 5."
+            f"The noise is not known: there are {counted(ours.count, 'new frame')} and "
+            f"{counted(theirs.count, 'reference frame')} to use. Samples of a pixel may be "
+            "correlated, so only independent renders tell their noise; give at least 2 + 2, "
+            "better 5 + 5."
         )
     if min(ours.count, theirs.count) < 2 and not alike:
         return (
@@ -315,12 +332,13 @@ def _why(ours: FrameSet, theirs: FrameSet, contrast: Contrast) -> str | None:
 @final
 @dataclass(frozen=True, kw_only=True)
 class _Result:
-    """Outcome of the tests, and numbers of the whole image."""
+    """Outcome of the tests, and numbers of the whole image; `levels` are in units of `scale`."""
 
     outcome: Outcome
     method: str
     levels: list[Level]
     noise_ratio: float
+    scale: float = 1.0
 
 
 def _result(case: _Case, level: float, rng: int) -> _Result:
@@ -328,6 +346,10 @@ def _result(case: _Case, level: float, rng: int) -> _Result:
     ours, theirs, contrast = case.ours, case.theirs, case.contrast
     rows = np.concatenate([ours.rows, theirs.rows])
     channels = np.concatenate([ours.channels, theirs.channels])
+    # Squares of values near 1 neither overflow nor vanish in float32
+    scale = float(np.abs(rows[:, ~case.bad]).max()) or 1.0
+    rows /= np.float32(scale)
+    channels = channels / scale
     if case.bad.any() or ours.missing or theirs.missing or channels.shape[1] != 3:
         channels = channels[:, :1]
     levels = levels_of(rows, case.bad, ours.size, channels)
@@ -341,18 +363,24 @@ def _result(case: _Case, level: float, rng: int) -> _Result:
         unequal = not contrast.paired and quieter and max(ratio, 1 / ratio) > _EQUAL
         if not unequal:
             method = "sign flips of pairs" if contrast.paired else "relabeling"
-            return _Result(outcome=outcome, method=method, levels=levels, noise_ratio=ratio)
+            return _Result(
+                outcome=outcome, method=method, levels=levels, noise_ratio=ratio, scale=scale
+            )
         # Frames of unequal noise are not exchangeable: only the tests of noise remain exact
         means = cautious(levels, contrast, level, alike=False, noise=False)
         noise = [each for each in outcome.tests if each.name not in _MEANS]
         both = [*means.tests, *noise]
         outcome = replace(means, tests=both, p=min(each.p for each in both))
         return _Result(
-            outcome=outcome, method="t tests, unequal noise", levels=levels, noise_ratio=ratio
+            outcome=outcome,
+            method="t tests, unequal noise",
+            levels=levels,
+            noise_ratio=ratio,
+            scale=scale,
         )
     outcome = cautious(levels, contrast, level, alike=alike, noise=alike)
     method = "t tests" if alike else "t tests, unequal samples per pixel"
-    return _Result(outcome=outcome, method=method, levels=levels, noise_ratio=ratio)
+    return _Result(outcome=outcome, method=method, levels=levels, noise_ratio=ratio, scale=scale)
 
 
 def _noise(finest: Level, contrast: Contrast) -> tuple[float, bool]:
@@ -454,7 +482,10 @@ def _verdict(
     hidden = copy or verdict == "fail"
 
     first = case.contrast.first
-    ours, theirs = (part.mean(axis=0, dtype=np.float64) for part in np.split(finest.rows, [first]))
+    ours, theirs = (
+        result.scale * part.mean(axis=0, dtype=np.float64)
+        for part in np.split(finest.rows, [first])
+    )
     valid = finest.valid
     means = [float(each[valid].mean()) for each in (ours, theirs)]
     place = [(np.arange(k) + 0.5) * finest.size - 0.5 for k in valid.shape]

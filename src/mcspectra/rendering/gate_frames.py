@@ -198,7 +198,9 @@ def read_set(source: Source, spp: int | None, size: int, read: FrameReader) -> F
         channels.append(np.nanmean(image, axis=(0, 1)) if np.isfinite(plane).any() else np.nan)
         if np.ndim(channels[-1]) == 0:
             raise ParameterError(f"{file} has no finite pixel; leave it out.")
-        rows[k] = coarsened(plane, size)
+        with np.errstate(over="ignore"):  # values beyond float32 count as infinite
+            rows[k] = coarsened(plane, size)
+        rows[k][~np.isfinite(rows[k])] = np.nan
         report("frames", k / len(group.files))
     return FrameSet(
         name=source.name,
