@@ -93,9 +93,11 @@ def _welch(rows: Array, first: int) -> bool:
     if min(len(a), len(b)) < 2:
         return False
     one, other = (v.var(axis=0, ddof=1) / len(v) for v in (a, b))
-    degrees = (one + other) ** 2 / (one**2 / (len(a) - 1) + other**2 / (len(b) - 1) + 1e-300)
-    t = np.abs(a.mean(axis=0) - b.mean(axis=0)) / np.sqrt(one + other + 1e-300)
-    p = 2 * stdtr(np.maximum(degrees, 1.0), -t)
+    noisy = one + other > 0
+    one, other = one[noisy].astype(float), other[noisy].astype(float)
+    degrees = (one + other) ** 2 / (one**2 / (len(a) - 1) + other**2 / (len(b) - 1))
+    t = np.abs(a.mean(axis=0) - b.mean(axis=0))[noisy] / np.sqrt(one + other)
+    p = 2 * stdtr(degrees, -t)
     return bool(p.min() < 1 - (1 - LEVEL) ** (1 / p.size))
 
 

@@ -55,6 +55,8 @@ _SKEW = 0.25
 # Least number of tiles of which the spread of all differences is a mean
 _TILES = 16
 _TINY = 1e-30  # smallest sum of squares that float32 can divide by
+# Largest number of tiles × relabelings for which the largest difference is sought
+_WORK = 2**33
 _BLOCK = 2**23  # number of values that are computed at a time
 _POWER = 1.2815515655446004  # normal quantile: a stated bias is found with 90 % probability
 _MEDIAN = math.log(2.0)  # median of −log p of a test
@@ -268,8 +270,9 @@ def relabelled(levels: list[Level], contrast: Contrast, weights: Array, level: f
     for each in levels:
         if each.count:
             families += _level_families(each, contrast, weights)
-            if each is levels[0] and families and families[0].alone is not None:
-                single = np.where(np.isnan(single), np.nan, families[0].alone)
+    for family in families:
+        if family.alone is not None and family.size == levels[0].size:
+            single = np.where(np.isnan(single), np.nan, family.alone)
     families += _noise_families(levels[0], contrast, weights)
     scores = np.array([family.score for family in families])
     top = scores.max(axis=0)
@@ -377,32 +380,32 @@ def _level_families(each: Level, contrast: Contrast, weights: Array) -> Iterator
     if not valid.any():
         return
     total = np.where(valid, total + rounding, 1.0).astype(rows.dtype)
-    rows = np.where(valid, rows, 0)
-    largest, own, degrees, error, rank = _largest(rows, total, valid, each, contrast, weights)
-    count = int(valid.sum())
-    surprise = _surprise(largest, degrees, count)
-    low, shift = np.quantile(surprise, [0.1, 0.5])
-    # Heavy tails stretch −log p; the lower half of its distribution is free of any bias
-    stretch = max(1.0, (shift - low) / _SPREAD) if count > 1 else 1.0
-    favor = 0.0 if each.size else _FAVOR
-    with np.errstate(divide="ignore", invalid="ignore"):
-        relative = np.where(valid & (mean > 0), error / mean, np.nan)
-    family = _Family(
-        name="image" if not each.size else "pixels" if each.size == 1 else "tiles",
-        size=each.size,
-        score=(surprise - shift) / stretch + _MEDIAN + favor,
-        statistic=math.sqrt(largest[0]),
-        own=own.reshape(each.valid.shape) if each.size else None,
-        alone=None if rank is None else rank.reshape(each.valid.shape),
-        degrees=degrees,
-        count=count,
-        shift=float(shift),
-        stretch=float(stretch),
-        favor=favor,
-        standard_error=_median(relative[:1] if not each.size else relative),
-    )
-    if not 0 < each.size < _SHARED or contrast.degrees >= _FREE:
-        yield family
+    rows[:, ~valid] = 0
+    count, rank = int(valid.sum()), None
+    if count * len(weights) <= _WORK:
+        largest, own, degrees, error, rank = _largest(rows, total, valid, each, contrast, weights)
+        surprise = _surprise(largest, degrees, count)
+        low, shift = np.quantile(surprise, [0.1, 0.5])
+        # Heavy tails stretch −log p; the lower half of its distribution is free of any bias
+        stretch = max(1.0, (shift - low) / _SPREAD) if count > 1 else 1.0
+        favor = 0.0 if each.size else _FAVOR
+        with np.errstate(divide="ignore", invalid="ignore"):
+            relative = np.where(valid & (mean > 0), error / mean, np.nan)
+        family = _Family(
+            name="image" if not each.size else "pixels" if each.size == 1 else "tiles",
+            size=each.size,
+            score=(surprise - shift) / stretch + _MEDIAN + favor,
+            statistic=math.sqrt(largest[0]),
+            own=own.reshape(each.valid.shape) if each.size else None,
+            degrees=degrees,
+            count=count,
+            shift=float(shift),
+            stretch=float(stretch),
+            favor=favor,
+            standard_error=_median(relative[:1] if not each.size else relative),
+        )
+        if not 0 < each.size < _SHARED or contrast.degrees >= _FREE:
+            yield family
     if not each.size or len(rows) < 4 or count < _TILES:
         return
 
@@ -418,7 +421,8 @@ def _level_families(each: Level, contrast: Contrast, weights: Array) -> Iterator
     size = np.sqrt((together**2).sum(axis=1) * (alike**2).sum())
     share = np.divide(together @ alike, size, out=np.zeros_like(size), where=size > 0)
     score, t = _one_sided(share, first.size - (1 if contrast.paired else 2))
-    yield _Family(name="spread", size=each.size, score=score, statistic=t)
+    alone = None if rank is None else rank.reshape(each.valid.shape)
+    yield _Family(name="spread", size=each.size, score=score, statistic=t, alone=alone)
 
 
 def _median(values: Array) -> float | None:
