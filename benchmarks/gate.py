@@ -31,7 +31,7 @@ from mcspectra.rendering.gate_tests import (
     relabelling_count,
 )
 
-SIZE, LEVEL, RELABELINGS = 64, 0.01, 500
+SIZE, LEVEL, RELABELINGS = 64, 0.01, 200
 SINGLE, NETS = 4096, 160  # number of frames of one sample, and of frames of 16 Sobol' samples
 CLEAN = ((4, 4), (8, 8), (8, 32), (1, 16), (2, 2))
 TOTALS, FRAMES = (16, 64, 256), 8

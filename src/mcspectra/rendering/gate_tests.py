@@ -349,13 +349,9 @@ class _Family:
         return (surprise - self.shift) / self.stretch + _MEDIAN + self.favor
 
     def t_of(self, score: float) -> float:
-        """Return the t value of a score, by bisection."""
-        low, high = 0.0, 1e6
-        for _ in range(60):
-            middle = math.sqrt(max(low, 1e-3) * high)
-            below = float(self.score_of(np.array([middle**2]))[0]) < score
-            low, high = (middle, high) if below else (low, middle)
-        return high
+        """Return the t value of a score, by interpolation."""
+        t = np.geomspace(1e-2, 1e4, 2000)
+        return float(np.interp(score, self.score_of(t**2), t, right=math.inf))
 
 
 def _surprise(squares: Array, degrees: float, count: int) -> Array:
