@@ -33,6 +33,7 @@ NAMES = (
     "paths",
     "images",
     "masks",
+    "gate",
     "blender",
     "filters",
     "findings",

@@ -179,7 +179,7 @@ def test_mathematics_in_docstrings_is_escaped(line, read):
 def test_quick_start_and_how_to_pages_are_notebooks():
     pages = {"quick-start.md", *(f"how-to/{path.name}" for path in (DOCS / "how-to").glob("*.md"))}
     assert set(NOTEBOOKS) == pages
-    assert len(pages) == 6
+    assert len(pages) == 7
 
 
 @pytest.mark.parametrize("page", NOTEBOOKS)

@@ -1,6 +1,7 @@
 """The command ``mcspectra``: verbs in lazily imported modules, one sentence per error.
 
 Exit codes: 0 success; 1 the run failed; 2 bad input; 130 interrupted.
+The verb ``gate`` also exits with 3 (fail) and 4 (undecided).
 Verbs are bound by name, so ``--help`` imports none of them (docs/decisions/0002).
 Each verb is a function: the verb ``run`` is the function ``run_``. This module prints its output.
 The module `mcspectra.cli.analysis` turns each analysis into a verb.
@@ -61,6 +62,7 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
         "map": ("scenes", "variance, rate and bottleneck at every pixel of a scene"),
         "render": ("scenes", "render a scene with a sampler of this package"),
         "frames": ("scenes", "noise of frames from any renderer: variance, rate, bias, spectrum"),
+        "gate": ("gate", "test new renders against a reference: pass, fail or undecided"),
     },
     "more": {
         "app": ("package", "explore samplers, densities and integrands in the browser"),

@@ -295,6 +295,13 @@ measured_power | f | f² | radius | power of an image of errors
 low_share | f | 1 | | power of errors at low frequencies between pixels / its mean; white noise: 1
 difference | f | f | y x | mean minus that of the other frames
 difference_z | f | 1 | y x | that difference over its standard error, as a normal deviate (Welch)
+single_p | f | 1 | y x | p-value of the difference of a tile alone
+smallest_p | f | 1 | y x | smallest p-value of the tiles around a point, corrected for all tests
+p_share | f | 1 | bin | share of the tiles with a p-value in the bin
+test_p | f | 1 | test | p-value of a test, corrected for all tests
+test_statistic | f | 1 | test | largest difference in standard errors, or t value
+test_size | i | 1 | test | width of the tiles in pixels; 0: the image
+detectable | f | 1 | test | relative bias that the test finds with 90 % probability
 picture_ratio | f | 1 | | mean variance / that of the other frames
 equal_time_ratio | f | 1 | | mean variance × time / that of the other frames
 selection_ratio | f | 1 | | variance of random paths with lights chosen by second moments / as given

@@ -15,6 +15,7 @@ from mcspectra.core.checks import Array, as_real
 from mcspectra.core.errors import ParameterError
 from mcspectra.plots.description import (
     Axis,
+    BarChart,
     Heatmap,
     Line,
     Mark,
@@ -388,6 +389,75 @@ def _deviates(values: Array) -> Scale:
     return Scale(label="standard errors", low=-top, high=top, palette="diverging")
 
 
+def _tile_map(
+    group: Group, _: Styles, *, variable: str, scale: Callable[[Array], Scale], caption: str
+) -> Plot:
+    """Map a number of each tile of a gate over the image."""
+    data = next(iter(group.values()))  # each result has its own page
+    values = data[variable].transpose("y", "x").values.astype(float)
+    x, y = (data[dim].values.astype(float) for dim in ("x", "y"))
+    if variable == "difference":
+        caption = caption.replace("reference", "reference, in units of its mean")
+        values = values / abs(float(np.nanmean(data["mean"].values)) or 1.0)
+    size = data.attrs["finest"]
+    found = scale(values)
+    panel = _over_pixels(values, x, y, found, variable.replace("_", " "))
+    half = size / 2
+    across, down = (
+        replace(axis, low=at[0] - half, high=at[-1] + half)
+        for axis, at in ((panel.x, x), (panel.y, y))
+    )
+    if size > 1:
+        caption += f" Tiles of {size} × {size} pixels."
+    return Plot(
+        panels=(replace(panel, x=across, y=down),),
+        caption=caption,
+        words=f"Map of {x.size} × {y.size} tiles: "
+        f"{_map_words(values[np.isfinite(values)], found)}. {caption}",
+        height=float(np.clip(y.size / x.size, 0.1, 2.0)),
+    )
+
+
+def _p_values(values: Array) -> Scale:
+    """Return a logarithmic scale of p-values; white is 1."""
+    finite = values[np.isfinite(values) & (values > 0)]
+    low = float(np.clip(finite.min() if finite.size else 1e-3, 1e-6, 1e-3))
+    return replace(log_scale("p-value", low, 1.0), palette="sequential")
+
+
+def _relative(values: Array) -> Scale:
+    """Return a symmetric scale of differences in units of the mean."""
+    sizes = np.abs(values[np.isfinite(values)])
+    top = float(np.percentile(sizes, _SPREAD[1])) if sizes.size else 0.0
+    top = top or 1e-3
+    return Scale(label="difference / mean", low=-top, high=top, palette="diverging")
+
+
+def _p_histogram(group: Group, _: Styles) -> Plot:
+    """Plot the histogram of the p-values of single tiles; equal images give equal bars."""
+    data = next(iter(group.values()))
+    share, at = data["p_share"].values, data["bin"].values
+    width = 1.0 / share.size
+    top = max(float(share.max()) * 1.15, 2.0 * width)
+    what = "pixels" if data.attrs["finest"] == 1 else "tiles"
+    return Plot(
+        panels=(
+            Panel(
+                marks=(
+                    BarChart(at=at, value=share, color=PALETTE[0], thickness=0.9 * width),
+                    ReferenceLine(at=width, dashes="--", label="equal images"),
+                ),
+                x=Axis(label=f"p-value of single {what}", low=0.0, high=1.0),
+                y=Axis(label=f"share of the {what}", low=0.0, high=top),
+                grid=True,
+            ),
+        ),
+        caption=f"Histogram of the p-values of single {what}, without correction. Equal "
+        "images give nearly equal bars, and a bias raises the bars at the left.",
+        words=f"Histogram of p-values; the first bar holds {percent(float(share[0]))}.",
+    )
+
+
 MAPS: Mapping[str, tuple[tuple[str, ...], Callable[[Group, Styles], Plot]]] = {
     "frames-picture": (
         ("image", "relative_rmse"),
@@ -470,6 +540,36 @@ MAPS: Mapping[str, tuple[tuple[str, ...], Callable[[Group, Styles], Plot]]] = {
             ),
         )
     },
+    "gate-p": (
+        ("smallest_p",),
+        partial(
+            _tile_map,
+            variable="smallest_p",
+            scale=_p_values,
+            caption="Smallest p-value of all tiles around a point, corrected for all tests "
+            "together. Dark regions differ from the reference.",
+        ),
+    ),
+    "gate-difference": (
+        ("difference", "smallest_p"),
+        partial(
+            _tile_map,
+            variable="difference",
+            scale=_relative,
+            caption="New minus reference.",
+        ),
+    ),
+    "gate-histogram": (("p_share",), _p_histogram),
+    "gate-single": (
+        ("single_p",),
+        partial(
+            _tile_map,
+            variable="single_p",
+            scale=_p_values,
+            caption="p-value of each tile alone, without correction: about 1 in 100 is below 0.01 "
+            "even for equal images.",
+        ),
+    ),
     **{
         f"map-{kind}": (
             ("x", "y", "rate", variable),

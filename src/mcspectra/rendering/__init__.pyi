@@ -6,6 +6,8 @@ from .files import write_exr as write_exr
 from .files import write_png as write_png
 from .files import write_render as write_render
 from .frame_statistics import frames as frames
+from .gate import gate as gate
+from .gate_frames import write_reference as write_reference
 from .image import compare_strategies as compare_strategies
 from .image import reference as reference
 from .image import render as render
@@ -59,6 +61,7 @@ __all__ = [
     "describe_pixel",
     "frames",
     "from_mitsuba",
+    "gate",
     "load_mitsuba",
     "load_scene",
     "named_pixels",
@@ -77,5 +80,6 @@ __all__ = [
     "write_comparison",
     "write_exr",
     "write_png",
+    "write_reference",
     "write_render",
 ]

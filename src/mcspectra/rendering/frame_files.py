@@ -115,7 +115,7 @@ class FrameFiles:
     spp
         Samples per pixel, or None if neither names nor headers contain them.
     files
-        At least two files, in order of their names.
+        Files in order of their names.
     seconds
         Mean render time of a frame, or None if no header contains it.
     times
@@ -129,7 +129,7 @@ class FrameFiles:
     times: int = 1
 
 
-def frame_files(paths: Frames, read: FrameReader) -> list[FrameFiles]:
+def frame_files(paths: Frames, read: FrameReader, *, least: int = 2) -> list[FrameFiles]:
     """Group files by number of samples per pixel, ascending.
 
     Parameters
@@ -138,11 +138,13 @@ def frame_files(paths: Frames, read: FrameReader) -> list[FrameFiles]:
         A folder, a pattern, or a list of files.
     read
         How files are read. If it has a number of samples, this number holds for all files.
+    least
+        Least number of files of a group, 1 or 2.
 
     Returns
     -------
     list of FrameFiles
-        At least one group, each with at least two files.
+        At least one group, each with at least `least` files.
 
     Raises
     ------
@@ -175,7 +177,7 @@ def frame_files(paths: Frames, read: FrameReader) -> list[FrameFiles]:
             ".",
         )
     for spp, members in groups.items():
-        if len(members) < 2:
+        if len(members) < least:
             count = "" if spp is None else f" of {spp} samples per pixel"
             raise ParameterError(
                 f"There is one frame{count}, {members[0][0]}; give two or more independent renders "

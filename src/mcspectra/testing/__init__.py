@@ -1,5 +1,7 @@
 """Check your own samplers, densities, integrands and analyses against the library's contracts.
 
+`assert_same_image` tests renders against a reference, for tests of a renderer.
+
 The module `mcspectra.testing.strategies` makes random components for property-based tests.
 This module needs the package Hypothesis.
 """
@@ -11,9 +13,13 @@ from mcspectra.testing.contract import (
     check_integrand,
     check_sampler,
 )
+from mcspectra.testing.images import ImagesDiffer, ImagesUndecided, assert_same_image
 
 __all__ = [
     "BrokenContract",
+    "ImagesDiffer",
+    "ImagesUndecided",
+    "assert_same_image",
     "check_analysis",
     "check_density",
     "check_integrand",

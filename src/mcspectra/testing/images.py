@@ -1,0 +1,81 @@
+"""A test of renders against a reference, for the test suite of a renderer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mcspectra.rendering.frame_files import Frames
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["ImagesDiffer", "ImagesUndecided", "assert_same_image"]
+
+
+class ImagesDiffer(AssertionError):
+    """The new frames differ from the reference; `result` is the result of the gate."""
+
+    def __init__(self, message: str, result: xr.Dataset) -> None:
+        super().__init__(message)
+        self.result = result
+
+
+class ImagesUndecided(AssertionError):
+    """The frames cannot decide; `result` is the result of the gate."""
+
+    def __init__(self, message: str, result: xr.Dataset) -> None:
+        super().__init__(message)
+        self.result = result
+
+
+def assert_same_image(
+    new: Frames,
+    reference: Frames,
+    *,
+    level: float = 0.01,
+    target: float | None = None,
+    report: str | Path | None = None,
+    **options: Any,
+) -> xr.Dataset:
+    """Assert that new renders agree with a reference in mean and noise.
+
+    Parameters
+    ----------
+    new, reference, level, target
+        Same as in `mcspectra.rendering.gate`.
+    report
+        Folder for a page with the figures, which is written if the assertion fails.
+    **options
+        Further parameters of `mcspectra.rendering.gate`.
+
+    Returns
+    -------
+    xarray.Dataset
+        Result of the gate, whose verdict is ``pass``.
+
+    Raises
+    ------
+    ImagesDiffer
+        If the verdict is ``fail``.
+    ImagesUndecided
+        If the verdict is ``undecided``.
+    FileFormatError, ParameterError
+        Same as in `mcspectra.rendering.gate`.
+
+    Notes
+    -----
+    A suite of K such tests raises a false alarm with the probability K · `level` at most.
+    """
+    from mcspectra.rendering.gate import gate
+    from mcspectra.report.gate_page import gate_findings, write_gate
+
+    result = gate(new, reference, level=level, target=target, **options)
+    verdict = result.attrs["verdict"]
+    if verdict == "pass":
+        return result
+    lines = gate_findings(result)
+    if report is not None:
+        lines.append(f"See {write_gate(result, report)}")
+    error = ImagesDiffer if verdict == "fail" else ImagesUndecided
+    raise error("\n".join(lines), result)
