@@ -374,7 +374,10 @@ class _DeviceSets:
         """Return coordinates, from number `start`, of a point of set `number` modulo `size`."""
         import drjit
 
-        first, kind = ((number % self.size) * self._count + index) * self.dims + start, type(self._numbers)
+        first, kind = (
+            ((number % self.size) * self._count + index) * self.dims + start,
+            type(self._numbers),
+        )
         return [drjit.gather(kind, self._numbers, first + k, active) for k in range(dims)]
 
 

@@ -5,7 +5,8 @@ Method
 A wavefront of Mitsuba's samplers is split into sequences of n lanes, one for each pixel.
 Every sequence has its own points, and so has every pixel of an image.
 A sequence here is one pixel in one of R images, so that R images are one wavefront.
-Only the pixels that are measured are traced, with the film's positions, lens and time as in Mitsuba.
+Only the measured pixels are traced.
+Positions in the pixel, on the lens and in time are sampled as in Mitsuba's own loop.
 Samplers are Mitsuba's own objects, and ours as its plugin.
 The numbers of a path are therefore taken as in an image.
 
@@ -30,7 +31,6 @@ from mcspectra.core.errors import ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.rendering.backend import LOCK, load_mitsuba
 from mcspectra.rendering.paths import Tracer
-from mcspectra.rendering.plugin import PLUGIN
 from mcspectra.rendering.scenes import mitsuba_reason, sensor_of
 from mcspectra.rendering.techniques import check_finite, chosen_channel, lane_sums
 
@@ -186,7 +186,8 @@ class RenderedPixels:
         x, y = (drjit.gather(mitsuba.Int32, c, cell) for c in corner)
         x += mitsuba.Int32(place - line * row) - margin
         y += mitsuba.Int32(line) - margin
-        width, height = (drjit.opaque(mitsuba.Int32, k) for k in (self.film.width, self.film.height))
+        sides = (self.film.width, self.film.height)
+        width, height = (drjit.opaque(mitsuba.Int32, k) for k in sides)
         inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
         position = source.next_2d()
         color = self.tracer.trace(source, mitsuba.Float(x), mitsuba.Float(y), position)
