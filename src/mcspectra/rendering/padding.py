@@ -25,7 +25,7 @@ from mcspectra.core.fields import settle
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream
 from mcspectra.rendering.paths import Dimension, in_dims
-from mcspectra.rendering.plugin import PaddedSets, joint_dims_of
+from mcspectra.rendering.plugin import PaddedSets, joint_dims_of, joint_sampler
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.samplers.law import Independent
 
@@ -109,12 +109,12 @@ class Padded(Sampler):
     def __post_init__(self) -> None:
         settle(self, dims=sum(self.requests))
         if self.joint:
-            settle(self, _whole=in_dims(self.source, self.joint))
+            settle(self, _whole=joint_sampler(self.source, self.joint))
         Sampler.__post_init__(self)
 
     @property
     def spec(self) -> str:
-        """Spec of the source; the padding belongs to the renderer and is named by `padding_note`."""
+        """Spec of the source; `padding_note` names the padding, which belongs to the renderer."""
         return self.source.spec
 
     @property

@@ -14,6 +14,7 @@ The numbers of each request are as evenly spread as the sampler's points [Kollig
 The first `joint_dims` numbers of a sample come from one *joint* set instead.
 By default, binary nets scrambled by ``owen`` take `JOINT_DIMS` numbers jointly:
 the position in the pixel and the next pair, which is a point on the lens or on a light.
+Both pairs remain as even as padded ones (`mcspectra.samplers.nets.JoinedPairs`).
 All other samplers are padded by default.
 The same rule holds for `mcspectra.rendering.variance_map` and for pixels (`padding`).
 ``python -m benchmarks scenes`` measures this rule with five scenes.
@@ -45,6 +46,7 @@ from mcspectra.core.streams import Stream, mix_bits
 from mcspectra.rendering.backend import LARGEST_SAMPLE, LOCK, import_mitsuba, load_mitsuba
 from mcspectra.rendering.kernel_nets import JointSets, Net, Pads, net_of
 from mcspectra.samplers import Sampler, as_sampler
+from mcspectra.samplers.nets import JoinedPairs
 
 __all__ = [
     "JOINT_DIMS",
@@ -56,6 +58,7 @@ __all__ = [
     "PixelState",
     "Rounds",
     "joint_dims_of",
+    "joint_sampler",
     "register_samplers",
     "seed_lanes",
 ]
@@ -69,8 +72,8 @@ PLUGIN_VARIANTS = ("llvm_ad_rgb", "scalar_rgb")
 JOINT_DIMS = 4
 """Number of joint dims of scrambled nets by default.
 
-With more dims, pairs of high dims are less evenly spread than padded pairs.
-In the room of ``python -m benchmarks scenes``, 8 dims have 16 % more variance at n = 16.
+With more dims, pairs of high dims are less evenly spread than padded pairs:
+in a room, 8 joint dims had 16 % more variance at n = 16.
 """
 
 _MOST_WORDS = 8  # largest number of joint dims that a kernel computes; more are drawn as a table
@@ -151,9 +154,22 @@ class _Options:
 
 def joint_dims_of(sampler: Sampler) -> int:
     """Return the default number of joint dims: `JOINT_DIMS` for scrambled binary nets, else 0."""
-    net = net_of(sampler)
-    most = None if net is None else sampler.plain.max_dims
-    return 0 if net is None or (most is not None and most < JOINT_DIMS) else JOINT_DIMS
+    return 0 if net_of(sampler) is None else JOINT_DIMS
+
+
+def joint_sampler(pair: Sampler, dims: int) -> Sampler:
+    """Return the sampler of joint sets for a sampler in two dims.
+
+    Scrambled binary nets in `JOINT_DIMS` dims are two linked copies of the net (`JoinedPairs`).
+    Other sets are those of the sampler itself in these dims.
+    """
+    net = net_of(pair)
+    if net is None or dims != JOINT_DIMS:
+        return as_sampler(pair.spec, dims)
+    made: Sampler = JoinedPairs(plane=net)
+    for step in pair.randomizations:
+        made = made.then(replace(step, base=None))  # type: ignore[call-arg]
+    return made
 
 
 @functools.cache
@@ -542,7 +558,7 @@ class PaddedSets:
         if self.joint is None:
             settle(self, joint=joint_dims_of(pair))
         if self.joint:
-            joint = as_sampler(self.spec, as_integer("joint_dims", self.joint, least=2, most=64))
+            joint = joint_sampler(pair, as_integer("joint_dims", self.joint, least=2, most=64))
             joint.check_count(count)
         try:
             single = as_sampler(self.spec, 1)
