@@ -80,6 +80,9 @@ class SceneSettings:
     # Renders of each pixel. The variance of 32 normal values has a relative error of 25 %.
     most_renders: int = 32
     least_renders: int = 8
+    # Pixels and renders that measure the speed; 65,000 samples, because smaller wavefronts are slow
+    pilot_pixels: int = 256
+    pilot_renders: int = 16
     # Fraction of the time for the comparison; the rest goes to larger counts and confirmation
     comparison: float = 0.55
     # Pixels near a quantile that are rendered at a larger count, and renders of each
@@ -488,10 +491,10 @@ class _Work:
 
         # Measure the speed with few renders; the first wavefront also compiles the kernel
         report("profile: speed", 0.0)
-        some = tiles[:: max(1, len(tiles) // 64)]
-        for _ in range(2):
+        some = tiles[:: max(1, len(tiles) * self.side**2 // _SETTINGS.pilot_pixels)]
+        for pilot in (1, _SETTINGS.pilot_renders):
             before = rendered.samples, rendered.seconds
-            self._values(candidates[given], counts[0], some, 4)
+            self._values(candidates[given], counts[0], some, pilot)
         speed = (rendered.samples - before[0]) / (rendered.seconds - before[1])
         allowed = settings.comparison * self.limit * speed
         each = wide * sum(counts) * len(candidates)
