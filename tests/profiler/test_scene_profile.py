@@ -50,7 +50,9 @@ def test_needed_samples_are_those_of_the_quantile(rate, target):
     for seed in range(12):
         work = _Work(Rendered(spread, rate), Stream.from_rng(seed), 30.0, 0.0)
         tiles, side = chosen_tiles(Rendered.film, 1024, Stream.from_rng(100 + seed))
-        values = {n: work.rendered.estimates("", n, tiles, side, 16, work._stream()) for n in (16, 64)}
+        values = {
+            n: work.rendered.estimates("", n, tiles, side, 16, work._stream()) for n in (16, 64)
+        }
         for share in (0.5, 0.95):
             needed = work._needed("", values, np.ones(len(tiles)), tiles, share, target)
             true = (np.quantile(spread, share) / target) ** (-2.0 / rate)

@@ -52,7 +52,7 @@ _DIRECT = (
     "light",
     "heuristic",
 )
-_WHOLE = ("variant", "sensor", "define")
+_WHOLE = ("variant", "joint_dims", "sensor", "define")
 
 
 @verb(
@@ -108,6 +108,12 @@ _WHOLE = ("variant", "sensor", "define")
             "--variant VARIANT",
             "variant of Mitsuba, e.g. scalar_rgb (default llvm_ad_rgb; without LLVM scalar_rgb)",
         ),
+        option(
+            "--joint-dims K",
+            "with --sampler: first numbers of a path that are joint; each later request has its "
+            "own points (padded) (default 4 for scrambled nets, else 0)",
+            whole(0),
+        ),
         option("--sensor I", "index of the camera (default 0)", whole(0)),
         option("-D, --define KEY=VALUE", "value of $KEY in the file; repeatable", repeated="all"),
     ),
@@ -129,6 +135,8 @@ def render_(options: argparse.Namespace) -> VerbOutput:
     The verb prints the error of each image.
 
     With --integrator Mitsuba renders whole paths, and --sampler replaces the scene's own sampler.
+    Our samplers are padded: each request of the integrator has its own points.
+    The first 4 numbers of a path are joint for scrambled nets (--joint-dims).
     A scene file can also name a sampler of this package:
     <sampler type="mcspectra"> with <string name="spec" value="sobol | owen"/>.
     """
@@ -283,6 +291,7 @@ def _whole_paths(options: argparse.Namespace, scene: str, files: list[Path]) -> 
         options.variant,
         integrator=None if options.integrator == "scene" else options.integrator,
         sampler=options.sampler,
+        joint_dims=options.joint_dims,
         spp=options.spp,
         seed=options.seed or 0,
         sensor=options.sensor or 0,
@@ -352,6 +361,13 @@ def _whole_paths(options: argparse.Namespace, scene: str, files: list[Path]) -> 
         "evaluations per estimate at which remedies are compared (default twice the largest n)",
         whole(),
     ),
+    option(
+        "--joint-dims K",
+        "with --integrator: first numbers of a path that are joint; each later request of the "
+        "integrator has its own points (padded), as in rendered images (default 4 for scrambled "
+        "nets, else 0)",
+        whole(0),
+    ),
     option("--no-remedies", "do not search for remedies"),
     group(
         lambda parser: parser.add_mutually_exclusive_group(),
@@ -389,6 +405,8 @@ def pixel_(options: argparse.Namespace) -> VerbOutput:
         **given_of(options, *passed),
     }
     if options.integrator is None:
+        if options.joint_dims is not None:
+            raise ParameterError("--joint-dims is for whole paths; give --integrator.")
         from mcspectra.report import pixel_page
         from mcspectra.report.page import columns_of
         from mcspectra.report.tables import summary_table, terms_table
@@ -414,6 +432,7 @@ def pixel_(options: argparse.Namespace) -> VerbOutput:
             raise ParameterError(
                 f"{refused[0]} is for direct light; leave it out with --integrator."
             )
+        asked |= given_of(options, "joint_dims")
         tree = analyse_path(options.scene, x, options.y, integrator=options.integrator, **asked)
         known, answer = tree.attrs, textwrap.fill(path_page.path_answer(tree), _WIDTH)
         title = (

@@ -13,6 +13,7 @@ Mitsuba's own samplers are also padded, because they shuffle each request by its
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar, final
@@ -75,12 +76,17 @@ def as_rendered(
     try:
         pair = as_sampler(sampler if isinstance(sampler, str) else sampler.spec, 2)
     except McspectraError:
-        return as_sampler(sampler, dims)  # one without a spec, or in other dims than 2
-    if joint is None:
+        pair = None  # the sampler has no spec that recreates it, or does not exist in 2-D
+    if pair is not None and joint is None:
         joint = joint_dims_of(pair)
-    if joint >= dims or isinstance(pair.law(pair.nearest_count(16)), Independent):
+    if (
+        pair is None
+        or (joint or 0) >= dims
+        or isinstance(pair.law(pair.nearest_count(16)), Independent)
+    ):
         made = as_sampler(sampler, dims if isinstance(sampler, str) else None)
         return made if made.dims == dims else in_dims(made, dims)
+    joint = joint or 0
     return Padded(source=pair, joint=joint, requests=requests_of(dimensions))
 
 
@@ -123,7 +129,7 @@ class Padded(Sampler):
         return self
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
-        sets = PaddedSets(spec=self.source.spec, count=n, joint=self.joint)
+        sets = _sets(self.source.spec, n, self.joint)
         out = np.empty((count, n, self.dims))
         place = 0
         for number, width in enumerate(self.requests):
@@ -147,6 +153,11 @@ class Padded(Sampler):
 
     def _count_warning(self, n: int) -> str | None:
         return self.source._count_warning(n)
+
+
+@functools.lru_cache(maxsize=32)
+def _sets(spec: str, count: int, joint: int) -> PaddedSets:
+    return PaddedSets(spec=spec, count=count, joint=joint)
 
 
 def padding_note(sampler: Sampler) -> str:

@@ -57,6 +57,7 @@ _PROVENANCE = {
     "scene": "Scene",
     "integrator": "Integrator",
     "dims": "Dims",
+    "joint_dims": "Joint dims",
     "sampler": "Sampler",
     "seed": "Seed",
     "realizations": "Realizations",
@@ -449,6 +450,8 @@ def _sentences(summary: Mapping[str, Any]) -> Iterator[str]:
     """Yield sentences: which parts of the scene were not measured, and fractions of pixels."""
     if summary.get("scene_note"):
         yield summary["scene_note"]
+    if summary.get("padding"):
+        yield summary["padding"]
     if math.isfinite(summary.get("bottleneck", {}).get("bsdf", math.nan)):
         share = summary["bottleneck"]
         yield (

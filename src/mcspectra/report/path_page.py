@@ -231,7 +231,9 @@ def path_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
                 f"{known['dimensions'][dims - 1]}, and random numbers for the others are not "
                 f"significantly worse than {known['sampler']} for all {known['dims']}."
             )
-        said.append(("padding", text))
+        said.append(("padding", f"{text} {known['padding']}"))
+    else:
+        said.append(("padding", str(known["padding"])))
         text = f"Compared with {known['sampler']} as given: {tree['remedies'].attrs['answer']}"
         said.append(("remedies", text))
     return said
