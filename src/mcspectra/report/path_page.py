@@ -40,12 +40,12 @@ _TABLES = {
         "Rates are exponents of variance in n (random sampling: −1), ± half their 95 % interval.",
     ),
     "Parts of the variance": (
-        ("Part", "Alone", "With interactions", "Up to here"),
+        ("Part", "First-order index", "Total index", "Cumulative index"),
         (
-            "Shares of the variance of one random path by the bounce or decision that uses the "
-            "random numbers, in their order: alone (first-order Sobol' index), with all "
-            "interactions (total index; these overlap), and of all numbers up to here. Shares of 0 "
-            "are omitted."
+            "Sobol' indices: shares of the variance of one random path by the bounce or decision "
+            "that uses the random numbers, in their order. First-order: alone. Total: with all "
+            "interactions; these overlap. Cumulative: of all numbers up to here. Shares of 0 are "
+            "omitted."
         ),
     ),
     "Lights": (
@@ -184,8 +184,9 @@ def path_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
         if np.isfinite(least):
             name = known["dimensions"][int(least) - 1]
             low, high = (f"{end:.0f}" for end in ends)
+            between = "" if low == high else f" (95 %: {low} to {high})"
             text = (
-                f"The first {int(least)} of {known['dims']} coordinates (95 %: {low} to {high}), "
+                f"The first {int(least)} of {known['dims']} coordinates{between}, "
                 f"up to {name}, hold {percent(EFFECTIVE_SHARE)} of the variance of a path."
             )
             said.append(("effective dimension", text))
@@ -287,7 +288,8 @@ def write_path(tree: xr.DataTree, folder: str | Path) -> Path:
     counts = ", ".join(map(str, known["counts"]))
     settings = (
         f"Whole paths of the integrator {known['integrator']}: {known['dims']} random numbers "
-        f"each. n = {counts} paths, {known['realizations']} realizations, seed {known['rng']}."
+        f"each. {known['padding']} n = {counts} paths, {known['realizations']} realizations, seed "
+        f"{known['rng']}."
     )
     curves = {"convergence": describe("convergence", tree["convergence"].to_dataset())}
     parts = {kind: describe("anova", _parts(tree, kind)) for kind in tree["anova"].children}
