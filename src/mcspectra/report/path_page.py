@@ -125,6 +125,9 @@ def path_answer(tree: xr.DataTree) -> str:
     sizes = {}
     for k in range(found.sizes["remedy"]):
         row = found.isel(remedy=k)
+        # The error leaves out a pilot's cost, but the verdict includes it
+        if row["verdict"].item() == "worse" and row["remedy"].item() != other["remedy"].item():
+            continue
         low, high = row["error_ci"].values
         sizes[_setup(tree, row)] = Size(float(row["error"]), low, high, float(row["rate"]))
     return str(compared(sizes, _setup(tree, other), int(tree["remedies"].attrs["budget"]), why))
@@ -233,10 +236,10 @@ def path_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
                 f"significantly worse than {known['sampler']} for all {known['dims']}."
             )
         said.append(("padding", f"{text} {known['padding']}"))
-    else:
-        said.append(("padding", str(known["padding"])))
         text = f"Compared with {known['sampler']} as given: {tree['remedies'].attrs['answer']}"
         said.append(("remedies", text))
+    else:
+        said.append(("padding", str(known["padding"])))
     return said
 
 
