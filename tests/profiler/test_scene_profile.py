@@ -27,7 +27,7 @@ def found():
 
 
 class Rendered:
-    """Pixels with normal values of known errors instead of renders: σ / mean = spread n^(rate/2)."""
+    """Normal values instead of renders, with the known error σ / mean = spread n^(rate/2)."""
 
     film = Film(64, 32, 0)
     samples, seconds = 10**9, 1.0

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 __all__ = ["frames_", "map_", "pixel_", "render_"]
 
 _WIDTH = 100  # Width of wrapped sentences in columns
+_AROUND = 8  # side of the square of pixels at which samplers are compared for a target
 _SPP, _COMPARED_SPP, _REFERENCE_SPP = 16, 4, 1024
 
 
@@ -368,6 +369,12 @@ def _whole_paths(options: argparse.Namespace, scene: str, files: list[Path]) -> 
         "nets, else 0)",
         whole(0),
     ),
+    option(
+        "--target E",
+        "with --integrator: also compare samplers as they are rendered at the pixels around this "
+        "one, and print the samples per pixel for this relative error, as mcspectra profile does",
+        real(above=0.0),
+    ),
     option("--no-remedies", "do not search for remedies"),
     group(
         lambda parser: parser.add_mutually_exclusive_group(),
@@ -405,8 +412,10 @@ def pixel_(options: argparse.Namespace) -> VerbOutput:
         **given_of(options, *passed),
     }
     if options.integrator is None:
-        if options.joint_dims is not None:
-            raise ParameterError("--joint-dims is for whole paths; give --integrator.")
+        for name in ("joint_dims", "target"):
+            if getattr(options, name) is not None:
+                flag = f"--{name.replace('_', '-')}"
+                raise ParameterError(f"{flag} is for whole paths; give --integrator.")
         from mcspectra.report import pixel_page
         from mcspectra.report.page import columns_of
         from mcspectra.report.tables import summary_table, terms_table
@@ -459,6 +468,19 @@ def pixel_(options: argparse.Namespace) -> VerbOutput:
         ]
         parts.append("\n".join([remedies_table(found), *filled(pilots)]))
     parts.append("\n".join(filled(said)))
+    if options.target is not None:
+        from mcspectra.rendering.scenes import film_size
+
+        # Compare samplers at the pixels around this one
+        width, height = film_size(options.scene)
+        side = min(_AROUND, width, height)
+        corner = [
+            min(max(int(tree.attrs[k]) - side // 2, 0), size - side)
+            for k, size in (("x", width), ("y", height))
+        ]
+        advice = _as_rendered(options, (*corner, side, side))
+        parts.insert(1, f"{side} × {side} pixels around this one: {advice.text}")
+        data["profile"] = advice.to_dict()
     if written is not None:
         data["report"] = written
         parts.append(f"report: {printable(written)}")
@@ -487,6 +509,12 @@ def _map_options(parser: argparse.ArgumentParser) -> None:
         repeated="all",
     ),
     option("--workers N", "threads (default: all processors)", whole()),
+    option(
+        "--target E",
+        "with --integrator: also compare samplers as they are rendered, and print the samples per "
+        "pixel for this relative error, as mcspectra profile does",
+        real(above=0.0),
+    ),
     _map_options,
 )
 def map_(options: argparse.Namespace) -> VerbOutput:
@@ -509,6 +537,10 @@ def map_(options: argparse.Namespace) -> VerbOutput:
 
     # Refuse invalid options before the folder is created
     check_page_packages("render,report")
+    if options.target is not None and (options.integrator is None or options.size is not None):
+        raise ParameterError(
+            "--target is for whole paths at the scene's own size; give --integrator and no --size."
+        )
     analysis = checked(Map(**given_of(options, *(each.name for each in options_of(Map)))))
     samplers = options.sampler or [analysis.default_sampler]
     subjects = [Subject(None, read_sampler(each, analysis.points_dims)) for each in samplers]
@@ -531,7 +563,25 @@ def map_(options: argparse.Namespace) -> VerbOutput:
     page, summary = write_map(result, folder), map_summary(result)
     table = map_table(summary)
     text = f"{page_table(table)}\n{table.caption}\nmap: {printable(page)}"
-    return VerbOutput(text, {**summary, "report": page})
+    data = {**summary, "report": page}
+    if options.target is not None:
+        advice = _as_rendered(options, options.crop)
+        text, data["profile"] = f"{advice.text}\n\n{text}", advice.to_dict()
+    return VerbOutput(text, data)
+
+
+def _as_rendered(options: argparse.Namespace, crop: Any) -> Any:
+    """Compare samplers as they are rendered, for a target at the pixels of a crop."""
+    from mcspectra.profiler.scene_profile import profile_scene
+
+    return profile_scene(
+        options.scene,
+        target=options.target,
+        integrator=None if options.integrator == "scene" else options.integrator,
+        joint_dims=options.joint_dims,
+        crop=crop,
+        rng=options.seed or 0,
+    )
 
 
 @verb(

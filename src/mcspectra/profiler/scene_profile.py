@@ -29,7 +29,7 @@ import numpy as np
 from mcspectra.core.checks import Array, as_integer, as_real
 from mcspectra.core.confidence import CONFIDENCE_Z
 from mcspectra.core.display import counted, escape_html
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.core.progress import report
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.improve.answers import Answer, CandidateResult, simultaneous_z
@@ -291,6 +291,7 @@ def profile_scene(
     spp: int | None = None,
     channel: str | int = "luminance",
     pixels: int | None = None,
+    crop: Sequence[int] | None = None,
     seconds: float = 30.0,
     rng: RngLike = 0,
 ) -> SceneProfile:
@@ -314,6 +315,8 @@ def profile_scene(
         ``"luminance"``, 0, 1 or 2.
     pixels
         Most pixels that are measured, by default 1024.
+    crop
+        x0, y0, width and height of the part of the image that is measured.
     seconds
         Time for renders, in seconds; loading the scene and compiling kernels come on top.
     rng
@@ -329,6 +332,7 @@ def profile_scene(
         scene, integrator, samplers, joint_dims, channel, seconds, rng
     )
     now = own if spp is None else as_integer("spp", spp, least=1, most=2**24)
+    work.crop = _checked_crop(crop, work.rendered.film)
     return work.profile(candidates, goal, now, _most(pixels), given)
 
 
@@ -351,6 +355,20 @@ def plan_scene(
         scene, integrator, samplers, joint_dims, channel, seconds, rng
     )
     return work.plan(candidates, _most(pixels), given)
+
+
+def _checked_crop(crop: Sequence[int] | None, film: Film) -> tuple[int, int, int, int] | None:
+    if crop is None:
+        return None
+    given = [as_integer("crop", each, least=0) for each in crop]
+    x0, y0, width, height = given if len(given) == 4 else (0, 0, 0, 0)
+    if not (width and height and x0 + width <= film.width and y0 + height <= film.height):
+        raise ParameterError(
+            Parameter("crop"),
+            f" is {given}; give x0, y0, width and height within {film.width} × {film.height} "
+            "pixels.",
+        )
+    return x0, y0, width, height
 
 
 def _most(pixels: int | None) -> int:
@@ -438,6 +456,7 @@ class _Work:
     begin: float
     side: int = 1
     used: int = 0
+    crop: tuple[int, int, int, int] | None = None
 
     def _stream(self) -> Stream:
         self.used += 1
@@ -486,7 +505,7 @@ class _Work:
     ) -> tuple[Array, int, float]:
         """Choose tiles and the number of renders for the time; also return samples per second."""
         settings, rendered, counts = _SETTINGS, self.rendered, _SETTINGS.counts
-        tiles, side = chosen_tiles(rendered.film, most, self._stream())
+        tiles, side = chosen_tiles(rendered.film, most, self._stream(), self.crop)
         self.side, wide = side, (side + 2 * rendered.film.margin) ** 2
 
         # Measure the speed with few renders; the first wavefront also compiles the kernel
@@ -583,7 +602,8 @@ class _Work:
 
         # Choose the best sampler, and confirm it with new seeds
         at = {name: last if last in each else first for name, each in values.items() if each}
-        among = _noisy([values[name][n] for name, n in at.items() if n == last])
+        # Other renders choose the pixels, so that their scatter does not favor large estimates
+        among = _noisy([each[first] for each in values.values() if first in each])
         ratios = {
             name: self._ratio(values[name][n], values[given][n], among)
             for name, n in at.items()
@@ -701,8 +721,8 @@ class _Work:
             low, high = best.gain_ci
             lead = (
                 f"Use {best.name}: {best.gain:.2f} times less variance than {given.name} "
-                f"({low:.2f} to {high:.2f}) at the noisier half of the pixels, with {best.n} samples "
-                "per pixel."
+                f"({low:.2f} to {high:.2f}) at the noisier half of the pixels, with {best.n} "
+                "samples per pixel."
             )
         return Answer.of(best.n, results, instead=f"{lead} {spp}")
 

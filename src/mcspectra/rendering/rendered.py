@@ -62,8 +62,10 @@ class Film:
         return Film(int(width), int(height), margin)
 
 
-def chosen_tiles(film: Film, pixels: int, stream: Stream) -> tuple[Array, int]:
-    """Choose square tiles, one at random in each stratum of the image.
+def chosen_tiles(
+    film: Film, pixels: int, stream: Stream, crop: tuple[int, int, int, int] | None = None
+) -> tuple[Array, int]:
+    """Choose square tiles, one at random in each stratum of the image or of a crop.
 
     Returns
     -------
@@ -71,18 +73,20 @@ def chosen_tiles(film: Film, pixels: int, stream: Stream) -> tuple[Array, int]:
         The upper left pixels of the tiles, (T, 2), and the number of pixels along their sides.
         Together they have about `pixels` pixels, or all pixels of a small film.
     """
-    side = 1 if film.margin == 0 else min(4, film.width, film.height)
-    if film.width * film.height <= pixels:
-        x, y = (np.arange(0, k - k % side, side) for k in (film.width, film.height))
-        return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2), side
+    *start, width, height = crop or (0, 0, film.width, film.height)
+    corner = np.array(start)
+    side = 1 if film.margin == 0 else min(4, width, height)
+    if width * height <= pixels:
+        x, y = (np.arange(0, k - k % side, side) for k in (width, height))
+        return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2) + corner, side
     count = max(1, pixels // side**2)
-    across = max(1, min(film.width // side, round(math.sqrt(count * film.width / film.height))))
-    down = max(1, min(film.height // side, round(count / across)))
+    across = max(1, min(width // side, round(math.sqrt(count * width / height))))
+    down = max(1, min(height // side, round(count / across)))
     u = stream.uniforms(0, across * down, 2).reshape(down, across, 2)
     place = np.stack(np.meshgrid(np.arange(across), np.arange(down)), axis=-1)
-    most = np.array([film.width, film.height]) - side + 1
+    most = np.array([width, height]) - side + 1
     found = np.floor((place + u) * most / (across, down)).astype(np.int64)
-    return np.minimum(found, most - 1).reshape(-1, 2), side
+    return np.minimum(found, most - 1).reshape(-1, 2) + corner, side
 
 
 @final

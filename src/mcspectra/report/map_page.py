@@ -392,9 +392,7 @@ def _sampler_answer(last: xr.Dataset, found: Mapping[str, Any]) -> str:
     else:
         verb = "Keep" if best == names[0] else "Use"
         other = min((name for name in names if name != best), key=lambda name: logs[name])
-        text = (
-            f"{verb} {best}: {larger(best, other)} in the geometric mean over pixels. {told}"
-        )
+        text = f"{verb} {best}: {larger(best, other)} in the geometric mean over pixels. {told}"
     makes = [
         f"{max(rows, key=lambda name: rows[name]['share'])} "
         f"({percent(max(row['share'] for row in rows.values()))})"

@@ -111,7 +111,8 @@ def write_pixel(tree: xr.DataTree, folder: str | Path) -> Path:
     html.write_json(root / "pixel.json", pixel_summary(tree))
     counts = ", ".join(map(str, known["counts"]))
     settings = (
-        f"{_FIXED} n = {counts} samples of each technique, {known['realizations']} realizations, seed "
+        f"{_FIXED} n = {counts} samples of each technique, {known['realizations']} realizations, "
+        "seed "
         f"{known['rng']}; terms, bottleneck and remedies with {known['sampler']}."
     )
     facts = (
