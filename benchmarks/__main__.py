@@ -31,6 +31,7 @@ NAMES = (
     "large",
     "maps",
     "paths",
+    "scenes",
     "images",
     "masks",
     "gate",

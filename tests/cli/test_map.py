@@ -284,3 +284,36 @@ def test_a_map_of_black_pixels_has_a_page(capsys, tmp_path):
     code, _, err = run(capsys, *asked)
     assert code == 0, err
     assert "variance by bounce: unknown." in (tmp_path / "report.html").read_text()
+
+
+def compared_maps(first, second):
+    """A map of two samplers with these variances at four pixels, and the best at each pixel."""
+    place = ("sampler", "strategy", "n", "y", "x")
+    variance = np.array([first, second])[:, None, None, None, :]
+    # Relative standard errors of 1 %: differences above 3 % are sure
+    ratio = np.array(first) / np.array(second)
+    best = np.select([ratio < 0.97, ratio > 1.03], [0.0, 1.0], -1.0)
+    return xr.Dataset(
+        {
+            "variance": (place, variance),
+            "rate": (place[:2] + place[3:], -np.ones((2, 1, 1, 4))),
+            "rate_se": (place[:2] + place[3:], np.full((2, 1, 1, 4), 0.1)),
+            "mean": (place[:2] + place[3:], np.ones((2, 1, 1, 4))),
+            "best_sampler": (("strategy", "y", "x"), best[None, None]),
+        },
+        {"sampler": ["sobol | owen", "multijitter"], "strategy": ["path"], "n": [64],
+         "x": np.arange(4), "y": [0]},
+        {"sampler": "sobol | owen, multijitter", "realizations": 64},
+    )  # fmt: skip
+
+
+def test_the_headline_of_samplers_agrees_with_their_variances():
+    # The first sampler is surely best at half of the pixels, but its variance is larger
+    said = map_summary(compared_maps([0.9, 0.9, 1.0, 1.3], [1.0, 1.0, 1.0, 1.0]))["answer"]
+    assert said.startswith("No sampler is best everywhere, so keep sobol | owen.")
+    assert "sobol | owen at 50 %, multijitter at 25 %; no difference at 25 % of the pixels" in said
+    assert "sobol | owen has 1 % more variance than multijitter in the geometric mean" in said
+    said = map_summary(compared_maps([1.5, 1.5, 1.0, 1.0], [1.0, 1.0, 1.0, 1.0]))["answer"]
+    assert said.startswith("Use multijitter: 18 % less variance than sobol | owen")
+    said = map_summary(compared_maps([1.0, 1.0, 1.0, 1.0], [1.0, 1.0, 1.0, 1.0]))["answer"]
+    assert said.startswith("Keep sobol | owen: at no pixel")

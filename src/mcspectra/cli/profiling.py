@@ -1,4 +1,4 @@
-"""The verb `profile`: causes of the noise of an integrand, or of draws of Markov chains."""
+"""The verb `profile`: causes of the noise of an integrand, of Markov chains, or of a scene."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mcspectra.cli.analysis import analysis_verb
-from mcspectra.cli.common import Verb, VerbOutput, option
+from mcspectra.cli.common import Verb, VerbOutput, group, index_or_name, option, real, whole
 from mcspectra.cli.texts import data_of, table_of_anything
 from mcspectra.core.analysis import ANALYSES
 from mcspectra.core.decoding import check_decoded_size, check_zarr, opened, read_npy
@@ -36,9 +36,27 @@ _TEXT_RATIO = 10  # Bytes of memory for each byte of a .csv file
 _PROFILE = analysis_verb(["profile"])
 
 
+_OF_SCENES = (
+    "target",
+    "integrator",
+    "compare",
+    "joint_dims",
+    "spp",
+    "pixels",
+    "seconds",
+    "channel",
+)
+
+
 def _profile(options: argparse.Namespace) -> VerbOutput:
-    """Profile an integrand, or draws of Markov chains."""
+    """Profile an integrand, draws of Markov chains, or a scene."""
     subjects: list[str] = options.integrand
+    if len(subjects) == 1 and _is_scene(subjects[0]):
+        return _of_scene(options, subjects[0])
+    for name in (*_OF_SCENES, "dry_run"):
+        if getattr(options, name) not in (None, False, []):
+            flag = f"--{name.replace('_', '-')}"
+            raise ParameterError(f"{flag} is for scenes; leave it out, or give a Mitsuba XML file.")
     files = [text for text in subjects if Path(text).suffix.lower() in _SUFFIXES]
     if not files and len(subjects) == 1 and not Path(subjects[0]).is_file():
         if options.weights is not None:
@@ -61,6 +79,38 @@ def _profile(options: argparse.Namespace) -> VerbOutput:
             flag = f"--{name.replace('_', '-')}"
             raise ParameterError(f"{flag} is for integrands; leave it out with files of draws.")
     return _of_draws(options, files)
+
+
+def _is_scene(subject: str) -> bool:
+    """Return whether a subject is an XML file, or the name of a built-in scene."""
+    if Path(subject).suffix.lower() == ".xml":
+        return True
+    from mcspectra.rendering.scenes import SCENES
+
+    return subject.partition("(")[0].strip() in SCENES
+
+
+def _of_scene(options: argparse.Namespace, scene: str) -> VerbOutput:
+    """Compare samplers as the scene is rendered, or print what that takes."""
+    from mcspectra.profiler.scene_profile import plan_scene, profile_scene
+
+    profiling: Any = ANALYSES.load("profile")
+    own = ("dims", "density", "heuristic", "shares", "mirror", "plus", "weights", "out")
+    for name in (*own, *(each.name for each in options_of(profiling))):
+        if getattr(options, name) not in (None, []):
+            flag = f"--{name.replace('_', '-')}"
+            raise ParameterError(f"{flag} is not for scenes; leave it out.")
+    asked = {name: getattr(options, name) for name in _OF_SCENES}
+    asked = {name: value for name, value in asked.items() if value not in (None, [])}
+    asked["samplers"] = [*asked.pop("compare", []), *([options.sampler] if options.sampler else [])]
+    asked["rng"] = options.seed or 0
+    if options.dry_run:
+        for name in ("target", "spp"):
+            asked.pop(name, None)
+        plan = plan_scene(scene, **asked)
+        return VerbOutput(plan.text, plan.to_dict())
+    found = profile_scene(scene, **asked)
+    return VerbOutput(found.text, found.to_dict())
 
 
 def _of_draws(options: argparse.Namespace, files: list[str]) -> VerbOutput:
@@ -115,6 +165,12 @@ def _of_draws(options: argparse.Namespace, files: list[str]) -> VerbOutput:
 profile_ = Verb(
     f"""Find the causes of the noise of an integrand, and the best remedy at a budget.
 
+For a scene, a Mitsuba XML file or a built-in name, it compares samplers as they are rendered, on
+pixels from all parts of the image. It prints the sampler to use, the samples per pixel that reach
+--target, the decisions that cause the variance, and the worst pixels. Samplers of this package are
+padded like those of renderers: each request of the integrator has its own points. The first 4
+numbers of a path are joint for scrambled nets (--joint-dims).
+
 {_PROFILE.text.partition(chr(10) * 2)[2]}
 
 For files of draws of Markov chains it prints the standard error of each mean, its frequencies, and
@@ -125,13 +181,38 @@ store has the dims chain and draw, at its root or in the group posterior, as wri
     (
         option(
             "SUBJECT",
-            "integrand spec, e.g. 'gaussian(width=0.25)', or files of draws: .npy, .csv, .nc or "
-            ".zarr",
+            "integrand spec, e.g. 'gaussian(width=0.25)', a scene (.xml or a name), or files of "
+            "draws: .npy, .csv, .nc or .zarr",
             dest="integrand",
             nargs="+",
         ),
         *_PROFILE.options[1:],
         option("--weights NAME", "for draws: column or variable of the weights, or a .npy file"),
+        group(
+            lambda parser: parser.add_argument_group("scenes"),
+            option(
+                "--target E",
+                "relative error, σ / mean, that pixels should reach (default 0.05)",
+                real(above=0.0),
+            ),
+            option("--integrator SPEC", "integrator of Mitsuba (default: the scene's own)"),
+            option(
+                "--compare SPEC",
+                "a further sampler of this package to compare; repeatable",
+                repeated="all",
+            ),
+            option(
+                "--joint-dims K",
+                "first numbers of a path that are joint; the others are padded (default 4 for "
+                "scrambled nets, else 0)",
+                whole(0),
+            ),
+            option("--spp N", "samples per pixel now (default: the scene's own)", whole()),
+            option("--channel CHANNEL", "luminance (default), 0, 1 or 2", index_or_name),
+            option("--pixels N", "most pixels that are rendered (default 1024)", whole(16)),
+            option("--seconds S", "time for renders (default 30)", real(above=0.0)),
+            option("--dry-run", "only print the size of the profile and the time it takes"),
+        ),
     ),
     _profile,
 )

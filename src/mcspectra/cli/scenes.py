@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 __all__ = ["frames_", "map_", "pixel_", "render_"]
 
 _WIDTH = 100  # Width of wrapped sentences in columns
+_AROUND = 8  # side of the square of pixels at which samplers are compared for a target
 _SPP, _COMPARED_SPP, _REFERENCE_SPP = 16, 4, 1024
 
 
@@ -52,7 +53,7 @@ _DIRECT = (
     "light",
     "heuristic",
 )
-_WHOLE = ("variant", "sensor", "define")
+_WHOLE = ("variant", "joint_dims", "sensor", "define")
 
 
 @verb(
@@ -108,6 +109,12 @@ _WHOLE = ("variant", "sensor", "define")
             "--variant VARIANT",
             "variant of Mitsuba, e.g. scalar_rgb (default llvm_ad_rgb; without LLVM scalar_rgb)",
         ),
+        option(
+            "--joint-dims K",
+            "with --sampler: first numbers of a path that are joint; each later request has its "
+            "own points (padded) (default 4 for scrambled nets, else 0)",
+            whole(0),
+        ),
         option("--sensor I", "index of the camera (default 0)", whole(0)),
         option("-D, --define KEY=VALUE", "value of $KEY in the file; repeatable", repeated="all"),
     ),
@@ -129,6 +136,8 @@ def render_(options: argparse.Namespace) -> VerbOutput:
     The verb prints the error of each image.
 
     With --integrator Mitsuba renders whole paths, and --sampler replaces the scene's own sampler.
+    Our samplers are padded: each request of the integrator has its own points.
+    The first 4 numbers of a path are joint for scrambled nets (--joint-dims).
     A scene file can also name a sampler of this package:
     <sampler type="mcspectra"> with <string name="spec" value="sobol | owen"/>.
     """
@@ -283,6 +292,7 @@ def _whole_paths(options: argparse.Namespace, scene: str, files: list[Path]) -> 
         options.variant,
         integrator=None if options.integrator == "scene" else options.integrator,
         sampler=options.sampler,
+        joint_dims=options.joint_dims,
         spp=options.spp,
         seed=options.seed or 0,
         sensor=options.sensor or 0,
@@ -352,6 +362,19 @@ def _whole_paths(options: argparse.Namespace, scene: str, files: list[Path]) -> 
         "evaluations per estimate at which remedies are compared (default twice the largest n)",
         whole(),
     ),
+    option(
+        "--joint-dims K",
+        "with --integrator: first numbers of a path that are joint; each later request of the "
+        "integrator has its own points (padded), as in rendered images (default 4 for scrambled "
+        "nets, else 0)",
+        whole(0),
+    ),
+    option(
+        "--target E",
+        "with --integrator: also compare samplers as they are rendered at the pixels around this "
+        "one, and print the samples per pixel for this relative error, as mcspectra profile does",
+        real(above=0.0),
+    ),
     option("--no-remedies", "do not search for remedies"),
     group(
         lambda parser: parser.add_mutually_exclusive_group(),
@@ -389,6 +412,10 @@ def pixel_(options: argparse.Namespace) -> VerbOutput:
         **given_of(options, *passed),
     }
     if options.integrator is None:
+        for name in ("joint_dims", "target"):
+            if getattr(options, name) is not None:
+                flag = f"--{name.replace('_', '-')}"
+                raise ParameterError(f"{flag} is for whole paths; give --integrator.")
         from mcspectra.report import pixel_page
         from mcspectra.report.page import columns_of
         from mcspectra.report.tables import summary_table, terms_table
@@ -414,6 +441,7 @@ def pixel_(options: argparse.Namespace) -> VerbOutput:
             raise ParameterError(
                 f"{refused[0]} is for direct light; leave it out with --integrator."
             )
+        asked |= given_of(options, "joint_dims")
         tree = analyse_path(options.scene, x, options.y, integrator=options.integrator, **asked)
         known, answer = tree.attrs, textwrap.fill(path_page.path_answer(tree), _WIDTH)
         title = (
@@ -440,6 +468,19 @@ def pixel_(options: argparse.Namespace) -> VerbOutput:
         ]
         parts.append("\n".join([remedies_table(found), *filled(pilots)]))
     parts.append("\n".join(filled(said)))
+    if options.target is not None:
+        from mcspectra.rendering.scenes import film_size
+
+        # Compare samplers at the pixels around this one
+        width, height = film_size(options.scene)
+        side = min(_AROUND, width, height)
+        corner = [
+            min(max(int(tree.attrs[k]) - side // 2, 0), size - side)
+            for k, size in (("x", width), ("y", height))
+        ]
+        advice = _as_rendered(options, (*corner, side, side))
+        parts.insert(1, f"{side} × {side} pixels around this one: {advice.text}")
+        data["profile"] = advice.to_dict()
     if written is not None:
         data["report"] = written
         parts.append(f"report: {printable(written)}")
@@ -468,6 +509,12 @@ def _map_options(parser: argparse.ArgumentParser) -> None:
         repeated="all",
     ),
     option("--workers N", "threads (default: all processors)", whole()),
+    option(
+        "--target E",
+        "with --integrator: also compare samplers as they are rendered, and print the samples per "
+        "pixel for this relative error, as mcspectra profile does",
+        real(above=0.0),
+    ),
     _map_options,
 )
 def map_(options: argparse.Namespace) -> VerbOutput:
@@ -490,6 +537,10 @@ def map_(options: argparse.Namespace) -> VerbOutput:
 
     # Refuse invalid options before the folder is created
     check_page_packages("render,report")
+    if options.target is not None and (options.integrator is None or options.size is not None):
+        raise ParameterError(
+            "--target is for whole paths at the scene's own size; give --integrator and no --size."
+        )
     analysis = checked(Map(**given_of(options, *(each.name for each in options_of(Map)))))
     samplers = options.sampler or [analysis.default_sampler]
     subjects = [Subject(None, read_sampler(each, analysis.points_dims)) for each in samplers]
@@ -512,7 +563,25 @@ def map_(options: argparse.Namespace) -> VerbOutput:
     page, summary = write_map(result, folder), map_summary(result)
     table = map_table(summary)
     text = f"{page_table(table)}\n{table.caption}\nmap: {printable(page)}"
-    return VerbOutput(text, {**summary, "report": page})
+    data = {**summary, "report": page}
+    if options.target is not None:
+        advice = _as_rendered(options, options.crop)
+        text, data["profile"] = f"{advice.text}\n\n{text}", advice.to_dict()
+    return VerbOutput(text, data)
+
+
+def _as_rendered(options: argparse.Namespace, crop: Any) -> Any:
+    """Compare samplers as they are rendered, for a target at the pixels of a crop."""
+    from mcspectra.profiler.scene_profile import profile_scene
+
+    return profile_scene(
+        options.scene,
+        target=options.target,
+        integrator=None if options.integrator == "scene" else options.integrator,
+        joint_dims=options.joint_dims,
+        crop=crop,
+        rng=options.seed or 0,
+    )
 
 
 @verb(

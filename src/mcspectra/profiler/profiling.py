@@ -71,6 +71,8 @@ from mcspectra.samplers import Sampler, as_sampler
 if TYPE_CHECKING:
     import xarray as xr
 
+    from mcspectra.profiler.scene_profile import SceneProfile
+
 __all__ = ["Profile", "ProfileSettings", "Profiling", "profile"]
 
 
@@ -410,12 +412,13 @@ def profile(
     sampler: Any = "random",
     dims: int | None = None,
     budget: int = 4096,
+    target: float | None = None,
     rng: RngLike = 0,
     vectorized: bool = True,
     workers: int = 1,
     cache: str | os.PathLike[str] | None = None,
     on_error: str = "raise",
-) -> Profile:
+) -> Profile | SceneProfile:
     """Measure an estimator's noise, find its causes, and recommend a change.
 
     Parameters
@@ -426,6 +429,8 @@ def profile(
         points are drawn by sample(u) and weighted by 1/pdf.
         Draws of Markov chains or independent estimates are analyzed as in `chain_error`,
         without any sampling.
+        A scene is a Mitsuba XML file or a scene's dictionary; see `profile_scene`,
+        which takes `target` and `rng`, and has further parameters.
     sampler
         The sampler in use.
     dims
@@ -435,6 +440,8 @@ def profile(
         Maximum number of evaluations of f in total, at least 256.
         With 262,144 evaluations, errors of rates are about 0.05 instead of 0.1.
         They take less than a second if f is fast.
+    target
+        For scenes only: relative error σ / mean that pixels should reach, by default 0.05.
     rng
         Seed (SPEC 7).
     vectorized, workers, cache
@@ -465,6 +472,14 @@ def profile(
     >>> found.causes[0].name, found.answer.best.name
     ('kink', 'sobol | owen')
     """
+    if _is_scene(f):
+        from mcspectra.profiler.scene_profile import profile_scene
+
+        return profile_scene(f, target=target, rng=rng)
+    if target is not None:
+        raise ParameterError(
+            "target is for scenes; use mcspectra.plan for the points that reach an error."
+        )
     weighted = isinstance(f, tuple) and len(f) == 3 and all(map(callable, f))
     if not (isinstance(f, AbstractEstimator | Integrand | str) or callable(f) or weighted):
         return _of_draws(f)
@@ -510,6 +525,13 @@ def profile(
     if isinstance(calls, Calls):
         calls.budget = sys.maxsize  # Do not limit later calls of the function
     return found
+
+
+def _is_scene(subject: object) -> bool:
+    """Return whether the subject of a profile is a scene: an XML file or a Mitsuba dictionary."""
+    if isinstance(subject, Mapping):
+        return subject.get("type") == "scene"
+    return isinstance(subject, str | os.PathLike) and os.fspath(subject).lower().endswith(".xml")
 
 
 @final

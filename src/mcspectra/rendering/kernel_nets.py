@@ -25,7 +25,7 @@ from mcspectra.samplers import Sampler
 from mcspectra.samplers.base import Randomized
 from mcspectra.samplers.scrambles import Owen
 
-__all__ = ["Net", "NetPoints", "Pads", "net_of", "scramble_key"]
+__all__ = ["JointSets", "Net", "NetPoints", "Pads", "net_of", "scramble_key"]
 
 # Size of the table of permutations: 256 KiB, or more to hold the fewest allowed permutations
 _ORDER_NUMBERS = 2**16
@@ -198,6 +198,36 @@ class Pads:
         halves = (_halves(module, key) for key in keys)
         made = [_unit(module, _hashed(w, h)) for w, h in zip(words, halves, strict=True)]
         return made[:dims]
+
+
+class JointSets:
+    """Sets of scrambled net points in several dims, in the net's own order, one set per pixel."""
+
+    def __init__(self, module: Any, net: Net, count: int, stream: Stream) -> None:
+        import drjit
+
+        self.dims, self._module, self._net, self._count = net.dims, module, net, count
+        keys = stream.child(3).keys(0, 1)[0]
+        self._key = [drjit.opaque(module.UInt64, int(k)) for k in keys]
+
+    def draw(self, dims: int, pixel: Any, start: Any, index: Any, _: Any = True) -> list[Any]:
+        """Return coordinates, from number `start`, of point `index` of a pixel's set."""
+        import drjit
+
+        module, (k0, k1) = self._module, self._key
+        address = module.UInt64(pixel) << 32
+        made = []
+        for j, word in enumerate(net_words(module, self._net, self._count, index)):
+            both = [mix_bits(module, k0, k1, address + 2 * j + part) for part in (0, 1)]
+            made.append(_unit(module, _hashed(word, *(_halves(module, key) for key in both))))
+        # The place of a request is data in a recorded loop, so the coordinate is selected
+        found = []
+        for k in range(dims):
+            value = made[k]
+            for j in range(k + 1, len(made)):
+                value = drjit.select(start == j - k, made[j], value)
+            found.append(value)
+        return found
 
 
 @functools.lru_cache(maxsize=4)

@@ -35,7 +35,8 @@ from mcspectra.rendering.map_tiles import (
     Measurement,
     Prediction,
 )
-from mcspectra.rendering.paths import Dimension, Tracer, in_dims, window_dimensions
+from mcspectra.rendering.padding import Padded, as_rendered, padding_note
+from mcspectra.rendering.paths import Dimension, Tracer, window_dimensions
 from mcspectra.rendering.pixel import check_channel
 from mcspectra.rendering.scene_checks import (
     camera_rays,
@@ -153,6 +154,15 @@ class Map(Analysis, frozen=True, kw_only=True):
             extra={"metavar": "SPEC"},
         ),
     ] = None
+    joint_dims: Annotated[
+        Annotated[int, Meta(ge=0, le=MAX_DIMS)] | None,
+        Meta(
+            description="Whole paths: first numbers that are joint; each later request of the "
+            "integrator has its own points (padded), as in rendered images. By default 4 for "
+            "scrambled nets, else 0.",
+            extra={"metavar": "K"},
+        ),
+    ] = None
     points: Annotated[
         Literal["shared", "own"],
         Meta(description="shared: the same points at all pixels; own: independent ones."),
@@ -187,7 +197,8 @@ class Map(Analysis, frozen=True, kw_only=True):
         refused, way = direct, "is for direct light; leave it out if you give an integrator"
         if self.integrator is None:
             as_integer("dims", self.points_dims, least=2, most=3)
-            refused, way = {"chains": None}, "is for whole paths; also give an integrator"
+            refused = {"chains": None, "joint_dims": None}
+            way = "is for whole paths; also give an integrator"
         for name, usual in refused.items():
             if getattr(self, name) != usual:
                 raise ParameterError(Parameter(name), f" {way}.")
@@ -260,7 +271,7 @@ class Map(Analysis, frozen=True, kw_only=True):
         if self.integrator is not None:
             tracer = Tracer(scene, self.integrator, self.channel, grid)
             uses = window_dimensions(tracer, window, self.dims)
-            sampler = sampler if sampler.dims == len(uses) else in_dims(sampler, len(uses))
+            sampler = as_rendered(sampler, uses, self.joint_dims)
         measurement = Measurement(
             lighting=Lighting(
                 scene=scene,
@@ -376,6 +387,7 @@ def variance_map(
     channel: str | int = "luminance",
     dims: int | None = None,
     integrator: str | None = None,
+    joint_dims: int | None = None,
     points: str = "shared",
     smoothing: int = 1,
     predict_every: int = 1,
@@ -418,6 +430,11 @@ def variance_map(
         Measure whole paths like `PathPixel`; the only strategy is then ``"path"``.
         The value ``"scene"`` is the scene's own integrator.
         By default, direct light is measured by the given strategies.
+    joint_dims
+        With an integrator: how many of the first numbers of a path come from one joint set.
+        Every later request of the integrator has its own points (padded), as in rendered images.
+        The default is 4 for scrambled nets in base 2 and 0 otherwise, as in the plugin.
+        With the number of dims of the paths, all numbers are joint.
     points
         ``"shared"``: in a realization, all pixels have the same points.
         The numbers of a pixel are as good as with its own points, and they are faster to compute.
@@ -617,6 +634,8 @@ def labelled(
         scene_note=(integrator_note if tracer is None else filter_note)(lighting.scene),
         integrator="direct light" if tracer is None else tracer.integrator,
         dims=measurement.sampler.dims,
+        joint_dims=_joint_dims(measurement),
+        padding=None if tracer is None else padding_note(measurement.sampler),
         chains=measurement.chains,
         camera=camera_rays(lighting.scene) if tracer is None else "sampled",
         size=list(lighting.size),
@@ -626,6 +645,14 @@ def labelled(
         pixels_measured=int((maps.status == RECEIVER).sum()),
         stream_key=f"{measurement.stream.key:#x}",
     )
+
+
+def _joint_dims(measurement: Measurement) -> int | None:
+    """Return how many numbers of a path are joint; None for direct light."""
+    sampler = measurement.sampler
+    if measurement.tracer is None:
+        return None
+    return sampler.joint if isinstance(sampler, Padded) else sampler.dims
 
 
 def compared(maps: Sequence[xr.Dataset]) -> xr.Dataset:

@@ -378,18 +378,21 @@ class Tracer:
 
             def values(row: Any) -> Sequence[Any]:
                 sampler = _sampler_class()(_Numbers(numbers, dims, row * dims))
-                color = self._trace(sampler, x, y)
+                color = self.trace(sampler, x, y)
                 return color if self.channel == "rgb" else [chosen_channel(color, self.channel)]
 
             return values
 
         return np.moveaxis(pixel_sums(u, len(pixels), 3 if self.channel == "rgb" else 1, at), 0, -1)
 
-    def _trace(self, sampler: Any, x: Any, y: Any) -> Any:
-        """Radiance along a path through pixels x and y, as in Mitsuba's own loop over pixels."""
+    def trace(self, sampler: Any, x: Any, y: Any, film: Any = None) -> Any:
+        """Radiance along a path through pixels x and y, as in Mitsuba's own loop over pixels.
+
+        The position in the pixel, `film`, is by default the next pair of the sampler.
+        """
         mitsuba, loaded = load_mitsuba(), load_scene(self.scene)
         sensor, integrator = sensor_of(self.scene), find_integrator(self.scene, self.integrator)
-        film = sampler.next_2d()
+        film = sampler.next_2d() if film is None else film
         lens = sampler.next_2d() if sensor.needs_aperture_sample() else mitsuba.Point2f(0.5)
         time = sensor.shutter_open()
         if sensor.shutter_open_time() > 0.0:
@@ -549,7 +552,7 @@ def _dry_run(
     x, y = drjit.gather(mitsuba.Float, x, place), drjit.gather(mitsuba.Float, y, place)
     with drjit.scoped_set_flag(drjit.JitFlag.SymbolicLoops, False):
         try:
-            color = tracer._trace(sampler, x, y)
+            color = tracer.trace(sampler, x, y)
         except (RuntimeError, TypeError) as error:
             raise ParameterError(
                 f"Mitsuba cannot trace paths of {shown(tracer.integrator)} through "

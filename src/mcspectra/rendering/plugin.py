@@ -5,14 +5,22 @@ Use the function `render_file` or the command ``render`` instead.
 
 Method
 ------
-Sets are padded as in pbrt: every request for two numbers uses its own two-dimensional set.
+Sets are *padded* as in pbrt: every request for two numbers uses its own two-dimensional set.
 Every request for one number uses its own one-dimensional set.
 The points of a set come in a separate random order.
 Requests are therefore independent of one another.
 The numbers of each request are as evenly spread as the sampler's points [KolligKeller2002]_.
 
+The first `joint_dims` numbers of a sample come from one *joint* set instead.
+By default, binary nets scrambled by ``owen`` take `JOINT_DIMS` numbers jointly:
+the position in the pixel and the next pair, which is a point on the lens or on a light.
+Both pairs remain as even as padded ones (`mcspectra.samplers.nets.JoinedPairs`).
+All other samplers are padded by default.
+The same rule holds for `mcspectra.rendering.variance_map` and for pixels (`padding`).
+``python -m benchmarks scenes`` measures this rule with five scenes.
+
 In vectorized variants, lane i is sample i mod n of pixel ⌊i / n⌋.
-Scrambled nets are computed in the kernel (`kernel_nets`).
+Scrambled nets are computed in the kernel (`kernel_nets`), joint sets up to `_MOST_WORDS` dims too.
 Sets of other samplers are float32 tables in Dr.Jit's memory.
 Requests gather from these tables in the layout of `Rounds`.
 In scalar variants, Mitsuba seeds the sampler for each pixel, and the pixel's sets are drawn then.
@@ -36,10 +44,12 @@ from mcspectra.core.jit import kernel
 from mcspectra.core.parallel import available_workers, map_in_order
 from mcspectra.core.streams import Stream, mix_bits
 from mcspectra.rendering.backend import LARGEST_SAMPLE, LOCK, import_mitsuba, load_mitsuba
-from mcspectra.rendering.kernel_nets import Net, Pads, net_of
+from mcspectra.rendering.kernel_nets import JointSets, Net, Pads, net_of
 from mcspectra.samplers import Sampler, as_sampler
+from mcspectra.samplers.nets import JoinedPairs
 
 __all__ = [
+    "JOINT_DIMS",
     "MOST_SAMPLES",
     "PLUGIN",
     "PLUGIN_VARIANTS",
@@ -47,6 +57,8 @@ __all__ = [
     "PaddedSets",
     "PixelState",
     "Rounds",
+    "joint_dims_of",
+    "joint_sampler",
     "register_samplers",
     "seed_lanes",
 ]
@@ -57,6 +69,14 @@ PLUGIN = "mcspectra"
 PLUGIN_VARIANTS = ("llvm_ad_rgb", "scalar_rgb")
 """Variants of Mitsuba that get the plugin by default."""
 
+JOINT_DIMS = 4
+"""Number of joint dims of scrambled nets by default.
+
+With more dims, pairs of high dims are less evenly spread than padded pairs:
+in a room, 8 joint dims had 16 % more variance at n = 16.
+"""
+
+_MOST_WORDS = 8  # largest number of joint dims that a kernel computes; more are drawn as a table
 _UNKNOWN = 2**32 - 1  # Mitsuba's wavefront size for "unchanged"
 
 
@@ -66,7 +86,7 @@ def register_samplers(variant: str | Sequence[str] | None = None) -> tuple[str, 
     The plugin's properties are ``spec`` (string, default ``"sobol | owen"``), ``sample_count``,
     ``seed``, ``joint_dims`` and ``samples_per_pass``.
     The integer ``joint_dims`` is the number of a sample's first coordinates from one joint set.
-    With 0, the default, every request has its own set.
+    With 0, every request has its own set. The default is that of `joint_dims_of`.
     The integer ``samples_per_pass`` is needed if an integrator splits a pixel's samples.
 
     Parameters
@@ -108,7 +128,7 @@ class _Options:
 
     spec: str = "sobol | owen"
     seed: int = 0
-    joint_dims: int = 0
+    joint_dims: int | None = None
     samples_per_pass: int = 0
 
     @staticmethod
@@ -130,6 +150,26 @@ class _Options:
         """Return the random stream of one seed."""
         base = as_integer("seed", self.seed, least=0)
         return Stream.from_rng(np.random.SeedSequence([base, seed]))
+
+
+def joint_dims_of(sampler: Sampler) -> int:
+    """Return the default number of joint dims: `JOINT_DIMS` for scrambled binary nets, else 0."""
+    return 0 if net_of(sampler) is None else JOINT_DIMS
+
+
+def joint_sampler(pair: Sampler, dims: int) -> Sampler:
+    """Return the sampler of joint sets for a sampler in two dims.
+
+    Scrambled binary nets in `JOINT_DIMS` dims are two linked copies of the net (`JoinedPairs`).
+    Other sets are those of the sampler itself in these dims.
+    """
+    net = net_of(pair)
+    if net is None or dims != JOINT_DIMS:
+        return as_sampler(pair.spec, dims)
+    made: Sampler = JoinedPairs(plane=net)
+    for step in pair.randomizations:
+        made = made.then(replace(step, base=None))  # type: ignore[call-arg]
+    return made
 
 
 @functools.cache
@@ -195,7 +235,8 @@ def _plugin_class(variant: str) -> Any:
             properties = new_properties()
             properties["sample_count"] = self.sample_count()
             for name, value in vars(self.options).items():
-                properties[name] = value
+                if value is not None:
+                    properties[name] = value
             return type(self)(properties)
 
         def clone(self) -> Any:
@@ -218,7 +259,11 @@ def _plugin_class(variant: str) -> Any:
             _seeded(self.state).schedule()
 
         def to_string(self) -> str:
-            return f"{PLUGIN}[{self.sets.spec}, sample_count={self.sample_count()}]"
+            joint = self.sets.joint
+            return (
+                f"{PLUGIN}[{self.sets.spec}, joint_dims={joint}, "
+                f"sample_count={self.sample_count()}]"
+            )
 
     module.register_sampler(PLUGIN, McspectraSampler)
     return McspectraSampler
@@ -280,7 +325,7 @@ class PixelState:
 
     def _numbers(self, dims: int) -> Array:
         start, self._coordinate = self._coordinate, self._coordinate + dims
-        if start + dims <= self._sets.joint:
+        if start + dims <= (self._sets.joint or 0):
             if self._joint is None:
                 self._joint = self._sets.joints(self._stream, 0, 1)[0]
             return self._joint[self._index, start : start + dims]
@@ -311,8 +356,10 @@ def seed_lanes(
         if nets is None
         else Pads(module, nets, sets.count, stream)
     )
-    joint = None
-    if sets.joint:
+    joint: _DeviceSets | JointSets | None = None
+    if sets.joint_net is not None:
+        joint = JointSets(module, sets.joint_net, sets.count, stream)
+    elif sets.joint:
         joint = _DeviceSets(module, sets.joints(stream, 0, min(pixels, rounds.size)))
     return LaneState(
         module=module,
@@ -340,10 +387,13 @@ class _DeviceSets:
         self.size, self._count = (drjit.opaque(module.UInt32, k) for k in sets.shape[:2])
 
     def draw(self, dims: int, number: Any, start: Any, index: Any, active: Any) -> list[Any]:
-        """Return coordinates, from number `start`, of one point of the set with this number."""
+        """Return coordinates, from number `start`, of a point of set `number` modulo `size`."""
         import drjit
 
-        first, kind = (number * self._count + index) * self.dims + start, type(self._numbers)
+        first, kind = (
+            ((number % self.size) * self._count + index) * self.dims + start,
+            type(self._numbers),
+        )
         return [drjit.gather(kind, self._numbers, first + k, active) for k in range(dims)]
 
 
@@ -389,7 +439,7 @@ class LaneState:
     per_pass: int
     done: int
     pads: _TablePads | Pads
-    joint: _DeviceSets | None
+    joint: _DeviceSets | JointSets | None
     pixel: Any
     index: Any
     coordinate: Any
@@ -438,8 +488,7 @@ class LaneState:
             return self.pads.draw(dims, self.pixel, offset, self.index, active), following
         start, self.coordinate = self.coordinate, self.coordinate + dims
         inside = start + dims <= self.joint.dims
-        own = self.pixel % self.joint.size
-        joint = self.joint.draw(dims, own, start, self.index, inside & active)
+        joint = self.joint.draw(dims, self.pixel, start, self.index, inside & active)
         pads = self.pads.draw(dims, self.pixel, offset, self.index, ~inside & active)
         values = [drjit.select(inside, a, b) for a, b in zip(joint, pads, strict=True)]
         return values, drjit.select(inside, offset, following)
@@ -492,12 +541,13 @@ class Rounds:
 class PaddedSets:
     """Sets of one sampler for requests of one and two numbers, and joint sets in more dims.
 
+    If `joint` is None, it becomes the default, `joint_dims_of` the spec.
     Raises a ParameterError if the spec, the count or the dims are not possible.
     """
 
     spec: str
     count: int
-    joint: int = 0
+    joint: int | None = None
     _samplers: tuple[Sampler, Sampler, Sampler | None] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -505,8 +555,10 @@ class PaddedSets:
         pair = as_sampler(self.spec, 2)
         pair.check_count(count)
         joint = None
+        if self.joint is None:
+            settle(self, joint=joint_dims_of(pair))
         if self.joint:
-            joint = as_sampler(self.spec, as_integer("joint_dims", self.joint, least=2, most=64))
+            joint = joint_sampler(pair, as_integer("joint_dims", self.joint, least=2, most=64))
             joint.check_count(count)
         try:
             single = as_sampler(self.spec, 1)
@@ -523,6 +575,12 @@ class PaddedSets:
             return None
         return single, pair
 
+    @property
+    def joint_net(self) -> Net | None:
+        """The scrambled net of the joint sets, or None if kernels do not compute these sets."""
+        small = self.nets is not None and (self.joint or 0) <= _MOST_WORDS
+        return net_of(self._samplers[2]) if small else None
+
     def pads(self, dims: int, stream: Stream, first: int, sets: int) -> Array:
         """Return shuffled sets in 1 or 2 dims, beginning with set `first`: (sets, count, dims)."""
         sampler = self._samplers[dims - 1]
@@ -533,7 +591,7 @@ class PaddedSets:
         """Return joint sets in the sampler's own order: float32 (sets, count, joint)."""
         sampler = self._samplers[2]
         assert sampler is not None
-        return self._filled(sampler, self.joint, stream.child(3), first, sets, shuffled=False)
+        return self._filled(sampler, sampler.dims, stream.child(3), first, sets, shuffled=False)
 
     def _filled(
         self, sampler: Sampler, dims: int, stream: Stream, first: int, sets: int, *, shuffled: bool

@@ -84,6 +84,12 @@ class MitsubaSampler(Sampler):
             )
 
     @property
+    def spec(self) -> str:
+        """The spec, which always names Mitsuba's sampler."""
+        jitter = "" if self.jitter else ", jitter=False"
+        return f"{self.name}(sampler={self.sampler!r}{jitter})"
+
+    @property
     def unbiased(self) -> bool:  # type: ignore[override]
         """Whether points are jittered or scrambled."""
         return self.jitter

@@ -159,6 +159,7 @@ def render_file(
     *,
     integrator: str | None = None,
     sampler: str | None = None,
+    joint_dims: int | None = None,
     spp: int | None = None,
     seed: int = 0,
     sensor: int = 0,
@@ -177,6 +178,9 @@ def render_file(
         Mitsuba plugin, such as ``"path(max_depth=5)"``; by default the scene's own.
     sampler
         Spec of one of our samplers, which replaces the scene's own; the file is not changed.
+    joint_dims
+        With `sampler`: how many of the first numbers of a path are joint; the others are padded.
+        The default is 4 for scrambled nets in base 2 and 0 otherwise.
     spp
         Samples per pixel, instead of the file's.
     seed
@@ -223,6 +227,8 @@ def render_file(
     plugin = None if integrator is None else integrator_plugin(integrator)
     if sampler is not None:
         as_sampler(sampler, 2)  # check here, so that the message is ours instead of Mitsuba's
+    elif joint_dims is not None:
+        raise ParameterError(Parameter("joint_dims"), " is for a sampler of this package; name it.")
     with LOCK:
         (known,), mitsuba = register_samplers(variant)[:1], import_mitsuba()
         before, resolver = mitsuba.variant(), mitsuba.file_resolver()
@@ -247,7 +253,7 @@ def render_file(
                 state = parser.parse_file(config, str(path), **values)
             parser.transform_all(config, state)
             if sampler is not None:
-                _replace_samplers(mitsuba, state, sampler, spp)
+                _replace_samplers(mitsuba, state, sampler, spp, joint_dims)
             loaded = parser.instantiate(config, state)
             if not isinstance(loaded, mitsuba.Scene):
                 raise FileFormatError(
@@ -275,7 +281,9 @@ def render_file(
                 mitsuba.set_variant(before)
 
 
-def _replace_samplers(mitsuba: Any, state: Any, spec: str, spp: int | None) -> None:
+def _replace_samplers(
+    mitsuba: Any, state: Any, spec: str, spp: int | None, joint_dims: int | None = None
+) -> None:
     """Replace the sampler of every camera by ours, with `spp` or the given number of samples."""
     kinds, reference = mitsuba.ObjectType, mitsuba.Properties.ResolvedReference
     nodes = state.nodes
@@ -287,6 +295,8 @@ def _replace_samplers(mitsuba: Any, state: Any, spec: str, spp: int | None) -> N
                 properties.remove_property(name)
         properties.set_plugin_name(PLUGIN)
         properties["spec"] = spec
+        if joint_dims is not None:
+            properties["joint_dims"] = joint_dims
         if spp is not None:
             properties["sample_count"] = spp
     for k in range(len(nodes)):
@@ -298,6 +308,8 @@ def _replace_samplers(mitsuba: Any, state: Any, spec: str, spp: int | None) -> N
         own = mitsuba.parser.SceneNode()
         own.type, own.props = kinds.Sampler, mitsuba.Properties(PLUGIN)
         own.props["spec"] = spec
+        if joint_dims is not None:
+            own.props["joint_dims"] = joint_dims
         nodes.append(own)
         nodes[k].props["sampler"] = reference(len(nodes) - 1)
 

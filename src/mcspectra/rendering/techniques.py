@@ -199,7 +199,10 @@ def _raise_delta(where: str, bsdf: Any, shape: str) -> None:
     if int(bsdf.flags()) & int(load_mitsuba().BSDFFlags.Delta):
         raise ParameterError(
             f"{where} sees the shape {shape!r}, whose BSDF ({bsdf.class_name()}) has a "
-            "perfectly specular part, a delta function; choose a rough or diffuse surface."
+            "perfectly specular part, a delta function; choose a rough or diffuse surface, or "
+            "measure whole paths with ",
+            Parameter("integrator", "scene"),
+            ".",
         )
 
 

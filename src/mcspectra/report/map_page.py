@@ -57,6 +57,7 @@ _PROVENANCE = {
     "scene": "Scene",
     "integrator": "Integrator",
     "dims": "Dims",
+    "joint_dims": "Joint dims",
     "sampler": "Sampler",
     "seed": "Seed",
     "realizations": "Realizations",
@@ -354,19 +355,44 @@ def _answer(last: xr.Dataset, found: Mapping[str, Any]) -> str:
 
 
 def _sampler_answer(last: xr.Dataset, found: Mapping[str, Any]) -> str:
-    """Name the best sampler at most pixels, and the bounce and decision that add most variance."""
+    """Name the best sampler, and the bounce and decision that add most variance.
+
+    A sampler is recommended if it surely has the least variance at more pixels than any other,
+    and if its variance is also the least in the geometric mean over pixels.
+    """
     names = list(map(str, last["sampler"].values))
     shares = found["best_sampler"][str(last["strategy"].item())]
     best = max(names, key=lambda name: shares[name])
-    errors = ", ".join(
-        f"{name} {number(_median(last['variance'].sel(sampler=name).values) ** 0.5)}"
-        for name in names
+    variances = np.stack([last["variance"].sel(sampler=name).values for name in names])
+    known = np.isfinite(variances).all(axis=0) & (variances > 0.0).all(axis=0)
+    at = f"at n = {found['counts'][-1]}"
+    if not known.any():
+        return f"Keep {names[0]}: no pixel has a variance with all samplers {at}."
+    logs = dict(zip(names, np.log(variances[:, known]).mean(axis=1), strict=True))
+    least = min(names, key=lambda name: logs[name])
+    sure = ", ".join(f"{name} at {percent(shares[name])}" for name in names if shares[name])
+    even = percent(shares["no difference"])
+    told = (
+        f"Surely least variance {at}: {sure or 'no sampler'}; no difference at {even} of the "
+        "pixels."
     )
-    at = f"at n = {found['counts'][-1]} (median RMSE: {errors})"
-    if not shares[best] > shares["no difference"]:
-        return f"Keep {names[0]}: at most pixels no sampler has significantly less variance {at}."
-    verb = "Keep" if best == names[0] else "Use"
-    text = f"{verb} {best}: least variance at {percent(shares[best])} of the pixels {at}."
+
+    def larger(name: str, other: str) -> str:
+        """Compare the variances of two samplers in the geometric mean."""
+        more = math.expm1(logs[name] - logs[other])
+        return f"{percent(abs(more))} {'more' if more > 0.0 else 'less'} variance than {other}"
+
+    if not any(shares[name] for name in names):
+        text = f"Keep {names[0]}: at no pixel a sampler has significantly less variance. {told}"
+    elif best != least:
+        text = (
+            f"No sampler is best everywhere, so keep {names[0]}. {told} But {best} has "
+            f"{larger(best, least)} in the geometric mean over pixels."
+        )
+    else:
+        verb = "Keep" if best == names[0] else "Use"
+        other = min((name for name in names if name != best), key=lambda name: logs[name])
+        text = f"{verb} {best}: {larger(best, other)} in the geometric mean over pixels. {told}"
     makes = [
         f"{max(rows, key=lambda name: rows[name]['share'])} "
         f"({percent(max(row['share'] for row in rows.values()))})"
@@ -449,6 +475,8 @@ def _sentences(summary: Mapping[str, Any]) -> Iterator[str]:
     """Yield sentences: which parts of the scene were not measured, and fractions of pixels."""
     if summary.get("scene_note"):
         yield summary["scene_note"]
+    if summary.get("padding"):
+        yield summary["padding"]
     if math.isfinite(summary.get("bottleneck", {}).get("bsdf", math.nan)):
         share = summary["bottleneck"]
         yield (

@@ -40,12 +40,12 @@ _TABLES = {
         "Rates are exponents of variance in n (random sampling: −1), ± half their 95 % interval.",
     ),
     "Parts of the variance": (
-        ("Part", "Alone", "With interactions", "Up to here"),
+        ("Part", "First-order index", "Total index", "Cumulative index"),
         (
-            "Shares of the variance of one random path by the bounce or decision that uses the "
-            "random numbers, in their order: alone (first-order Sobol' index), with all "
-            "interactions (total index; these overlap), and of all numbers up to here. Shares of 0 "
-            "are omitted."
+            "Sobol' indices: shares of the variance of one random path by the bounce or decision "
+            "that uses the random numbers, in their order. First-order: alone. Total: with all "
+            "interactions; these overlap. Cumulative: of all numbers up to here. Shares of 0 are "
+            "omitted."
         ),
     ),
     "Lights": (
@@ -126,6 +126,9 @@ def path_answer(tree: xr.DataTree) -> str:
     sizes = {}
     for k in range(found.sizes["remedy"]):
         row = found.isel(remedy=k)
+        # The error leaves out a pilot's cost, but the verdict includes it
+        if row["verdict"].item() == "worse" and row["remedy"].item() != other["remedy"].item():
+            continue
         low, high = row["error_ci"].values
         sizes[_setup(tree, row)] = Size(float(row["error"]), low, high, float(row["rate"]))
     return str(compared(sizes, _setup(tree, other), int(tree["remedies"].attrs["budget"]), why))
@@ -185,8 +188,9 @@ def path_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
         if np.isfinite(least):
             name = known["dimensions"][int(least) - 1]
             low, high = (f"{end:.0f}" for end in ends)
+            between = "" if low == high else f" (95 %: {low} to {high})"
             text = (
-                f"The first {int(least)} of {known['dims']} coordinates (95 %: {low} to {high}), "
+                f"The first {int(least)} of {known['dims']} coordinates{between}, "
                 f"up to {name}, hold {percent(EFFECTIVE_SHARE)} of the variance of a path."
             )
             said.append(("effective dimension", text))
@@ -232,9 +236,11 @@ def path_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
                 f"{known['dimensions'][dims - 1]}, and random numbers for the others are not "
                 f"significantly worse than {known['sampler']} for all {known['dims']}."
             )
-        said.append(("padding", text))
+        said.append(("padding", f"{text} {known['padding']}"))
         text = f"Compared with {known['sampler']} as given: {tree['remedies'].attrs['answer']}"
         said.append(("remedies", text))
+    else:
+        said.append(("padding", str(known["padding"])))
     return said
 
 
@@ -286,7 +292,8 @@ def write_path(tree: xr.DataTree, folder: str | Path) -> Path:
     counts = ", ".join(map(str, known["counts"]))
     settings = (
         f"Whole paths of the integrator {known['integrator']}: {known['dims']} random numbers "
-        f"each. n = {counts} paths, {known['realizations']} realizations, seed {known['rng']}."
+        f"each. {known['padding']} n = {counts} paths, {known['realizations']} realizations, seed "
+        f"{known['rng']}."
     )
     curves = {"convergence": describe("convergence", tree["convergence"].to_dataset())}
     parts = {kind: describe("anova", _parts(tree, kind)) for kind in tree["anova"].children}

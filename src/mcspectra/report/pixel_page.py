@@ -60,6 +60,10 @@ _REMEDY = (
 )
 _GIVEN = "balance"  # default strategy of renderers
 _PINHOLE = "pinhole"
+_FIXED = (
+    "Direct light at one fixed point, seen through the center of the pixel: without the variation "
+    "inside the pixel and without indirect light. With --integrator scene whole paths are measured."
+)
 _MOST_LIGHTS = 8  # largest number of lights that are listed by name
 _ABOUT_RATES = (
     "Rates are exponents of variance in n (random sampling: −1), ± half their 95 % interval; "
@@ -107,7 +111,8 @@ def write_pixel(tree: xr.DataTree, folder: str | Path) -> Path:
     html.write_json(root / "pixel.json", pixel_summary(tree))
     counts = ", ".join(map(str, known["counts"]))
     settings = (
-        f"n = {counts} samples of each technique, {known['realizations']} realizations, seed "
+        f"{_FIXED} n = {counts} samples of each technique, {known['realizations']} realizations, "
+        "seed "
         f"{known['rng']}; terms, bottleneck and remedies with {known['sampler']}."
     )
     facts = (
@@ -209,7 +214,7 @@ def pixel_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
     """Return sentences on each strategy, the bottleneck, the fastest strategy and the remedies."""
     known, every = tree.attrs, pixel_rows(tree)
     rows = [row for row in every if row.sampler == known["sampler"]]
-    said = []
+    said = [("measured", _FIXED)]
     for strategy, row in zip(STRATEGY_NAMES, rows, strict=True):
         terms = tree[f"terms/{strategy}/auto"].to_dataset()
         text = f"{explain(row, terms)} {known[f'diagnosis_{strategy}']}"

@@ -45,6 +45,7 @@ from mcspectra.measure.anova import Anova, anova_variances
 from mcspectra.measure.converge import convergence, count_stream
 from mcspectra.measure.setup import Setup
 from mcspectra.prediction.prediction import predict
+from mcspectra.rendering.padding import Padded, as_rendered, padding_note
 from mcspectra.rendering.paths import (
     SCENE_INTEGRATOR,
     Dimension,
@@ -105,6 +106,7 @@ def analyse_path(
     counts: Sequence[int] | None = None,
     realizations: int | None = None,
     remedies: bool = True,
+    joint_dims: int | None = None,
     effort: str = "quick",
     rng: int = 0,
     workers: int | None = None,
@@ -123,6 +125,9 @@ def analyse_path(
         Counts n of paths per estimate, at least two, ascending; number of estimates for each n.
     remedies
         Whether to search for remedies that lower the noise.
+    joint_dims
+        How many of the first numbers of a path are joint; every later request is padded.
+        See `mcspectra.rendering.variance_map`.
     effort
         ``"quick"``; or ``"full"``, which measures more, predicts variances and takes minutes.
     rng
@@ -157,7 +162,10 @@ def analyse_path(
     usual, repeats, pairs, paths, predicted = _EFFORTS[as_choice("effort", effort, tuple(_EFFORTS))]
     f = PathPixel(scene=scene, x=x, y=y, integrator=integrator, channel=channel, dims=dims)
     asked = usual if counts is None else counts
-    sources, ns = check_compared(samplers, asked, f.dims, most=_MOST_SAMPLES)
+    if isinstance(samplers, str) or not samplers:
+        sources, ns = check_compared(samplers, asked, f.dims, most=_MOST_SAMPLES)
+    padded = [as_rendered(each, f.dimensions, joint_dims) for each in samplers]
+    sources, ns = check_compared(padded, asked, f.dims, most=_MOST_SAMPLES)
     options: dict[str, Any] = {
         "rng": as_integer("rng", rng, least=0),
         "workers": available_workers(workers),
@@ -210,7 +218,8 @@ def analyse_path(
             ranking = np.argsort(-shares, kind="stable"), made.evaluations
         parts["remedies"] = path_remedies(
             f, sources[-1], ns, stream, realizations=max(_FEWEST, number),
-            samplers=(*PATH_SAMPLERS, "halton | permute"), ends=ends, axes=ranking, lights=lights,
+            samplers=(*PATH_SAMPLERS, "halton | permute"), ends=ends, joint_dims=joint_dims,
+            axes=ranking, lights=lights,
         )  # fmt: skip
     if predicted:
         report("path: predictions", 0.9)
@@ -226,6 +235,7 @@ def analyse_path(
         "dims": f.dims,
         "dimensions": [str(d) for d in f.dimensions],
         "sampler": sources[-1].spec,
+        "padding": padding_note(sources[-1]),
         "value": float(curves["mean"].isel(n=-1).sel(sampler=sources[-1].spec)),
         "counts": ns,
         "realizations": number,
@@ -319,6 +329,7 @@ def path_remedies(
     realizations: int,
     samplers: Sequence[str],
     ends: Sequence[int],
+    joint_dims: int | None = None,
     axes: tuple[Array, int] | None = None,
     lights: xr.Dataset | None = None,
 ) -> xr.Dataset:
@@ -336,6 +347,8 @@ def path_remedies(
     samplers, ends
         Other samplers to try, and numbers of coordinates.
         For each number, only so many first coordinates keep QMC points; the others become random.
+    joint_dims
+        Same as in `analyse_path`.
     axes
         Coordinates in decreasing order of importance, and the number of paths that gave this order.
     lights
@@ -345,7 +358,7 @@ def path_remedies(
     -------
     xarray.Dataset
         Same as in `mcspectra.remedies`.
-        A ``kind`` is ``sampler``, ``padding``, ``order``, ``roulette`` or ``selection``.
+        A ``kind`` is ``sampler``, ``joint``, ``padding``, ``order``, ``roulette`` or ``selection``.
         ``error`` is the error at the budget without a pilot's cost; ``error_ratio`` includes it.
     """
     ns, budget = list(counts)[-_COUNTS:], int(counts[-1])
@@ -357,12 +370,15 @@ def path_remedies(
         name: str,
         change: str,
         make: Callable[[], Integrand] = lambda: f,
-        spec: str = "",
+        spec: Sampler | str = "",
         pilot: int = 0,
+        joint: bool = False,
     ) -> None:
         try:
             g = make()
-            points = sampler if g.dims == f.dims and not spec else spec or sampler.spec
+            points = spec or sampler
+            if isinstance(g, PathPixel):
+                points = as_rendered(points, g.dimensions, g.dims if joint else joint_dims)
             points = as_sampler(points, g.dims)
             for n in ns:
                 points.check_count(n)
@@ -390,6 +406,9 @@ def path_remedies(
     for spec in dict.fromkeys(samplers):
         if spec != sampler.spec:
             attempt("sampler", spec, f"sample with {spec}", spec=spec)
+    if isinstance(sampler, Padded):
+        change = f"take all {f.dims} numbers of a path jointly from {sampler.spec}"
+        attempt("joint", "all coordinates joint", change, joint=True)
     for k in ends:
         change = (
             f"use points of {sampler.spec} in the first {k} coordinates, and random numbers in "
@@ -400,7 +419,8 @@ def path_remedies(
         place = np.argsort(axes[0])  # For each coordinate of f: the coordinate of the point for it
         ordered = Integrand.from_function(lambda u: f(u[..., place]), dims=f.dims)
         change = "assign the first coordinates of the points to the largest shares of the variance"
-        attempt("order", "coordinates by share", change, lambda: ordered, pilot=axes[1])
+        whole = as_rendered(sampler.spec, f.dimensions, f.dims)
+        attempt("order", "coordinates by share", change, lambda: ordered, spec=whole, pilot=axes[1])
 
     # Try changes of roulette, of the selection of lights, and of the integrator's heuristic
     try:

@@ -1,0 +1,130 @@
+"""Samplers as they are rendered: predicted against rendered ratios of variances, five scenes.
+
+Each scene is rendered 200 times by ``mi.render`` with each sampler, with new seeds.
+The prediction measures the same pixels by `mcspectra.rendering.rendered` with fewer realizations.
+A ratio compares the variance of ``sobol | owen`` with that of a sampler of Mitsuba:
+the geometric mean over the pixels. A wrong winner has intervals on opposite sides of 1.
+``python -m benchmarks scenes --profile`` compares samples per pixel with the truth.
+"""
+
+import math
+
+import numpy as np
+from tests.rendering.small_scenes import SCENES
+
+from mcspectra.core.streams import Stream
+from mcspectra.profiler import profile_scene
+from mcspectra.rendering import load_mitsuba
+from mcspectra.rendering.paths import Tracer
+from mcspectra.rendering.plugin import register_samplers
+from mcspectra.rendering.rendered import Film, RenderedPixels, chosen_tiles
+from mcspectra.rendering.scenes import as_scene
+
+WIDTH, HEIGHT = 24, 16
+RENDERS, PREDICTED = 200, 64
+OURS = {"type": "mcspectra"}
+PADDED = {"type": "mcspectra", "joint_dims": 0}
+OTHERS = ("multijitter", "ldsampler", "independent")
+LUMINANCE = (0.212671, 0.715160, 0.072169)
+
+
+def images(name, plugin, spp, renders, first=0):
+    """Luminance of independent renders (R, pixels), by Mitsuba itself."""
+    mitsuba = load_mitsuba()
+    scene = SCENES[name](width=WIDTH, height=HEIGHT)
+    given = {"type": plugin} if isinstance(plugin, str) else plugin
+    scene["sensor"]["sampler"] = {**given, "sample_count": spp}
+    loaded = mitsuba.load_dict(scene)
+    seeds = (mitsuba.UInt32(first + k) for k in range(renders))
+    made = [np.array(mitsuba.render(loaded, spp=spp, seed=seed))[..., :3] for seed in seeds]
+    return np.stack(made).reshape(renders, -1, 3) @ LUMINANCE
+
+
+def ratio(ours, other, pixels):
+    """Geometric mean over pixels of Var(ours) / Var(other), and its standard error in logs."""
+    logs = np.log(ours.var(axis=0, ddof=1)[pixels] / other.var(axis=0, ddof=1)[pixels])
+    return logs.mean(), logs.std(ddof=1) / math.sqrt(len(logs))
+
+
+def compare(name, spp):
+    """Print the predicted and the rendered ratios of one scene, and return the ratios of both."""
+    scene = as_scene(SCENES[name](width=WIDTH, height=HEIGHT))
+    tiles, side = chosen_tiles(Film.of(scene), WIDTH * HEIGHT, Stream.from_rng(0))
+    tracer = Tracer(scene, "scene", "luminance", (WIDTH, HEIGHT))
+    pixels = RenderedPixels(tracer, Film.of(scene))
+    plugins = {"ours": OURS, "padded": PADDED, **{each: each for each in OTHERS}}
+    rendered, predicted = {}, {}
+    for k, (label, plugin) in enumerate(plugins.items()):
+        rendered[label] = images(name, plugin, spp, RENDERS, 1000 * k)
+        stream = Stream.from_rng(7).child(k)
+        predicted[label] = pixels.estimates(plugin, spp, tiles, side, PREDICTED, stream)
+    place = tiles @ [1, WIDTH]
+    rendered = {label: values[:, place] for label, values in rendered.items()}
+    floor = (1e-5 * np.abs(rendered["independent"].mean(axis=0))) ** 2
+    noisy = np.all(
+        [v.var(axis=0) > floor for v in [*rendered.values(), *predicted.values()]], axis=0
+    )
+    found, wrong = [], 0
+    for label in ("padded", *OTHERS):
+        (a, a_se), (b, b_se) = (ratio(v["ours"], v[label], noisy) for v in (predicted, rendered))
+        found.append(math.exp(a - b))
+        bad = a * b < 0 and abs(a) > 1.96 * a_se and abs(b) > 1.96 * b_se
+        wrong += bad
+        print(
+            f"{name:6} {spp:4} against {label:12} predicted {math.exp(a):6.3f} "
+            f"({math.exp(a - 1.96 * a_se):.3f} to {math.exp(a + 1.96 * a_se):.3f})  rendered "
+            f"{math.exp(b):6.3f} ({math.exp(b - 1.96 * b_se):.3f} to "
+            f"{math.exp(b + 1.96 * b_se):.3f})  predicted / rendered {found[-1]:.3f}"
+            f"{'  WRONG WINNER' if bad else ''}",
+            flush=True,
+        )
+    return found, wrong
+
+
+def truth(name, target):
+    """Compare the samples per pixel of a profile with many renders at powers of two."""
+    scene = SCENES[name](width=WIDTH, height=HEIGHT)
+    found = profile_scene(scene, target=target, seconds=30.0, rng=3)
+    given = found.answer.given.name
+    errors = {}
+    for spp in (4, 16, 64, 256, 1024):
+        values = images(name, given, spp, 100, 5000)
+        seen = values.mean(axis=0) > 0
+        relative = values[:, seen].std(axis=0, ddof=1) / values[:, seen].mean(axis=0)
+        errors[spp] = np.quantile(relative, (0.5, 0.95))
+    for k, each in enumerate(found.needed_now):
+        logs = np.log([error[k] for error in errors.values()])
+        true = math.exp(np.interp(-math.log(target), -logs, np.log(list(errors))))
+        low, high = each.spp_ci
+        print(
+            f"{name:6} {given:12} target {target} at {each.share:.0%}: profile {each.spp:.0f} "
+            f"({low:.0f} to {high:.0f}), truth {true:.0f}, ratio {each.spp / true:.2f}",
+            flush=True,
+        )
+
+
+def main(*flags):
+    """Print the table of the five scenes, or the samples per pixel of profiles."""
+    register_samplers()
+    mitsuba = load_mitsuba()
+    mitsuba.set_log_level(mitsuba.LogLevel.Error)
+    if "--profile" in flags:
+        for name, target in (
+            ("plate", 0.1),
+            ("room", 0.1),
+            ("sky", 0.03),
+            ("lens", 0.05),
+            ("fog", 0.1),
+        ):
+            truth(name, target)
+        return
+    every, wrong = [], 0
+    for name in SCENES:
+        for spp in (16, 64):
+            found, bad = compare(name, spp)
+            every += found
+            wrong += bad
+    away = np.abs(np.log(every))
+    print(
+        f"median |predicted / rendered − 1| {np.median(np.expm1(away)):.3f}, wrong winners {wrong}"
+    )

@@ -1,0 +1,867 @@
+"""Profile a scene as it is rendered: the sampler to use, the samples per pixel, and the causes.
+
+Method
+------
+Pixels are chosen at random in strata of the image.
+Each sampler renders them several times, exactly as in an image (`mcspectra.rendering.rendered`).
+Ours are padded, with the joint dims of the plugin; Mitsuba's own samplers are as they are.
+All samplers are measured at two counts n, and the best again with new seeds (confirmation).
+
+The error of a pixel is σ / mean, relative as in ``frames``.
+The samples that a share q of the pixels needs come from the quantile of the errors.
+Samplers are compared by the geometric mean of their variances over the noisier half of the pixels.
+These pixels decide the samples per pixel; the others reach any target early.
+Errors of few renders scatter; their quantiles are narrowed by the scatter between two halves.
+Beyond the measured counts, pixels near the quantile are rendered again at a count near the answer.
+"""
+
+from __future__ import annotations
+
+import math
+import shlex
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, final
+
+import numpy as np
+
+from mcspectra.core.checks import Array, as_integer, as_real
+from mcspectra.core.confidence import CONFIDENCE_Z
+from mcspectra.core.display import counted, escape_html
+from mcspectra.core.errors import Parameter, ParameterError
+from mcspectra.core.progress import report
+from mcspectra.core.streams import RngLike, Stream
+from mcspectra.improve.answers import Answer, CandidateResult, simultaneous_z
+from mcspectra.rendering.backend import LOCK
+from mcspectra.rendering.map_statistics import path_shares
+from mcspectra.rendering.map_tiles import Lighting, Measurement
+from mcspectra.rendering.paths import (
+    SCENE_INTEGRATOR,
+    Dimension,
+    Tracer,
+    find_integrator,
+    window_dimensions,
+)
+from mcspectra.rendering.pixel import check_channel
+from mcspectra.rendering.plugin import PLUGIN, joint_dims_of
+from mcspectra.rendering.rendered import (
+    OWN_SAMPLER,
+    Film,
+    RenderedPixels,
+    chosen_tiles,
+    pixels_of,
+)
+from mcspectra.rendering.scenes import Scene, as_scene, load_scene, scene_name, sensor_of
+from mcspectra.samplers import as_sampler
+
+__all__ = [
+    "Needed",
+    "ScenePlan",
+    "SceneProfile",
+    "SceneSettings",
+    "VarianceShare",
+    "plan_scene",
+    "profile_scene",
+]
+
+
+@final
+@dataclass(frozen=True)
+class SceneSettings:
+    """Settings of the profile of a scene."""
+
+    # Pixels of the image. The ranks of the 95 % quantile of 1000 pixels are exact to 1.4 %.
+    pixels: int = 1024
+    # Least number of pixels, if the scene is slow to render
+    least_pixels: int = 96
+    # Samples per pixel at which samplers are compared: powers of 4, which all samplers can make
+    counts: tuple[int, int] = (16, 64)
+    # Renders of each pixel. The variance of 32 normal values has a relative error of 25 %.
+    most_renders: int = 32
+    least_renders: int = 8
+    # Pixels and renders that measure the speed; 65,000 samples, because smaller wavefronts are slow
+    pilot_pixels: int = 256
+    pilot_renders: int = 16
+    # Fraction of the time for the comparison; the rest goes to larger counts and confirmation
+    comparison: float = 0.55
+    # Pixels near a quantile that are rendered at a larger count, and renders of each
+    near: int = 32
+    near_renders: int = 16
+    # Fraction of the time that these renders take in total, on average over five scenes
+    nearby: float = 0.2
+    # Seconds to compile the two kernels of a sampler, for estimates of the time
+    compilation: float = 2.0
+    # Largest count at which pixels near a quantile are rendered
+    most_samples: int = 2**14
+    # A sampler with this many times the variance of the best at the first count is not measured
+    # at the second one; rates of samplers differ by less than a factor of 2 within two octaves
+    dropped: float = 2.0
+    # Pixels and pairs of paths for the shares of the variance
+    cause_pixels: int = 128
+    cause_chains: int = 64
+    # Number of worst pixels that are listed
+    worst: int = 5
+    # Steepest and slowest slopes of log variance against log n that are believed
+    steepest: float = -3.0
+    slowest: float = -0.5
+
+
+_SETTINGS = SceneSettings()
+_MITSUBA = ("independent", "multijitter", "ldsampler")
+_OURS = "sobol | owen"
+_CLASSES = {
+    # Class of a scene's sampler, and name of its plugin
+    "IndependentSampler": "independent",
+    "StratifiedSampler": "stratified",
+    "MultijitterSampler": "multijitter",
+    "OrthogonalSampler": "orthogonal",
+    "LowDiscrepancySampler": "ldsampler",
+}
+
+
+@final
+@dataclass(frozen=True)
+class VarianceShare:
+    """Share of the variance of a random path that first appears with one decision of the path."""
+
+    decision: str
+    share: float
+    share_ci: tuple[float, float]
+
+
+@final
+@dataclass(frozen=True)
+class Needed:
+    """Samples per pixel that a share of the pixels needs, with the 95 % interval and the count."""
+
+    share: float
+    spp: float
+    spp_ci: tuple[float, float]
+
+
+@final
+@dataclass(frozen=True)
+class SceneProfile:
+    """The noise of a scene as it is rendered; print it to see the advice.
+
+    Attributes
+    ----------
+    answer
+        The recommended sampler, compared with the scene's own at `compared_spp`.
+        An error (`rmse`) is the median of σ / mean over the pixels.
+    target
+        Relative error σ / mean that pixels should reach.
+    needed, needed_now
+        Samples per pixel at half and at 95 % of the pixels: recommended sampler, scene's own.
+    missing, missing_ci
+        Share of the pixels that miss the target as the scene is now.
+    spp
+        Samples per pixel of the scene now.
+    causes
+        Shares of the variance by decision, the largest first.
+    confirmed, confirmed_ci
+        Ratio of the recommended sampler's variance in new renders to the compared one.
+    worst
+        Pixels with the largest relative error: x, y, the error at `compared_spp`.
+    """
+
+    scene: str
+    integrator: str
+    target: float
+    spp: int
+    size: tuple[int, int]
+    pixels: int
+    renders: int
+    compared_spp: int
+    answer: Answer
+    needed: tuple[Needed, ...]
+    needed_now: tuple[Needed, ...]
+    missing: float
+    missing_ci: tuple[float, float]
+    causes: tuple[VarianceShare, ...]
+    confirmed: float
+    confirmed_ci: tuple[float, float]
+    worst: tuple[tuple[int, int, float], ...]
+    black: int
+    seconds: float
+    samples: int
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def text(self) -> str:
+        """All results as text of several lines."""
+        best, low_high = self.answer.best, _percent_ci
+        head = (
+            f"{self.scene}, integrator {self.integrator}, {self.size[0]} × {self.size[1]} pixels: "
+            f"{counted(self.pixels, 'pixel')} rendered {self.renders} times."
+        )
+        lines = [head, self.answer.advice, ""]
+        lines.append(f"target      σ / mean = {self.target:.3g} at each pixel")
+        both = ((best.name, self.needed), (self.answer.given.name, self.needed_now))
+        for name, needed in both if self.answer.changes else both[:1]:
+            for each in needed:
+                lines.append(
+                    f"{f'at {each.share:.0%}':<11} {_spp(each)} samples per pixel with {name}"
+                )
+        lines.append(
+            f"now         {self.spp} samples per pixel with {self.answer.given.name}: "
+            f"{self.missing:.0%} of the pixels {low_high(self.missing_ci)} miss the target"
+        )
+        for k, cause in enumerate(self.causes[:2]):
+            head = "causes" if k == 0 else ""
+            lines.append(
+                f"{head:<11} {cause.decision}: {cause.share:.0%} of the variance of a random path "
+                f"{low_high(cause.share_ci)}"
+            )
+        lines.append(
+            f"confirmed   new renders with {best.name}: variance × {self.confirmed:.2f} "
+            f"({self.confirmed_ci[0]:.2f} to {self.confirmed_ci[1]:.2f}) of the compared one"
+        )
+        lines.append(
+            "samplers    variance in relation to the scene's sampler: geometric mean over the "
+            f"noisier half of the pixels at {self.compared_spp} samples per pixel"
+        )
+        for each in self.answer.results:
+            gain, (low, high) = each.gain, each.gain_ci
+            ends = "" if each is self.answer.given else f"({1 / high:.2f} to {1 / low:.2f})"
+            lines.append(f"  {each.name:<34} {1.0 / gain:.2f} {ends}")
+        lines.append("worst pixels")
+        for x, y, error in self.worst:
+            own = "scene" if self.integrator == SCENE_INTEGRATOR else self.integrator
+            command = f"mcspectra pixel {shlex.quote(self.scene)} {x} {y} --integrator "
+            lines.append(f"  σ / mean {error:<8.2g} {command}{shlex.quote(own)}")
+        lines += self.notes
+        lines.append(f"{self.seconds:.0f} s, {self.samples / 1e6:.1f} million samples")
+        return "\n".join(lines)
+
+    def __str__(self) -> str:
+        return self.text
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{escape_html(self.text)}</pre>"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain numbers, texts and lists."""
+        plain = {k: v for k, v in vars(self).items() if k not in ("answer", "causes", "needed")}
+        plain["answer"] = {**self.answer.to_dict(), "causes": [vars(c) for c in self.causes]}
+        plain["causes"] = [vars(cause) for cause in self.causes]
+        plain["needed"] = [vars(each) for each in self.needed]
+        plain["needed_now"] = [vars(each) for each in self.needed_now]
+        plain["samplers"] = [each.to_dict() for each in self.answer.results]
+        return plain
+
+
+def _noisy(values: Sequence[Array]) -> Array:
+    """Mark the half of the pixels with the larger relative errors, by all samplers together."""
+    logs = np.mean([np.log(np.maximum(v.var(axis=0, ddof=1), 1e-300)) for v in values], axis=0)
+    mean = np.abs(np.mean([v.mean(axis=0) for v in values], axis=0))
+    with np.errstate(divide="ignore"):
+        relative = np.where(mean > 0.0, logs - 2.0 * np.log(mean), -np.inf)
+    seen = relative[np.isfinite(relative)]
+    return np.asarray(relative >= (np.median(seen) if seen.size else -np.inf))
+
+
+def _spp(each: Needed) -> str:
+    low, high = each.spp_ci
+    if not math.isfinite(each.spp):
+        return "an unknown number of"
+    return f"{_digits(each.spp)} ({_digits(low)} to {_digits(high)})"
+
+
+def _digits(value: float) -> str:
+    """Format a number of samples with two or three digits, rounded up to a whole number."""
+    if value < 1.0:
+        return "1"
+    scale = 10.0 ** max(0, math.floor(math.log10(value)) - 2)
+    return f"{math.ceil(value / scale) * scale:.0f}"
+
+
+def _percent_ci(ends: tuple[float, float]) -> str:
+    return f"({max(ends[0], 0.0):.0%} to {ends[1]:.0%})"
+
+
+def profile_scene(
+    scene: Scene,
+    *,
+    target: float | None = None,
+    integrator: str | None = None,
+    samplers: Sequence[str] = (),
+    joint_dims: int | None = None,
+    spp: int | None = None,
+    channel: str | int = "luminance",
+    pixels: int | None = None,
+    crop: Sequence[int] | None = None,
+    seconds: float = 30.0,
+    rng: RngLike = 0,
+) -> SceneProfile:
+    """Compare samplers as a scene is rendered, and find the samples per pixel for a target.
+
+    Parameters
+    ----------
+    scene
+        A scene: a name, a file or a dictionary, as in `mcspectra.rendering.load_scene`.
+    target
+        Relative error σ / mean that pixels should reach, by default 0.05.
+    integrator
+        One of Mitsuba's integrators; by default the scene's own.
+    samplers
+        Specs of further samplers of this package to compare.
+    joint_dims
+        Joint dims of our samplers; by default those of the plugin.
+    spp
+        Samples per pixel now; by default those of the scene.
+    channel
+        ``"luminance"``, 0, 1 or 2.
+    pixels
+        Most pixels that are measured, by default 1024.
+    crop
+        x0, y0, width and height of the part of the image that is measured.
+    seconds
+        Time for renders, in seconds; loading the scene and compiling kernels come on top.
+    rng
+        Seed (SPEC 7). The number of renders depends on the speed of the machine.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of range, or Mitsuba cannot render the scene.
+    """
+    goal = 0.05 if target is None else as_real("target", target, above=0.0, most=1e3)
+    work, candidates, given, own = _prepared(
+        scene, integrator, samplers, joint_dims, channel, seconds, rng
+    )
+    now = own if spp is None else as_integer("spp", spp, least=1, most=2**24)
+    work.crop = _checked_crop(crop, work.rendered.film)
+    return work.profile(candidates, goal, now, _most(pixels), given)
+
+
+def plan_scene(
+    scene: Scene,
+    *,
+    integrator: str | None = None,
+    samplers: Sequence[str] = (),
+    joint_dims: int | None = None,
+    channel: str | int = "luminance",
+    pixels: int | None = None,
+    seconds: float = 30.0,
+    rng: RngLike = 0,
+) -> ScenePlan:
+    """Return what `profile_scene` with these parameters would do, and how long it would take.
+
+    The function loads the scene and renders a few pixels to measure the speed.
+    """
+    work, candidates, given, _ = _prepared(
+        scene, integrator, samplers, joint_dims, channel, seconds, rng
+    )
+    return work.plan(candidates, _most(pixels), given)
+
+
+def _checked_crop(crop: Sequence[int] | None, film: Film) -> tuple[int, int, int, int] | None:
+    if crop is None:
+        return None
+    given = [as_integer("crop", each, least=0) for each in crop]
+    x0, y0, width, height = given if len(given) == 4 else (0, 0, 0, 0)
+    if not (width and height and x0 + width <= film.width and y0 + height <= film.height):
+        raise ParameterError(
+            Parameter("crop"),
+            f" is {given}; give x0, y0, width and height within {film.width} × {film.height} "
+            "pixels.",
+        )
+    return x0, y0, width, height
+
+
+def _most(pixels: int | None) -> int:
+    return as_integer("pixels", pixels or _SETTINGS.pixels, least=16, most=2**16)
+
+
+def _prepared(
+    scene: Scene,
+    integrator: str | None,
+    samplers: Sequence[str],
+    joint_dims: int | None,
+    channel: str | int,
+    seconds: float,
+    rng: RngLike,
+) -> tuple[_Work, dict[str, str | Mapping[str, Any]], str, int]:
+    """Read a scene; return the work, the samplers, the name and the count of the scene's own."""
+    limit = as_real("seconds", seconds, least=1.0, most=86_400.0)
+    check_channel(channel, ("luminance",))
+    request, spec = as_scene(scene), integrator or SCENE_INTEGRATOR
+    begin = time.perf_counter()
+    with LOCK:
+        load_scene(request)
+        find_integrator(request, spec)
+        film, own = Film.of(request), sensor_of(request).sampler()
+        now, kind = int(own.sample_count()), str(own.class_name())
+        # A sampler of this package prints its spec
+        given = _CLASSES.get(kind) or str(own).partition("\n")[0]
+    tracer = Tracer(request, spec, channel, (film.width, film.height))
+    work = _Work(RenderedPixels(tracer, film), Stream.from_rng(rng), limit, begin)
+    return work, _candidates(given, samplers, joint_dims), given, now
+
+
+@final
+@dataclass(frozen=True)
+class ScenePlan:
+    """What a profile of a scene would do, and its estimated time in seconds."""
+
+    scene: str
+    size: tuple[int, int]
+    pixels: int
+    renders: int
+    samplers: tuple[str, ...]
+    samples: int
+    samples_per_second: float
+    seconds: float
+
+    @property
+    def text(self) -> str:
+        """The plan as text."""
+        return (
+            f"{self.scene}, {self.size[0]} × {self.size[1]} pixels: {self.pixels} pixels, "
+            f"{self.renders} renders of each with {len(self.samplers)} samplers, "
+            f"{self.samples / 1e6:.1f} million samples at {self.samples_per_second / 1e6:.2g} "
+            f"million per second: about {self.seconds:.0f} s; nothing is stored."
+        )
+
+    def __str__(self) -> str:
+        return self.text
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain numbers and texts."""
+        return dict(vars(self))
+
+
+def _candidates(
+    given: str, samplers: Sequence[str], joint_dims: int | None
+) -> dict[str, str | Mapping[str, Any]]:
+    """Return the plugins to compare by name; the scene's own sampler is the first one."""
+    found: dict[str, str | Mapping[str, Any]] = {given: OWN_SAMPLER}
+    found |= {name: name for name in _MITSUBA if name not in found}
+    for spec in dict.fromkeys((_OURS, *samplers)):
+        own = as_sampler(spec, 2)
+        joint = joint_dims_of(own) if joint_dims is None else joint_dims
+        for k in dict.fromkeys((joint, 0)):
+            name = f"{spec} ({f'joint_dims={k}' if k else 'padded'})"
+            found.setdefault(name, {"type": PLUGIN, "spec": spec, "joint_dims": k})
+    return found
+
+
+@dataclass
+class _Work:
+    rendered: RenderedPixels
+    stream: Stream
+    limit: float
+    begin: float
+    side: int = 1
+    used: int = 0
+    crop: tuple[int, int, int, int] | None = None
+
+    def _stream(self) -> Stream:
+        self.used += 1
+        return self.stream.child(self.used)
+
+    def profile(
+        self,
+        candidates: Mapping[str, str | Mapping[str, Any]],
+        target: float,
+        now: int,
+        most: int,
+        given: str,
+    ) -> SceneProfile:
+        settings, counts = _SETTINGS, list(_SETTINGS.counts)
+        tiles, renders, _ = self.planned(candidates, most, given)
+        pixels = pixels_of(tiles, self.side)
+
+        # Render all samplers at the first count, and the promising ones at the second count
+        values: dict[str, dict[int, Array]] = {name: {} for name in candidates}
+        notes: list[str] = []
+        for k, n in enumerate(counts):
+            for j, (name, plugin) in enumerate(candidates.items()):
+                report("profile: samplers", (k + j / len(candidates)) / 2)
+                if k and not values[name]:
+                    continue
+                if k and name != given:
+                    among = _noisy([v[counts[0]] for v in values.values() if v])
+                    firsts = {
+                        other: self._ratio(v[counts[0]], values[given][counts[0]], among)
+                        for other, v in values.items()
+                        if v
+                    }
+                    least = min(log for log, _ in firsts.values())
+                    if firsts[name][0] - least > math.log(settings.dropped):
+                        continue
+                try:
+                    values[name][n] = self._values(plugin, n, tiles, renders)
+                except ParameterError as error:
+                    if name == given:
+                        raise
+                    notes.append(f"not tried  {name}: {error}")
+        return self._result(candidates, values, tiles, pixels, renders, target, now, given, notes)
+
+    def planned(
+        self, candidates: Mapping[str, str | Mapping[str, Any]], most: int, given: str
+    ) -> tuple[Array, int, float]:
+        """Choose tiles and the number of renders for the time; also return samples per second."""
+        settings, rendered, counts = _SETTINGS, self.rendered, _SETTINGS.counts
+        tiles, side = chosen_tiles(rendered.film, most, self._stream(), self.crop)
+        self.side, wide = side, (side + 2 * rendered.film.margin) ** 2
+
+        # Measure the speed with few renders; the first wavefront also compiles the kernel
+        report("profile: speed", 0.0)
+        some = tiles[:: max(1, len(tiles) * self.side**2 // _SETTINGS.pilot_pixels)]
+        for pilot in (1, _SETTINGS.pilot_renders):
+            before = rendered.samples, rendered.seconds
+            self._values(candidates[given], counts[0], some, pilot)
+        speed = (rendered.samples - before[0]) / (rendered.seconds - before[1])
+        allowed = settings.comparison * self.limit * speed
+        each = wide * sum(counts) * len(candidates)
+        renders = int(allowed / (each * len(tiles)))
+        if renders < settings.least_renders:
+            keep = max(
+                math.ceil(settings.least_pixels / side**2),
+                int(allowed / (each * settings.least_renders)),
+            )
+            order = np.argsort(self._stream().uniforms(0, len(tiles), 1)[:, 0], kind="stable")
+            tiles = tiles[np.sort(order[:keep])]
+        renders = min(max(renders, settings.least_renders), settings.most_renders)
+        renders += renders % 2
+        return tiles, renders, speed
+
+    def plan(
+        self, candidates: Mapping[str, str | Mapping[str, Any]], most: int, given: str
+    ) -> ScenePlan:
+        """Measure the speed, and return what the profile would do."""
+        tiles, renders, speed = self.planned(candidates, most, given)
+        tracer, film = self.rendered.tracer, self.rendered.film
+        wide = (self.side + 2 * film.margin) ** 2
+        # Samplers at both counts, the confirmation, and pixels near two quantiles of two samplers
+        samples = (
+            wide
+            * len(tiles)
+            * renders
+            * (sum(_SETTINGS.counts) * len(candidates) + _SETTINGS.counts[-1])
+        )
+        near = _SETTINGS.nearby * self.limit
+        paths = _SETTINGS.cause_pixels * _SETTINGS.cause_chains * 32
+        seconds = (samples + paths) / speed + near + _SETTINGS.compilation * len(candidates)
+        return ScenePlan(
+            scene=scene_name(tracer.scene).strip("'\""),
+            size=(film.width, film.height),
+            pixels=len(tiles) * self.side**2,
+            renders=renders,
+            samplers=tuple(candidates),
+            samples=int(samples + paths + near * speed),
+            samples_per_second=speed,
+            seconds=time.perf_counter() - self.begin + seconds,
+        )
+
+    def _values(
+        self, plugin: str | Mapping[str, Any], n: int, tiles: Array, renders: int, side: int = 0
+    ) -> Array:
+        return self.rendered.estimates(plugin, n, tiles, side or self.side, renders, self._stream())
+
+    @staticmethod
+    def _ratio(a: Array, b: Array, among: Array | None = None) -> tuple[float, float]:
+        """Mean over pixels of log Var(a)/Var(b), from values (R, P), and its standard error.
+
+        Only the pixels `among`, a mask (P,), count; by default all pixels.
+        """
+        if among is not None:
+            a, b = a[:, among], b[:, among]
+        va, vb = a.var(axis=0, ddof=1), b.var(axis=0, ddof=1)
+        floor = (4.0 * np.finfo(np.float32).eps * a.mean(axis=0)) ** 2
+        known = (va > floor) & (vb > floor)
+        if known.sum() < 2:
+            return 0.0, math.inf
+        logs = np.log(va[known] / vb[known])
+        return float(logs.mean()), float(logs.std(ddof=1) / math.sqrt(known.sum()))
+
+    def _result(
+        self,
+        candidates: Mapping[str, str | Mapping[str, Any]],
+        values: Mapping[str, dict[int, Array]],
+        tiles: Array,
+        pixels: Array,
+        renders: int,
+        target: float,
+        now: int,
+        given: str,
+        notes: list[str],
+    ) -> SceneProfile:
+        settings = _SETTINGS
+        first, last = settings.counts
+        # The mean of a pixel from all renders; all samplers are unbiased
+        every = [(n, v.mean(axis=0)) for each in values.values() for n, v in each.items()]
+        mean = sum(n * m for n, m in every) / sum(n for n, _ in every)
+        mean = np.abs(np.asarray(mean))
+        seen = mean > 0.0
+        if not seen.any():
+            raise ParameterError("All measured pixels are black; choose another view or channel.")
+
+        # Choose the best sampler, and confirm it with new seeds
+        at = {name: last if last in each else first for name, each in values.items() if each}
+        # Other renders choose the pixels, so that their scatter does not favor large estimates
+        among = _noisy([each[first] for each in values.values() if first in each])
+        ratios = {
+            name: self._ratio(values[name][n], values[given][n], among)
+            for name, n in at.items()
+            if name != given
+        }
+        promising = [name for name in ratios if at[name] == last]
+        best = min(promising, key=lambda name: ratios[name][0], default=given)
+        if best != given and ratios[best][0] >= 0.0:
+            best = given
+        report("profile: confirmation", 0.0)
+        again = self._values(candidates[best], last, tiles, renders)
+        confirmed, confirmed_se = self._ratio(again, values[best][last], among)
+        if best != given:
+            # The choice of the least variance favors small estimates; new renders do not
+            ratios[best] = self._ratio(again, values[given][last], among)
+        fresh = {name: values[name] for name in {best, given}}
+        fresh[best] = {**values[best], last: np.concatenate([values[best][last], again])}
+
+        # Compare with the scene's own sampler
+        z = simultaneous_z(len(ratios))
+        integrator = self.rendered.tracer.integrator
+
+        def result(name: str) -> CandidateResult:
+            n = at[name]
+            logs = self._logs(values[name][n] if name not in fresh else fresh[name][n], mean)[seen]
+            median = math.exp(0.5 * float(np.median(logs)))
+            spread = 1.2533 * float(np.std(logs)) / math.sqrt(len(logs))
+            ends = tuple(median * math.exp(0.5 * k * CONFIDENCE_Z * spread) for k in (-1, 1))
+            log, se = ratios.get(name, (0.0, 0.0))
+            gain_ci = (math.exp(-log - z * se), math.exp(-log + z * se))
+            verdict: Any = "given"
+            if name != given:
+                verdict = "undecided"
+                verdict = "better" if gain_ci[0] > 1.0 else verdict
+                verdict = "worse" if gain_ci[1] < 1.0 else verdict
+            change = f"keep {name}" if name == given else f"use {name}"
+            return CandidateResult(
+                name, change, (integrator, name), last, median, (ends[0], ends[1]),
+                gain=math.exp(-log), gain_ci=gain_ci, verdict=verdict,
+            )  # fmt: skip
+
+        others = sorted(ratios, key=lambda name: (name != best, ratios[name][0]))
+        results = [result(name) for name in (given, *others)]
+        report("profile: samples per pixel", 0.0)
+        whole = Answer.of(last, results)
+        chosen = whole.best.name
+        needed = {
+            name: tuple(
+                self._needed(
+                    candidates[name], fresh.get(name, values[name]), mean, pixels, share, target
+                )
+                for share in (0.5, 0.95)
+            )
+            for name in {chosen, given}
+        }
+
+        # Share of pixels that miss the target now, by the errors at the nearest count
+        logs, slope = self._quantities(fresh[given], mean, seen)
+        errors = np.zeros(len(mean))
+        errors[seen] = np.exp(0.5 * (logs + slope * math.log(now / last)))
+        lacking = float((errors > target)[seen].mean())
+        half = CONFIDENCE_Z * math.sqrt(
+            max(lacking * (1 - lacking), 0.25 / seen.sum()) / seen.sum()
+        )
+        noisy = np.zeros(len(mean))
+        noisy[seen] = np.exp(
+            0.5 * self._quantities(fresh.get(chosen, values[chosen]), mean, seen)[0]
+        )
+        order = np.argsort(-noisy, kind="stable")[: settings.worst]
+        report("profile: causes", 0.0)
+        answer = self._answer(results, chosen, needed[chosen], target)
+        rendered = self.rendered
+        return SceneProfile(
+            scene=scene_name(rendered.tracer.scene).strip("'\""),
+            integrator=integrator,
+            target=target,
+            spp=now,
+            size=(rendered.film.width, rendered.film.height),
+            pixels=len(pixels),
+            renders=renders,
+            compared_spp=last,
+            answer=answer,
+            needed=needed[chosen],
+            needed_now=needed[given],
+            missing=lacking,
+            missing_ci=(lacking - half, lacking + half),
+            causes=self._causes(pixels, mean),
+            confirmed=math.exp(confirmed),
+            confirmed_ci=(
+                math.exp(confirmed - CONFIDENCE_Z * confirmed_se),
+                math.exp(confirmed + CONFIDENCE_Z * confirmed_se),
+            ),
+            worst=tuple((*map(int, pixels[k]), float(noisy[k])) for k in order if noisy[k] > 0),
+            black=int((~seen).sum()),
+            seconds=time.perf_counter() - self.begin,
+            samples=rendered.samples,
+            notes=tuple(notes),
+        )
+
+    @staticmethod
+    def _answer(
+        results: Sequence[CandidateResult], chosen: str, needed: Sequence[Needed], target: float
+    ) -> Answer:
+        """Return the answer with a sentence about samples per pixel."""
+        given = results[0]
+        best = next(each for each in results if each.name == chosen)
+        half, most = needed
+        spp = (
+            f"σ / mean = {target:.3g} takes {_spp(half)} samples per pixel at half of the pixels "
+            f"and {_spp(most)} at 95 %."
+        )
+        if chosen == given.name:
+            lead = f"Keep {given.name}: no compared sampler has significantly less variance."
+        else:
+            low, high = best.gain_ci
+            lead = (
+                f"Use {best.name}: {best.gain:.2f} times less variance than {given.name} "
+                f"({low:.2f} to {high:.2f}) at the noisier half of the pixels, with {best.n} "
+                "samples per pixel."
+            )
+        return Answer.of(best.n, results, instead=f"{lead} {spp}")
+
+    @staticmethod
+    def _logs(values: Array, mean: Array) -> Array:
+        """Log of the squared relative error of each pixel, from R renders (R, P)."""
+        from scipy.special import digamma
+
+        half = 0.5 * (len(values) - 1)
+        # For normal values, the expected logarithm of a sample variance is lower than the truth
+        bias = float(digamma(half)) - math.log(half)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            floor = (4.0 * np.finfo(np.float32).eps) ** 2
+            logs = np.log(np.maximum(values.var(axis=0, ddof=1) / mean**2, floor))
+        return np.asarray(logs - bias)
+
+    def _narrowed(self, values: Array, mean: Array) -> Array:
+        """Log squared errors whose spread over pixels is narrowed by their own scatter."""
+        logs = self._logs(values, mean)
+        halves = [self._logs(values[k::2], mean) for k in (0, 1)]
+        noise = float(np.var(halves[0] - halves[1])) / 4.0
+        total = float(np.var(logs))
+        center = float(np.median(logs))
+        keep = math.sqrt(max(1.0 - noise / total, 0.0)) if total > 0.0 else 1.0
+        return center + keep * (logs - center)
+
+    def _quantities(
+        self, values: Mapping[int, Array], mean: Array, seen: Array
+    ) -> tuple[Array, float]:
+        """Log squared errors at the last count of the seen pixels, and their median slope."""
+        logs = {n: self._narrowed(v[:, seen], mean[seen]) for n, v in values.items()}
+        first, last = min(logs), max(logs)
+        slope = float(np.median(logs[last] - logs[first])) / math.log(last / first)
+        return logs[last], min(max(slope, _SETTINGS.steepest), _SETTINGS.slowest)
+
+    def _needed(
+        self,
+        plugin: str | Mapping[str, Any],
+        values: Mapping[int, Array],
+        mean: Array,
+        pixels: Array,
+        share: float,
+        target: float,
+    ) -> Needed:
+        """Samples per pixel at which a share of the pixels reaches the target."""
+        settings, goal = _SETTINGS, 2.0 * math.log(target)
+        seen = np.flatnonzero(mean > 0.0)
+        logs = {n: self._narrowed(v[:, seen], mean[seen]) for n, v in values.items()}
+        first, last = min(logs), max(logs)
+        half = CONFIDENCE_Z * math.sqrt(share * (1.0 - share) / len(seen))
+
+        def quantile(n: int) -> tuple[float, float]:
+            """Quantile of the log squared errors, and its standard error from the ranks."""
+            ends = np.quantile(logs[n], [max(share - half, 0.0), share, min(share + half, 1.0)])
+            return float(ends[1]), float(ends[2] - ends[0]) / (2.0 * CONFIDENCE_Z)
+
+        def bounded(slope: float) -> float:
+            return min(max(slope, settings.steepest), settings.slowest)
+
+        (level, error), (before, before_error) = quantile(last), quantile(first)
+        slope = bounded((level - before) / math.log(last / first))
+        slope_error = max(math.hypot(error, before_error) / math.log(last / first), 0.1)
+        n = float(last)
+        wanted = n * math.exp((goal - level) / slope)
+        if abs(before - goal) < abs(level - goal):
+            n, level, error = float(first), before, before_error
+            wanted = n * math.exp((goal - level) / slope)
+
+        # Render pixels near the quantile at a count near the answer
+        for _ in range(2):
+            if 0.5 * n <= wanted <= 2.0 * n or wanted < 0.5 * first or n >= settings.most_samples:
+                break
+            order = np.argsort(logs[last], kind="stable")
+            rank = round(share * (len(order) - 1))
+            start = max(0, min(rank - settings.near // 2, len(order) - settings.near))
+            near = seen[order[start : start + settings.near]]
+            film = self.rendered.film
+            each = (1 + 2 * film.margin) ** 2 * len(near) * settings.near_renders
+            speed = self.rendered.samples / self.rendered.seconds
+            afford = 0.1 * self.limit * speed / each
+            count = 4 ** max(1, round(math.log(min(wanted, afford, settings.most_samples), 4)))
+            if count <= n and wanted > n:
+                break  # a larger count takes too much time: extrapolate
+            found = self._values(plugin, count, pixels[near], settings.near_renders, side=1)
+            there = self._logs(found, mean[near])
+            own = float(np.median(there))
+            # The pixels' level at the last count is the quantile; the scatter of ranks adds to it
+            scatter = 1.2533 * float(np.std(there)) / math.sqrt(len(near))
+            slope = bounded((own - level) / math.log(count / n)) if count != n else slope
+            slope_error = math.hypot(scatter, error) / abs(math.log(count / n) or 1.0)
+            n, level, error = float(count), own, math.hypot(error, scatter)
+            wanted = n * math.exp((goal - level) / slope)
+        away = math.hypot(error, slope_error * abs(math.log(wanted / n))) / abs(slope)
+        ends = (wanted * math.exp(k * CONFIDENCE_Z * away) for k in (-1.0, 1.0))
+        return Needed(share, wanted, tuple(ends))
+
+    def _causes(self, pixels: Array, mean: Array) -> tuple[VarianceShare, ...]:
+        """Shares of the variance of random paths by decision, pooled over pixels."""
+        settings, tracer = _SETTINGS, self.rendered.tracer
+        lit = np.flatnonzero(mean > 0.0)
+        picks = lit[np.linspace(0, len(lit) - 1, min(len(lit), settings.cause_pixels)).astype(int)]
+        width, height = tracer.size
+        uses = window_dimensions(tracer, (0, 0, width, height), None)
+        measurement = Measurement(
+            lighting=Lighting(
+                scene=tracer.scene, light=None, heuristic="balance", channel=tracer.channel,
+                size=tracer.size,
+            ),
+            strategies=("path",),
+            sampler=as_sampler("random", len(uses)),
+            counts=(1,),
+            realizations=2,
+            stream=self._stream(),
+            own=True,
+            predict_every=0,
+            tracer=tracer,
+            uses=uses,
+            chains=settings.cause_chains,
+        )  # fmt: skip
+        requests = list(dict.fromkeys((use.bounce, use.decision) for use in uses))
+        found = measurement._chains(pixels[picks])[..., : len(picks)] / mean[picks]
+        (whole, _), shares, _ = path_shares(found, [np.eye(len(requests), dtype=bool)])
+        known = np.isfinite(shares[0]).all(axis=0) & np.isfinite(whole)
+        if not known.any():
+            return ()
+        parts, total = shares[0][:, known] * whole[known], whole[known]
+        share = parts.sum(axis=1) / total.sum()
+        off = parts - share[:, None] * total
+        se = (
+            off.std(axis=1, ddof=1) * math.sqrt(known.sum()) / total.sum()
+            if known.sum() > 1
+            else share * np.inf
+        )
+        made = [
+            VarianceShare(
+                str(Dimension(*requests[k])),
+                float(share[k]),
+                (float(share[k] - CONFIDENCE_Z * se[k]), float(share[k] + CONFIDENCE_Z * se[k])),
+            )
+            for k in np.argsort(-share, kind="stable")
+        ]
+        return tuple(made)

@@ -1,0 +1,172 @@
+"""Samplers as renderers use them: the numbers of whole paths, padded request by request.
+
+A path requests random numbers one or two at a time (`mcspectra.rendering.paths.Dimension`).
+A renderer answers each request with its own shuffled set in one or two dims.
+The numbers of different requests are therefore independent.
+A point set in all dims of a path has other dependences, which no rendered image has.
+The variances of both kinds of points differ by factors of up to 6.
+
+`Padded` draws the points that our plugin of Mitsuba gives to a pixel.
+The first `joint_dims` numbers come from one set of the sampler, see `mcspectra.rendering.plugin`.
+Mitsuba's own samplers are also padded, because they shuffle each request by itself.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar, final
+
+import numpy as np
+
+from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.errors import McspectraError
+from mcspectra.core.fields import settle
+from mcspectra.core.registry import DEFAULT_DIMS
+from mcspectra.core.streams import Stream
+from mcspectra.rendering.paths import Dimension, in_dims
+from mcspectra.rendering.plugin import PaddedSets, joint_dims_of, joint_sampler
+from mcspectra.samplers import Sampler, as_sampler
+from mcspectra.samplers.law import Independent
+
+__all__ = ["Padded", "as_rendered", "padding_note", "requests_of"]
+
+_FIRST_PAD = 16  # label of the random stream of the first request
+
+
+def requests_of(dimensions: Sequence[Dimension]) -> tuple[int, ...]:
+    """Return how many numbers each request of a path takes, 1 or 2, in order."""
+    found: list[int] = []
+    for use in dimensions:
+        if use.part == "y" and found and found[-1] == 1:
+            found[-1] = 2
+        else:
+            found.append(1)
+    return tuple(found)
+
+
+def as_rendered(
+    sampler: Sampler | str, dimensions: Sequence[Dimension], joint_dims: int | None = None
+) -> Sampler:
+    """Return the sampler of a path's numbers, as a renderer uses it.
+
+    Parameters
+    ----------
+    sampler
+        A sampler or its spec.
+        Samplers without a spec, such as given points, are returned unchanged: they are joint.
+        Random points are also returned unchanged, because padding does not change their law.
+    dimensions
+        Use of each number of the path.
+    joint_dims
+        How many of the first numbers are joint, by default those of `joint_dims_of`; 0 for none.
+        If all numbers are joint, the result is the sampler itself in these dims.
+
+    Raises
+    ------
+    ParameterError
+        If `joint_dims` is 1 or not a whole number, or the sampler has too few dims.
+    """
+    dims = len(dimensions)
+    joint = None
+    if joint_dims is not None:
+        joint = as_integer("joint_dims", joint_dims, least=0)
+        joint = joint and as_integer("joint_dims", joint_dims, least=2)
+    try:
+        pair = as_sampler(sampler if isinstance(sampler, str) else sampler.spec, 2)
+    except McspectraError:
+        pair = None  # the sampler has no spec that recreates it, or does not exist in 2-D
+    if pair is not None and joint is None:
+        joint = joint_dims_of(pair)
+    if (
+        pair is None
+        or (joint or 0) >= dims
+        or isinstance(pair.law(pair.nearest_count(16)), Independent)
+    ):
+        made = as_sampler(sampler, dims if isinstance(sampler, str) else None)
+        return made if made.dims == dims else in_dims(made, dims)
+    joint = joint or 0
+    return Padded(source=pair, joint=joint, requests=requests_of(dimensions))
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Padded(Sampler):
+    """Shuffled sets of one sampler, one for each request of a path; the first dims may be joint.
+
+    Attributes
+    ----------
+    source
+        The sampler in two dims. Requests for one number use it in one dim, if it has one dim.
+    joint
+        Number of the first numbers that come from one set in so many dims; 0 for none.
+    requests
+        Number of values of each request, 1 or 2. A request that exceeds `joint` is padded.
+    """
+
+    name: ClassVar[str] = "padded"
+    source: Sampler
+    joint: int = 0
+    requests: tuple[int, ...] = ()
+    dims: int = DEFAULT_DIMS
+    _whole: Sampler | None = field(init=False, repr=False, compare=False, default=None)
+
+    def __post_init__(self) -> None:
+        settle(self, dims=sum(self.requests))
+        if self.joint:
+            settle(self, _whole=joint_sampler(self.source, self.joint))
+        Sampler.__post_init__(self)
+
+    @property
+    def spec(self) -> str:
+        """Spec of the source; `padding_note` names the padding, which belongs to the renderer."""
+        return self.source.spec
+
+    @property
+    def plain(self) -> Sampler:
+        """This sampler, because the padding comes after all randomizations."""
+        return self
+
+    def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
+        sets = _sets(self.source.spec, n, self.joint)
+        out = np.empty((count, n, self.dims))
+        place = 0
+        for number, width in enumerate(self.requests):
+            columns = slice(place, place + width)
+            if place + width > self.joint:
+                own = stream.child(_FIRST_PAD + number)
+                out[..., columns] = sets.pads(width, own, first, count)
+            place += width
+        if self._whole is not None:
+            joint = sets.joints(stream, first, count)
+            inside = sum(w for k, w in enumerate(self.requests) if self._fits(k))
+            out[..., :inside] = joint[..., :inside]
+        return out
+
+    def _fits(self, number: int) -> bool:
+        """Whether all numbers of a request are joint."""
+        return sum(self.requests[: number + 1]) <= self.joint
+
+    def _counts_near(self, n: int) -> tuple[int | None, int]:
+        return self.source._counts_near(n)
+
+    def _count_warning(self, n: int) -> str | None:
+        return self.source._count_warning(n)
+
+
+@functools.lru_cache(maxsize=32)
+def _sets(spec: str, count: int, joint: int) -> PaddedSets:
+    return PaddedSets(spec=spec, count=count, joint=joint)
+
+
+def padding_note(sampler: Sampler) -> str:
+    """Describe how a path's numbers are taken from a sampler, as a sentence."""
+    if not isinstance(sampler, Padded):
+        return "All numbers of a path are joint: they come from one point of the sampler."
+    if not sampler.joint:
+        return "Padded: each request of the integrator has its own shuffled points."
+    return (
+        f"The first {sampler.joint} numbers of a path are joint, and every later request of the "
+        "integrator has its own shuffled points (padded), as in rendered images."
+    )

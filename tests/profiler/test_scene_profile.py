@@ -1,0 +1,152 @@
+"""`mcspectra.profile` of a scene: sampler, samples per pixel, causes and worst pixels."""
+
+import json
+
+import numpy as np
+import pytest
+from tests.rendering.small_scenes import SCENES
+
+import mcspectra as mcs
+from mcspectra.cli.main import main
+from mcspectra.core.errors import ParameterError
+from mcspectra.core.streams import Stream
+from mcspectra.profiler import profile_scene
+from mcspectra.profiler.scene_profile import _Work
+from mcspectra.rendering.paths import Tracer
+from mcspectra.rendering.rendered import Film, RenderedPixels, chosen_tiles
+from mcspectra.rendering.scenes import as_scene
+
+FILM = {"width": 24, "height": 16}
+
+
+@pytest.fixture(scope="module")
+def found():
+    scene = SCENES["plate"](**FILM)
+    scene["sensor"]["sampler"] = {"type": "independent", "sample_count": 16}
+    return profile_scene(scene, target=0.05, pixels=128, seconds=4.0)
+
+
+class Rendered:
+    """Normal values instead of renders, with the known error σ / mean = spread n^(rate/2)."""
+
+    film = Film(64, 32, 0)
+    samples, seconds = 10**9, 1.0
+
+    def __init__(self, spread, rate):
+        self.spread, self.rate = spread, rate
+
+    def estimates(self, plugin, n, tiles, side, realizations, stream):
+        assert side == 1
+        sigma = self.spread[tiles[:, 1], tiles[:, 0]] * n ** (self.rate / 2)
+        normal = stream.generator(0).standard_normal((realizations, len(tiles)))
+        return 1.0 + sigma * normal
+
+
+@pytest.mark.parametrize("rate", [-1.0, -1.5])
+@pytest.mark.parametrize("target", [0.15, 0.03])
+def test_needed_samples_are_those_of_the_quantile(rate, target):
+    spread = np.exp(np.random.default_rng(1).normal(0.0, 0.6, (32, 64)))
+    hits, errors = 0, []
+    for seed in range(12):
+        work = _Work(Rendered(spread, rate), Stream.from_rng(seed), 30.0, 0.0)
+        tiles, side = chosen_tiles(Rendered.film, 1024, Stream.from_rng(100 + seed))
+        values = {
+            n: work.rendered.estimates("", n, tiles, side, 16, work._stream()) for n in (16, 64)
+        }
+        for share in (0.5, 0.95):
+            needed = work._needed("", values, np.ones(len(tiles)), tiles, share, target)
+            true = (np.quantile(spread, share) / target) ** (-2.0 / rate)
+            low, high = needed.spp_ci
+            hits += low <= true <= high
+            errors.append(needed.spp / true)
+    # 24 intervals of 95 %: fewer than 19 hits have probability 1e-3
+    assert hits >= 19
+    assert 0.85 < np.median(errors) < 1.15
+
+
+@pytest.mark.slow
+def test_a_better_sampler_is_found_and_confirmed(found):
+    assert found.answer.given.name == "independent"
+    assert found.answer.changes
+    low, high = found.answer.gain_ci
+    assert 1.0 < low < found.answer.gain < high
+    assert found.confirmed_ci[0] < 1.2
+    assert found.confirmed_ci[1] > 0.8
+    assert "Use " in found.text
+    assert "samples per pixel at half of the pixels" in found.text
+
+
+@pytest.mark.slow
+def test_samples_per_pixel_hold_the_truth(found):
+    """Half of the pixels reach the target with independent samples, whose rate is −1."""
+    scene = as_scene(SCENES["plate"](**FILM))
+    film = Film.of(scene)
+    tiles, side = chosen_tiles(film, 10**6, Stream.from_rng(0))
+    rendered = RenderedPixels(Tracer(scene, "scene", "luminance", (24, 16)), film)
+    values = rendered.estimates("independent", 64, tiles, side, 200, Stream.from_rng(5))
+    seen = values.mean(axis=0) > 0
+    errors = values[:, seen].std(axis=0, ddof=1) / values[:, seen].mean(axis=0)
+    true = 64 * (np.median(errors) / 0.05) ** 2
+    low, high = found.needed_now[0].spp_ci
+    assert low < true < high
+    assert high < 4 * low
+
+
+@pytest.mark.slow
+def test_causes_and_worst_pixels_are_named(found):
+    assert found.causes[0].decision == "bounce 1 light"
+    assert found.causes[0].share > 0.5
+    assert sum(cause.share for cause in found.causes) == pytest.approx(1.0, abs=1e-6)
+    assert len(found.worst) == 5
+    x, y, error = found.worst[0]
+    assert 0 <= x < 24
+    assert 0 <= y < 16
+    assert error >= found.worst[-1][2]
+    assert f"mcspectra pixel dict {x} {y} --integrator scene" in found.text
+    json.dumps(found.to_dict())
+    assert "<pre>" in found._repr_html_()
+
+
+@pytest.mark.slow
+def test_samplers_are_named_as_they_are_rendered(found):
+    names = {result.name for result in found.answer.results}
+    assert {"multijitter", "ldsampler", "sobol | owen (padded)"} <= names
+    assert "sobol | owen (joint_dims=4)" in names
+
+
+def test_target_is_for_scenes():
+    with pytest.raises(ParameterError, match="target is for scenes"):
+        mcs.profile("gaussian(width=0.3)", target=0.1)
+
+
+@pytest.mark.slow
+def test_the_command_profiles_a_scene(capsys):
+    command = ["profile", "penumbra(width=32, height=24)", "--integrator", "direct"]
+    options = ["--pixels", "32", "--seconds", "1", "--target", "0.1"]
+    assert main([*command, *options, "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["target"] == 0.1
+    assert len(data["needed"]) == 2
+
+
+def test_a_dry_run_prints_size_and_time(capsys):
+    command = ["profile", "penumbra(width=32, height=24)", "--integrator", "direct"]
+    assert main([*command, "--dry-run", "--seconds", "1"]) == 0
+    assert "nothing is stored" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["veach", "--budget", "4096"], "--budget is not for scenes"),
+        (["veach", "--target", "nan"], "--target"),
+        (["gaussian", "--target", "0.1"], "--target is for scenes"),
+        (["veach", "--integrator", "nosuch"], "nosuch"),
+        (["missing.xml"], "There is no scene file"),
+    ],
+)
+def test_bad_commands_are_one_sentence(capsys, options, words):
+    assert main(["profile", *options]) == 2
+    printed = capsys.readouterr().err
+    assert words in printed
+    assert printed.count("\n") == 1
