@@ -250,6 +250,7 @@ def _errors(group: Group, _: Styles) -> Plot:
                     panels.append(Panel(marks=(), x=Axis(ticks={}), y=Axis(ticks={}), note=" "))
                     continue
                 name, each = listed[k]
+                each = each.isel(frame=slice(each.sizes["x"]))  # a square of pixels and frames
                 image = Heatmap(
                     values=each[variable].transpose(down, across).values,
                     x=each[across].values.astype(float),
