@@ -222,10 +222,10 @@ class SceneProfile:
             "samplers    variance in relation to the scene's sampler: geometric mean over the "
             f"noisier half of the pixels at {self.compared_spp} samples per pixel"
         )
-        for each in self.answer.results:
-            gain, (low, high) = each.gain, each.gain_ci
-            ends = "" if each is self.answer.given else f"({1 / high:.2f} to {1 / low:.2f})"
-            lines.append(f"  {each.name:<34} {1.0 / gain:.2f} {ends}")
+        for result in self.answer.results:
+            low, high = result.gain_ci
+            ends = "" if result is self.answer.given else f"({1 / high:.2f} to {1 / low:.2f})"
+            lines.append(f"  {result.name:<34} {1.0 / result.gain:.2f} {ends}")
         lines.append("worst pixels")
         for x, y, error in self.worst:
             own = "scene" if self.integrator == SCENE_INTEGRATOR else self.integrator
@@ -404,7 +404,7 @@ def _prepared(
 @final
 @dataclass(frozen=True)
 class ScenePlan:
-    """What a profile of a scene would do, and its estimated time in seconds."""
+    """The work of a profile of a scene, and its estimated time in seconds."""
 
     scene: str
     size: tuple[int, int]
@@ -696,7 +696,11 @@ class _Work:
                 math.exp(confirmed - CONFIDENCE_Z * confirmed_se),
                 math.exp(confirmed + CONFIDENCE_Z * confirmed_se),
             ),
-            worst=tuple((*map(int, pixels[k]), float(noisy[k])) for k in order if noisy[k] > 0),
+            worst=tuple(
+                (int(pixels[k, 0]), int(pixels[k, 1]), float(noisy[k]))
+                for k in order
+                if noisy[k] > 0
+            ),
             black=int((~seen).sum()),
             seconds=time.perf_counter() - self.begin,
             samples=rendered.samples,
@@ -816,8 +820,8 @@ class _Work:
             n, level, error = float(count), own, math.hypot(error, scatter)
             wanted = n * math.exp((goal - level) / slope)
         away = math.hypot(error, slope_error * abs(math.log(wanted / n))) / abs(slope)
-        ends = (wanted * math.exp(k * CONFIDENCE_Z * away) for k in (-1.0, 1.0))
-        return Needed(share, wanted, tuple(ends))
+        factor = math.exp(min(CONFIDENCE_Z * away, 700.0))
+        return Needed(share, wanted, (wanted / factor, wanted * factor))
 
     def _causes(self, pixels: Array, mean: Array) -> tuple[VarianceShare, ...]:
         """Shares of the variance of random paths by decision, pooled over pixels."""

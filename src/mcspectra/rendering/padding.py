@@ -100,7 +100,7 @@ class Padded(Sampler):
     source
         The sampler in two dims. Requests for one number use it in one dim, if it has one dim.
     joint
-        Number of the first numbers that come from one set in so many dims; 0 for none.
+        How many of the first numbers of a path come from one joint set; 0 for none.
     requests
         Number of values of each request, 1 or 2. A request that exceeds `joint` is padded.
     """

@@ -168,7 +168,8 @@ def joint_sampler(pair: Sampler, dims: int) -> Sampler:
         return as_sampler(pair.spec, dims)
     made: Sampler = JoinedPairs(plane=net)
     for step in pair.randomizations:
-        made = made.then(replace(step, base=None))  # type: ignore[call-arg]
+        own: Any = step
+        made = made.then(replace(own, base=None))
     return made
 
 

@@ -201,7 +201,8 @@ class RenderedPixels:
             # The order of the sum is fixed, so that the bits do not depend on threads
             drjit.eval(value)
             kept = value.numpy().reshape(len(cells) * side * side, n)
-            return kept.mean(axis=1, dtype=np.float64).reshape(len(cells), side * side)
+            means = kept.mean(axis=1, dtype=np.float64)
+            return np.asarray(means.reshape(len(cells), side * side))
 
         # Weight the samples of the neighbors by the filter
         u, v = position.x, position.y
@@ -230,7 +231,7 @@ class RenderedPixels:
             return weighted
 
         total, weight = lane_sums(len(cells) * side * side, reach * reach * n, 2, of_lane).T
-        return (total / weight).reshape(len(cells), side * side)
+        return np.asarray((total / weight).reshape(len(cells), side * side))
 
 
 def pixels_of(tiles: Array, side: int) -> Array:
