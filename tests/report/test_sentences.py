@@ -65,8 +65,7 @@ def curve(rate, half=0.03, **more):
         (curve(-1.52, half=0.5), "is within three standard errors of"),
         (
             curve(-1.7, half=2.68),
-            "The rate is not resolved: use five or more counts, more realizations or larger "
-            "counts.",
+            "The rate is not resolved: use five or more counts, more realizations",
         ),
         (curve(-1.7, half=float("inf")), "The rate is not resolved"),
         (curve(None, variance=0.0), "is zero"),
