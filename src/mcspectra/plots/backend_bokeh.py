@@ -68,6 +68,7 @@ _SEEN = {
     GRAY: "#ABABAB",
     FAINT: _GRID,
     "#4D4D4D": "#8A8A8A",
+    "#7F5733": "#9C6B41",
 }  # colors for light and dark pages
 _NOWHERE = "#808080"
 _MARKERS = {
