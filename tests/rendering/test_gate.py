@@ -386,6 +386,13 @@ def test_bad_files_are_refused(tmp_path, clean):
         write_png(png / f"v_{k}.png", np.zeros((SIZE, SIZE)) + k / 4)
     with pytest.raises(FileFormatError, match="tone-mapped"):
         gate(png, clean[1])
+    shots = tmp_path / "shots"
+    shots.mkdir()
+    for seed in range(2):
+        for time in range(2):
+            np.save(shots / f"shot_s{seed}_t{time}.npy", np.ones((SIZE, SIZE)))
+    with pytest.raises(ParameterError, match="frames of one time"):
+        gate(shots, clean[1])
     nothing = write(tmp_path / "nothing", np.full((2, SIZE, SIZE), np.nan))
     with pytest.raises(ParameterError, match="no finite pixel"):
         gate(nothing, clean[1])

@@ -28,6 +28,7 @@ from mcspectra.rendering.frame_files import (
     described_paths,
     frame_files,
 )
+from mcspectra.rendering.frame_sequences import sequence_files
 
 __all__ = [
     "FrameSet",
@@ -147,9 +148,20 @@ def source_of(paths: Frames, read: FrameReader) -> Source:
             return Source(
                 name=described_paths(paths), groups=[group], about=about, shape=(height, width)
             )
-    groups = frame_files(paths, read, least=1)
+    groups = sequence_files(frame_files(paths, read, least=1), None)
+    _check_one_time(groups)
     height, width = read.plane(groups[-1].files[0], None)[0].shape
     return Source(name=described_paths(paths), groups=groups, about=None, shape=(height, width))
+
+
+def _check_one_time(groups: list[FrameFiles]) -> None:
+    """Refuse sequences, because frames of different times are not renders of one view."""
+    for group in groups:
+        if group.times > 1:
+            raise ParameterError(
+                f"The frames like {group.files[0]} are sequences of {group.times} times; give the "
+                "frames of one time, such as '*_t012.exr'."
+            )
 
 
 def _header(file: Path) -> dict[str, Any] | None:
@@ -260,6 +272,7 @@ def write_reference(
     target = check_image_path(file, (".exr",))
     read = FrameReader(layer=layer, tone_mapped=tone_mapped, spp=spp)
     group = frame_files(paths, read)[-1]
+    _check_one_time(sequence_files([group], None))
     files, shape = group.files, None
     rows, channels = [], []
     total: Any = 0.0

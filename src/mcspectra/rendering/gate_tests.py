@@ -358,8 +358,8 @@ def _surprise(squares: Array, degrees: float, count: int) -> Array:
     """Return −log of the two-sided p-values of t², Bonferroni-corrected for `count` values."""
     from scipy.special import stdtr
 
-    with np.errstate(divide="ignore"):
-        p = 2.0 * stdtr(degrees, -np.sqrt(squares))
+    squares = np.asarray(squares, np.float64)
+    p = 2.0 * stdtr(degrees, -np.sqrt(squares))
     far = 0.5 * degrees * np.log1p(squares / degrees) + 0.5 * math.log(degrees)
     return np.where(p > 1e-280, -np.log(np.maximum(p, 1e-300)), far) - math.log(count)
 
