@@ -1,6 +1,7 @@
 """The gate: errors are found, clean pairs pass at the level, and what is unknown stays open."""
 
 import json
+import re
 import shutil
 
 import numpy as np
@@ -405,3 +406,17 @@ def test_plots_of_a_gate(clean):
     for kind in kinds:
         drawn_by_both(describe(kind, result))
     json.dumps(result.attrs)
+
+
+def test_the_named_tile_lies_in_the_changed_region(clean, tmp_path):
+    """Rows 8 to 19 and columns 4 to 11 are half as bright; the named tile is mostly inside."""
+    _, reference, _ = clean
+    images = frames(np.random.default_rng(9), 8)
+    images[:, 8:20, 4:12] -= 0.5 * TRUTH[8:20, 4:12]
+    text = gate_findings(rendering.gate(write(tmp_path / "new", images), reference))[0]
+    assert text.startswith("Fail: in the tile")
+    left, right, top, bottom = map(int, re.findall(r"\d+", text)[:4])
+    change = float(re.search(r"is ([\d.]+) % lower", text)[1])
+    inside = max(0, min(right, 11) - max(left, 4) + 1) * max(0, min(bottom, 19) - max(top, 8) + 1)
+    assert inside >= 0.5 * (right - left + 1) * (bottom - top + 1)
+    assert 30 < change < 70

@@ -152,9 +152,20 @@ def _place(result: xr.Dataset, size: int, name: str) -> str:
     finest = int(result.attrs["finest"])
     times = max(size // finest, 1)
     least = smallest <= np.nanmin(smallest) * (1 + 1e-9)
-    sizes = np.where(least & np.isfinite(change), np.abs(change), -1.0)
-    row, column = np.unravel_index(int(np.argmax(sizes)), sizes.shape)
-    top, left = (int(v) // times * times for v in (row, column))
+    # Compare tiles of this size by the mean of their differences in units of its error
+    height, width = (-(-side // times) for side in change.shape)
+    padded = np.full((height * times, width * times), np.nan)
+    padded[: change.shape[0], : change.shape[1]] = np.where(np.isfinite(change), change, np.nan)
+    tiles = padded.reshape(height, times, width, times).swapaxes(1, 2).reshape(height, width, -1)
+    count = np.isfinite(tiles).sum(axis=2)
+    total, squares = np.nansum(tiles, axis=2), np.nansum(tiles**2, axis=2)
+    spread = np.sqrt(np.maximum(squares - total**2 / np.maximum(count, 1), 0.0))
+    away = np.abs(total) / np.where((times > 1) & (spread > 0), spread, 1.0)
+    y, x = np.nonzero(least)
+    chosen = np.zeros((height, width), bool)
+    chosen[y // times, x // times] = True
+    row, column = np.unravel_index(int(np.argmax(np.where(chosen, away, -1.0))), away.shape)
+    top, left = int(row) * times, int(column) * times
     part = (slice(top, top + times), slice(left, left + times))
     base = float(np.nanmean(result["mean"].values[part]))
     difference = float(np.nanmean(change[part]))
