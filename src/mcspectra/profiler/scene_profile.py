@@ -192,11 +192,7 @@ class SceneProfile:
     def text(self) -> str:
         """All results as text of several lines."""
         best, low_high = self.answer.best, _percent_ci
-        head = (
-            f"{self.scene}, integrator {self.integrator}, {self.size[0]} × {self.size[1]} pixels: "
-            f"{counted(self.pixels, 'pixel')} rendered {self.renders} times."
-        )
-        lines = [head, self.answer.advice, ""]
+        lines = [self.answer.advice, ""]
         lines.append(f"target      σ / mean = {self.target:.3g} at each pixel")
         both = ((best.name, self.needed), (self.answer.given.name, self.needed_now))
         for name, needed in both if self.answer.changes else both[:1]:
@@ -225,14 +221,18 @@ class SceneProfile:
         for result in self.answer.results:
             low, high = result.gain_ci
             ends = "" if result is self.answer.given else f"({1 / high:.2f} to {1 / low:.2f})"
-            lines.append(f"  {result.name:<34} {1.0 / result.gain:.2f} {ends}")
+            lines.append(f"  {result.name:<34} {1.0 / result.gain:.2f} {ends}".rstrip())
         lines.append("worst pixels")
         for x, y, error in self.worst:
             own = "scene" if self.integrator == SCENE_INTEGRATOR else self.integrator
             command = f"mcspectra pixel {shlex.quote(self.scene)} {x} {y} --integrator "
             lines.append(f"  σ / mean {error:<8.2g} {command}{shlex.quote(own)}")
         lines += self.notes
-        lines.append(f"{self.seconds:.0f} s, {self.samples / 1e6:.1f} million samples")
+        lines.append(
+            f"measured    {self.scene}, integrator {self.integrator}, {self.size[0]} × "
+            f"{self.size[1]} pixels: {counted(self.pixels, 'pixel')} rendered {self.renders} times "
+            f"({self.samples / 1e6:.1f} million samples, {self.seconds:.0f} s)"
+        )
         return "\n".join(lines)
 
     def __str__(self) -> str:
