@@ -101,6 +101,8 @@ ELSEWHERE = {
     "integrate",
     "learned_density",
     "profile",
+    "profile_scene",
+    "plan_scene",
 }
 CALL_NOTHING = {
     *("closed_form_covariance", "closed_form_pair_correlation", "closed_form_power"),

@@ -1,6 +1,7 @@
 """Results as files: tables for programs and LaTeX, and images in every format."""
 
 import io
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -105,11 +106,12 @@ def test_names_are_escaped_in_latex(tmp_path):
     assert r"\input{" not in text
 
 
-def test_maps_cannot_be_written_as_pgf(tmp_path):
+def test_maps_in_pgf_are_pictures_beside_it(tmp_path):
     result = mcs.power_spectrum("jittered", 16, half_width=4, realizations=4)
-    with pytest.raises(ParameterError, match="give a .pdf"):
-        write_result_file(result, str(tmp_path / "s.pgf"), "t")
-    assert not (tmp_path / "s.pgf").exists()
+    write_result_file(result, str(tmp_path / "s.pgf"), "t")
+    named = re.findall(r"\\includegraphics\[[^]]*\]\{(.*?)\}", (tmp_path / "s.pgf").read_text())
+    assert named
+    assert all((tmp_path / name).read_bytes().startswith(b"\x89PNG") for name in named)
 
 
 def test_missing_folders_give_an_error(curve, tmp_path):
