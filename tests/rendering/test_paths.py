@@ -299,7 +299,7 @@ def test_samplers_are_compared_at_each_pixel():
         ({"light": 0}, "light is for direct light"),
         ({"strategies": ("light",)}, "strategies is for direct light"),
         ({"integrator": "ptracer"}, "cannot follow a ray"),
-        ({"sampler": "jittered", "joint_dims": 4}, "two or more"),
+        ({"sampler": "jittered", "joint_dims": 4}, "cannot make 4 points"),
         ({"integrator": None, "dims": 4}, "from 2 to 3"),
     ],
 )

@@ -258,8 +258,8 @@ def integrate_(options: argparse.Namespace) -> VerbOutput:
     group(
         lambda parser: parser.add_argument_group(
             "masks and screen-space samplers",
-            "SPEC may also be tiles, tables, python or command; -n is the number of points per pixel "
-            "(default 1), -m the number of blocks (default 8)",
+            "SPEC may also be tiles, tables, python or command; -n is the number of points per "
+            "pixel (default 1), -m the number of blocks (default 8)",
         ),
         option("--screen INTEGRAND", "rank by the errors of pixels, over space and time"),
         option("--block W,H,T", "pixels and frames (default 64,64,128)", wholes("W,H,T")),

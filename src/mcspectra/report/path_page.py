@@ -126,8 +126,10 @@ def path_answer(tree: xr.DataTree) -> str:
     sizes = {}
     for k in range(found.sizes["remedy"]):
         row = found.isel(remedy=k)
+        # Only changes whose gain is sure are recommended, as in the table of changes.
         # The error leaves out a pilot's cost, but the verdict includes it
-        if row["verdict"].item() == "worse" and row["remedy"].item() != other["remedy"].item():
+        sure = row["verdict"].item() in ("better", "given")
+        if not sure and row["remedy"].item() != other["remedy"].item():
             continue
         low, high = row["error_ci"].values
         sizes[_setup(tree, row)] = Size(float(row["error"]), low, high, float(row["rate"]))
