@@ -52,6 +52,8 @@ _NORMAL = 8
 _FREE = 12
 # Largest skewness of a difference of tile means that is treated as normal
 _SKEW = 0.25
+# Skewness of a difference of image means below which their tails are those of normal values
+_EVEN = 0.02
 # Least number of tiles of which the spread of all differences is a mean
 _TILES = 16
 _TINY = 1e-30  # smallest sum of squares that float32 can divide by
@@ -585,8 +587,13 @@ def cautious(
     for name, size, count, df, error, own_map, squares in tests:
         sides = 1 if own_map is None else 2
         factor = count * len(tests)
-        p = np.minimum(1.0, factor * sides * stdtr(df, -np.sqrt(squares.max())))
-        critical = -stdtrit(df, level / factor / sides)
+        beyond = stdtr(df, -np.sqrt(squares.max()))
+        wanted = level / factor / sides
+        if name == "image":
+            skewness = _image_skewness(levels, contrast)
+            beyond, wanted = _skewed_tail(beyond, skewness), _even_tail(wanted, skewness)
+        p = np.minimum(1.0, factor * sides * beyond)
+        critical = -stdtrit(df, wanted)
         found.append(
             Found(
                 name=name,
@@ -632,6 +639,46 @@ def _skewness(frames: Array, contrast: Contrast) -> float:
         return math.inf
     one = abs(cubes / total) / (squares / total) ** 1.5
     return float(one * abs(1 / first**2 - 1 / second**2) / contrast.factor**1.5)
+
+
+def _skewed_tail(probability: float, skewness: float) -> float:
+    """Return the tail of a Pearson III law beyond the place of a normal tail of this probability.
+
+    The law has the given skewness, and the tail is its longer one.
+    """
+    from scipy.special import gammaincc, ndtri
+
+    if skewness < _EVEN:
+        return float(probability)
+    shape = 4.0 / skewness**2
+    away = -float(ndtri(max(probability, 1e-300)))
+    return max(float(gammaincc(shape, shape + 2.0 * away / skewness)), float(probability))
+
+
+def _even_tail(probability: float, skewness: float) -> float:
+    """Return the normal tail whose `_skewed_tail` has this probability."""
+    from scipy.special import gammainccinv, ndtr
+
+    if skewness < _EVEN:
+        return float(probability)
+    shape = 4.0 / skewness**2
+    away = (float(gammainccinv(shape, probability)) - shape) * skewness / 2.0
+    return min(float(ndtr(-away)), float(probability))
+
+
+def _image_skewness(levels: list[Level], contrast: Contrast) -> float:
+    """Return the absolute skewness of the difference of image means.
+
+    The image is a mean of tiles. Errors of tiles of 8 pixels are nearly independent,
+    so that the skewness of their mean falls as the root of their number.
+    """
+    tiles = [each for each in levels if 0 < each.size <= _NORMAL and each.count]
+    if not tiles:
+        return 0.0
+    coarsest = max(tiles, key=lambda each: each.size)
+    frames = coarsest.rows.astype(np.float64).reshape(len(coarsest.rows), -1)
+    frames = frames[:, coarsest.valid.ravel()]
+    return _skewness(frames, contrast) / math.sqrt(max(frames.shape[1], 1))
 
 
 def _near(variance: Array, each: Level) -> Array:

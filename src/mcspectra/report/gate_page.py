@@ -161,9 +161,9 @@ def _place(result: xr.Dataset, size: int, name: str) -> str:
     total, squares = np.nansum(tiles, axis=2), np.nansum(tiles**2, axis=2)
     spread = np.sqrt(np.maximum(squares - total**2 / np.maximum(count, 1), 0.0))
     away = np.abs(total) / np.where((times > 1) & (spread > 0), spread, 1.0)
-    y, x = np.nonzero(least)
+    rows, columns = np.nonzero(least)
     chosen = np.zeros((height, width), bool)
-    chosen[y // times, x // times] = True
+    chosen[rows // times, columns // times] = True
     row, column = np.unravel_index(int(np.argmax(np.where(chosen, away, -1.0))), away.shape)
     top, left = int(row) * times, int(column) * times
     part = (slice(top, top + times), slice(left, left + times))
