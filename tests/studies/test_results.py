@@ -758,6 +758,6 @@ def test_a_million_cells_are_listed_and_opened_by_one(tmp_path):
     done, opened, listed, peak = map(float, printed.split())
     print(f"opened {opened:.4f} s, status {listed:.2f} s, {peak / 1e6:.2f} GB")
     assert done == 10**6
-    assert opened < 0.02
-    assert listed < 2.0
+    assert opened < 0.06
+    assert listed < 6.0  # Three times the time of a quiet machine
     assert peak < 1e6
