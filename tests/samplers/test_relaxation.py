@@ -361,7 +361,7 @@ def test_transport_cost_of_points_far_from_uniform_ends_in_seconds(kind):
     begun = time.process_time()
     with pytest.raises(DomainError, match="too far from uniform"):
         transport_cost(points)
-    assert time.process_time() - begun < 90  # Three times the time of a quiet machine
+    assert time.process_time() - begun < 90  # It took 42 s while another test ran
 
 
 def test_newton_steps_end_with_their_work():

@@ -759,5 +759,5 @@ def test_a_million_cells_are_listed_and_opened_by_one(tmp_path):
     print(f"opened {opened:.4f} s, status {listed:.2f} s, {peak / 1e6:.2f} GB")
     assert done == 10**6
     assert opened < 0.06
-    assert listed < 6.0  # Three times the time of a quiet machine
+    assert listed < 6.0  # It took 2.8 s while other tests ran
     assert peak < 1e6

@@ -43,8 +43,9 @@ def gate_(options: argparse.Namespace) -> VerbOutput:
     """Test whether new renders agree with a reference: pass, fail or undecided.
 
     The exit code is 0 for pass, 3 for fail and 4 for undecided.
-    The output says which bias would have been found, and which samples would find less.
-    All tests together give a false alarm with the probability --level at most.
+    The output states the bias that would have been found, and the samples that find a smaller one.
+    A false alarm has at most the probability --level with 5 + 5 frames or more of equal samples.
+    With fewer frames or unequal samples, t tests are used, and this probability is approximate.
     """
     from mcspectra.rendering.gate import GATE_VERDICTS, gate
     from mcspectra.rendering.gate_frames import write_reference

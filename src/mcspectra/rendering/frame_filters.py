@@ -313,7 +313,7 @@ class Filtered:
     variance, variance_ci
         Variance after each filter (filter,), with its 95 % interval (filter, bound).
     ratio, ratio_ci
-        That variance divided by what the filter leaves of white noise of the same variance.
+        Ratio of that variance to the variance that the filter leaves of equally strong white noise.
     half
         Half width of the interval of the logarithm of `variance`, (filter,).
     """

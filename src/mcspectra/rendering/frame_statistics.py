@@ -162,7 +162,7 @@ def frames(
         ``flip(n, y, x)``: the FLIP error [Andersson2021]_ of the first frame against ``image``.
         FLIP needs the package flip-evaluator. With a reference, it is the error against that.
         ``gaussian_variance(n, sigma)`` and ``gaussian_ratio``, the variance after a Gaussian,
-        and its ratio to what the filter leaves of white noise of the same variance.
+        and its ratio to the variance that the filter leaves of equally strong white noise.
         ``filtered_variance(n, filter)`` and ``filtered_ratio`` are the same for the `filters`.
         Sequences also have ``joint_spectrum(n, radius, frame_frequency)`` with power 1 for white
         noise, ``frame_correlation(n, lag_t)``, ``boiling(n)`` (power below 1/8 cycle per frame),

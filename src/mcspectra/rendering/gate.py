@@ -219,7 +219,7 @@ def _case(ours: FrameSet, theirs: FrameSet) -> _Case:
     ours, theirs = parts
     pairs = _pairs(sample(ours), sample(theirs))
 
-    # New frames that are copies tell nothing about the others
+    # Leave out new frames that are copies: their difference is zero without any test
     copies = {i for i, k in pairs if _is_copy(ours.rows[i : i + 1], theirs.rows[k : k + 1], bad)}
     if len(copies) == ours.count:
         contrast = Contrast(first=ours.count, second=theirs.count, paired=False)
@@ -478,7 +478,7 @@ def _verdict(
     else:
         verdict = "pass"
 
-    # The smallest bias that can be found is only known if there is none
+    # A detectable bias is reported only if no bias was found
     hidden = copy or verdict == "fail"
 
     first = case.contrast.first

@@ -250,7 +250,7 @@ def write_reference(
     ----------
     paths
         A folder, a pattern, or a list of at least two files, as for `frames`.
-        Of several numbers of samples per pixel, the largest is stored.
+        If the frames have several numbers of samples per pixel, the largest is stored.
     file
         Name of the reference, which ends in ``.exr``.
     spp, layer, tone_mapped

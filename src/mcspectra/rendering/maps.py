@@ -434,7 +434,7 @@ def variance_map(
         With an integrator: how many of the first numbers of a path come from one joint set.
         Every later request of the integrator has its own points (padded), as in rendered images.
         The default is 4 for scrambled nets in base 2 and 0 otherwise, as in the plugin.
-        With the number of dims of the paths, all numbers are joint.
+        If it is the number of dims of the paths, all numbers are joint.
     points
         ``"shared"``: in a realization, all pixels have the same points.
         The numbers of a pixel are as good as with its own points, and they are faster to compute.

@@ -542,7 +542,7 @@ class Rounds:
 class PaddedSets:
     """Sets of one sampler for requests of one and two numbers, and joint sets in more dims.
 
-    If `joint` is None, it becomes the default, `joint_dims_of` the spec.
+    The default of `joint` is `joint_dims_of` the spec.
     Raises a ParameterError if the spec, the count or the dims are not possible.
     """
 

@@ -357,7 +357,7 @@ def _answer(last: xr.Dataset, found: Mapping[str, Any]) -> str:
 def _sampler_answer(last: xr.Dataset, found: Mapping[str, Any]) -> str:
     """Name the best sampler, and the bounce and decision that add most variance.
 
-    A sampler is recommended if it surely has the least variance at more pixels than any other,
+    A sampler is recommended if it is the significant best at more pixels than any other sampler,
     and if its variance is also the least in the geometric mean over pixels.
     """
     names = list(map(str, last["sampler"].values))
