@@ -130,6 +130,8 @@ class Diagnosis:
                     "Polynomials in each cube explain part of g, as far as g is smooth, and are "
                     "subtracted."
                 )
+            case "periodized":
+                return "Its g is 0 at the border and periodic, so lattices have a steep rate."
             case "heuristic" if self.slow:
                 return f"It changes the contribution of {self.slow}, most of the variance."
             case "techniques" if self.slow and name != f"only {self.slow}":

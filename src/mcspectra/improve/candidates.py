@@ -33,7 +33,14 @@ from mcspectra.explain.diagnosis import jumps_inside
 from mcspectra.explain.samples import NETS
 from mcspectra.improve.alignment import aligned, best_alignment
 from mcspectra.improve.answers import Candidate
-from mcspectra.improve.improved import CHANGES, Cubic, Evaluations, evaluated, improvements
+from mcspectra.improve.improved import (
+    CHANGES,
+    Cubic,
+    Evaluations,
+    Periodized,
+    evaluated,
+    improvements,
+)
 from mcspectra.improve.variants import smoothing_scan
 from mcspectra.integrands.smoothing import BoxSmoothed, smoothed
 from mcspectra.measure.setup import Setup, affordable_count
@@ -43,13 +50,17 @@ from mcspectra.samplers.registry import sampler as make_sampler
 from mcspectra.samplers.stratified import root
 
 __all__ = [
+    "CANDIDATE_SETTINGS",
     "KINDS",
+    "LATTICE",
     "Budget",
     "CandidateSettings",
     "Kind",
     "candidates_of",
 ]
 
+LATTICE = "rank1-lattice | shift"
+"""Shifted lattices, the points for a periodic g."""
 # Random stream label of pilots; searches for widths and for offsets have the labels 0 and 1
 _PILOTS = 2
 # Kinds of change that also apply to a mirrored estimator: its inner estimator is changed
@@ -71,8 +82,8 @@ class CandidateSettings:
         "antithetic-jittered",
         "latin-hypercube",
         "halton | permute",
-        "rank1-lattice | shift",
-        "rank1-lattice | shift | mirror(mode='fold')",
+        LATTICE,
+        f"{LATTICE} | mirror(mode='fold')",
         "sobol | owen",
     )
     # Maximum number of dims in which strata are aligned with edges.
@@ -83,6 +94,14 @@ class CandidateSettings:
     # In 4-D, order 4 needs at least 4^4 = 256 cells.
     # In 4-D, the rate n^(−1 − 8/d) of this order gains little over nets.
     most_cubic_dims: int = 3
+    # Order of the substitution that makes g periodic. With few points, low orders are better;
+    # with many points, high orders are better (`benchmarks periodized`).
+    order: int = 4
+    # Maximum number of dims in which g is made periodic.
+    # The substitution multiplies ∫g² by up to 1.6^d, so it loses to nets in many dims.
+    # In 5-D, the RMSE of a smooth function with 1,024 points
+    # is 13 times that of a folded lattice (`benchmarks periodized`).
+    most_periodized_dims: int = 4
     # Maximum number of dims in which edges are smoothed by means over boxes.
     # In more dims, means take too many evaluations; smoothing by the distance takes only one.
     most_boxed_dims: int = 2
@@ -106,7 +125,8 @@ class CandidateSettings:
     scan_realizations: int = 300
 
 
-_SETTINGS = CandidateSettings()
+CANDIDATE_SETTINGS = CandidateSettings()
+"""Default settings of candidates."""
 
 
 @dataclass(frozen=True)
@@ -116,7 +136,7 @@ class Budget:
     evaluations: int  # number of evaluations of the integrand in one estimate
     realizations: int  # number of estimates of each measurement
     stream: Stream  # random numbers of the search, not reused afterwards
-    settings: CandidateSettings = _SETTINGS
+    settings: CandidateSettings = CANDIDATE_SETTINGS
     # Existing evaluations of g at uniform points; without them, each fit takes a pilot
     seen: Evaluations | None = None
 
@@ -139,6 +159,7 @@ Kind: TypeAlias = Literal[
     "compensated",
     "channels",
     "cubic",
+    "periodized",
     "sampler",
 ]
 """Kinds of change, in the order in which they are tried."""
@@ -479,6 +500,22 @@ def stratify_cubes(given: Setup, budget: Budget) -> _Candidates:
         yield _candidate(given, "cubic", f"cubic: order {order}", change, partial(of_order, order))
 
 
+def periodize(given: Setup, budget: Budget) -> _Candidates:
+    """Yield substitutions that make g periodic, with a shifted lattice ([Sidi2006]_)."""
+    d, most = given.estimator.dims, budget.settings.most_periodized_dims
+    if d > most:
+        raise ParameterError(
+            f"In {d} dims the substitution adds too much variance; it is used in 1 to {most}."
+        )
+
+    def made() -> Setup:
+        changed = Periodized.of(given.estimator, budget.settings.order)
+        return Setup(Estimator(changed), make_sampler(LATTICE, d))
+
+    change = f"substitute a beta cdf, which makes g periodic, and sample with {LATTICE}"
+    yield _candidate(given, "periodized", "periodized", change, made)
+
+
 KINDS: Mapping[Kind, Callable[[Setup, Budget], _Candidates]] = {
     "unshifted": leave_shift_out,
     "mirrored": mirror,
@@ -494,6 +531,7 @@ KINDS: Mapping[Kind, Callable[[Setup, Budget], _Candidates]] = {
     "compensated": compensate,
     "channels": separate_channels,
     "cubic": stratify_cubes,
+    "periodized": periodize,
     "sampler": change_sampler,
 }
 """Kinds of change, with the functions that yield the changes."""

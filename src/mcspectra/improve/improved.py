@@ -18,6 +18,7 @@ The changes of these kinds keep the integral, whatever the evaluations of g are:
 
 `Cubic` needs no pilot: it subtracts polynomials from g.
 These polynomials go through the values of g at the centers of cells.
+`Periodized` needs no pilot either: a substitution makes g periodic and 0 at the border.
 
 The expected gain of a change is computed from evaluations that were not used in its fit.
 """
@@ -48,6 +49,7 @@ __all__ = [
     "ChangeSettings",
     "Cubic",
     "Evaluations",
+    "Periodized",
     "RegressionSettings",
     "evaluated",
     "improvements",
@@ -484,6 +486,46 @@ class Cubic(_Changed):
         )
         taken = np.einsum("kj,kjc->kc", shares, self.centers[place])
         return np.asarray(values - taken.reshape(values.shape))
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Periodized(_Changed):
+    """Integrand g(φ(u)) Π φ'(u_i), which is periodic and 0 at the border ([Sidi2006]_).
+
+    The substitution φ is the cdf of the beta distribution with both parameters k,
+    so φ' ∝ (u(1 − u))^(k − 1).
+    If g is smooth, the first k − 2 derivatives of the new integrand agree on opposite faces.
+    With shifted lattices the variance is then ∝ n^(−2k), up to powers of log n.
+    If g grows as t^−a toward the border, the new integrand is ∝ t^(k(1 − a) − 1).
+
+    Attributes
+    ----------
+    order
+        The number k. In d dims, a constant g has the variance (∫φ'²)^d − 1 at random points.
+        In one dim, ∫φ'² is 1.43 for k = 3, 1.63 for k = 4 and 2.01 for k = 6.
+    """
+
+    name: ClassVar[str] = "periodized"
+    text = "{0.integrand.spec}, periodized to order {0.order}"
+    order: int
+
+    @staticmethod
+    def of(estimator: AbstractEstimator, order: int) -> Periodized:
+        """Return the change of the integrand of an estimator that has a single technique."""
+        return Periodized(integrand=_single(estimator), order=order)
+
+    @property
+    def finite_below(self) -> float:
+        return 1.0 - 0.5 / self.order
+
+    def _at(self, u: Array) -> Array:
+        from scipy.special import betainc, betaln
+
+        k = self.order
+        x = np.clip(betainc(k, k, u), np.finfo(float).tiny, BELOW_ONE)
+        slopes = (u * (1.0 - u)) ** (k - 1) * np.exp(-betaln(k, k))
+        return np.asarray((self.integrand(x).T * slopes.prod(axis=1)).T)
 
 
 @final

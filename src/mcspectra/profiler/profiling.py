@@ -61,7 +61,7 @@ from mcspectra.explain.causes import (
 from mcspectra.explain.probing import grain
 from mcspectra.explain.samples import CURVE_SETTINGS, NETS, Curve, Sets, curve_of, scalar
 from mcspectra.improve.answers import Answer, Candidate, CandidateResult, simultaneous_z
-from mcspectra.improve.candidates import Budget, candidates_of
+from mcspectra.improve.candidates import CANDIDATE_SETTINGS, LATTICE, Budget, candidates_of
 from mcspectra.improve.improved import CHANGES, Evaluations
 from mcspectra.integrands import Calls, FunctionIntegrand, Integrand
 from mcspectra.measure.chains import chain_error
@@ -148,14 +148,21 @@ class ProfileSettings:
     # In more dims, folded lattices are measured, which have the rate −4.
     # Pairs have the rate −5 in 1-D and −3 in 2-D.
     paired_dims: int = 1
+    # Number of sets, and of counts, with which a substitution that makes g periodic is measured.
+    # Both are small, because only large sets show its steep rate.
+    steep_sets: int = 4
+    steep_counts: int = 2
+    # For the same reason, such a substitution gets more evaluations than another rival.
+    steep_weight: int = 3
+    # It is tried if the budget has at least this number of points along each axis.
+    # With fewer points, folded lattices have less variance (`benchmarks periodized`).
+    resolving_points: int = 10
     # Number of points of the sample function of a density that are tested to lie in the unit cube.
     tested_points: int = 64
 
 
 _SETTINGS = ProfileSettings()
-_PAIRS, _LATTICE = "antithetic-jittered", "rank1-lattice | shift"
-_FOLDED = f"{_LATTICE} | mirror(mode='fold')"
-_RIVALS = {_LATTICE, _FOLDED, _PAIRS}
+_PAIRS, _FOLDED = "antithetic-jittered", f"{LATTICE} | mirror(mode='fold')"
 # Causes that concern the sets of a sampler and not g
 _OF_SETS = {"deterministic-set", "few-realizations", "correlated-replicates"}
 # Causes for which the profile tries lattices; it also tries them for smooth g
@@ -167,6 +174,8 @@ _GAINED = {
     "interior-jump",
     "axis-parallel-jump",
 }
+# Weights of the shares of rivals in the evaluations
+_WEIGHTS = {"periodized": _SETTINGS.steep_weight}
 _JUMPS = {"interior-jump", "axis-parallel-jump"}
 # Exponent e for each cause. In theory, variances fall as n^(−1 − e/d) with strata;
 # with nets, they fall as n^(−1 − e)
@@ -307,7 +316,7 @@ class Profile:
     def _rows(self) -> list[tuple[str, str, str]]:
         # The RMSE of a rival is extrapolated, so only its upper end is reliable
         results = {result.name: result for result in self.answer.results}
-        ends = {name: results[name].rmse_ci for name in _RIVALS & {*results} & {*self.samplers}}
+        ends = {name: results[name].rmse_ci for name in self.samplers if name in results}
         limits = {name: high for name, (low, high) in ends.items() if low == 0.0 < high}
         order = {
             name: limits.get(name, math.sqrt(curve.at(self.points)[0]))
@@ -667,32 +676,25 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
 
     causes = causes_of(evidence)
     offers = _offers(evidence, causes, budget, stream.child(98))
-    # Measure a sampler that may have less variance than nets.
-    # This sampler gets half of the remaining evaluations.
-    # If a change removes a jump, the sampler gets all evaluations that this change does not need
-    rival, left = _rival(evidence, causes), budget - calls
-    rival = rival if rival != given.spec else ""
+    # Measure set-ups that may have less variance than nets.
+    # Together they get half of the remaining evaluations.
+    # If a change removes a jump, they get all evaluations that this change does not need
+    rivals, left = _rivals(evidence, causes, points), budget - calls
+    rivals.pop(given.spec, None)
     jumps, nets = _shape(causes) in _JUMPS, CAUSE_SETTINGS.nets
     if jumps:
         paid = ((offer, *_paid(offer, left, last=offer is offers[-1])) for offer in offers)
         left -= next((n * sets * offer.setup.cost for offer, n, sets in paid if n), 0)
     elif any(_SETTINGS.least_checked * o.setup.cost * nets <= left // 2 for o in offers):
         left //= 2
-    enough = _is_smooth(causes) or left >= 2 * _SETTINGS.lattice_sets * _SETTINGS.least_checked
-    if rival and not enough:
-        not_tried.append(f"{rival}: only {left} evaluations remain for it")
-    elif rival:
-        with contextlib.suppress(McspectraError):  # the sampler may not support dims or counts
-            source, lattice = as_sampler(rival, estimator.dims), rival != _PAIRS
-            curve, _, cost = _measured(estimator, source, left, stream.child(97), lattice=lattice)
-            calls += cost
-            if lattice and curve.counts[-1:].sum() < _SETTINGS.few_points:
-                curve = replace(curve, rate=max(curve.rate, _SETTINGS.steepest_rate))
-            # If g jumps, all estimates of small sets may be equal, although larger sets differ
-            curves |= {} if jumps and math.isfinite(curve.vanishes) else {rival: curve}
+    measured, reasons, cost = _measured_rivals(rivals, left, causes, stream)
+    calls += cost
+    not_tried += reasons
+    curves |= measured
     curves |= {
         name: _by_theory(name, curve, causes, estimator.dims, points)
         for name, curve in curves.items()
+        if name not in rivals or rivals[name].kind == "sampler"
     }
     # Compare with random points if the given sampler is fixed or was not measured
     fixed = any(cause.name in {"deterministic-set", "correlated-replicates"} for cause in causes)
@@ -704,9 +706,10 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     if all(c.name != "infinite-variance" or c.kinds for c in causes):  # The integral exists
         # Find the sampler of least variance, and a change of the estimator that answers a cause
         if len(usable[reference].counts) > 0:  # Without counts, the variance is zero
-            found = _samplers(Setup(estimator, given), usable, reference, points)
-        trusted = [each for name, each in usable.items() if name not in _RIVALS]
-        trusted += [usable[name] for name in _RIVALS & {*usable} if _is_known(usable[name], points)]
+            found = _samplers(Setup(estimator, given), usable, reference, points, rivals)
+        trusted = [
+            each for name, each in usable.items() if name not in rivals or _is_known(each, points)
+        ]
         base = min(trusted, key=lambda each: _bound(each, points))
         made, changed, cost = _improved(
             evidence, causes, offers, base, budget, budget - calls, stream.child(98)
@@ -815,10 +818,10 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
     waves = names.get("high-frequency")
     resolved_by = math.inf if waves is None else waves.evidence["resolved_by"]
     if name != "random" and max(curve.counts, default=math.inf) < resolved_by <= points:
-        vanishes = math.inf if name in _RIVALS else curve.vanishes
+        vanishes = math.inf if name in {LATTICE, _FOLDED, _PAIRS} else curve.vanishes
         return replace(curve, rate=math.nan, rate_se=math.nan, vanishes=vanishes)
     first = _shape(causes)
-    if name in {_LATTICE, _FOLDED} and math.isfinite(curve.rate):
+    if name in {LATTICE, _FOLDED} and math.isfinite(curve.rate):
         # In theory, the variance for smooth functions is n^−4 (log n)^(2d − 2).
         # Compute the rate with two thirds of the exponent 2d − 2 of log n.
         # Limit the rate, because few points may show a steeper rate in many dims
@@ -853,24 +856,48 @@ def _is_smooth(causes: Sequence[Cause]) -> bool:
     return _shape(causes) in {"none", "border-jump"}
 
 
-def _rival(evidence: Evidence, causes: Sequence[Cause]) -> str:
-    """Return a sampler that may have less variance than nets for this g, or "".
+def _growth(causes: Sequence[Cause]) -> float:
+    """Return the exponent a if g grows as t^−a toward the border, else 0."""
+    grows = (c for c in causes if c.name in {"border-growth", "infinite-variance"})
+    return max((cause.evidence.get("exponent", 0.0) for cause in grows), default=0.0)
+
+
+def _rivals(evidence: Evidence, causes: Sequence[Cause], points: int) -> dict[str, Candidate]:
+    """Return set-ups that may have less variance than nets for this g, by name.
 
     The rate of lattices follows from the decay of the Fourier coefficients of g
     if g agrees on opposite faces of the cube, or if points are folded [Hickernell2002]_.
     Lattices may also have less variance than nets if g has kinks, cusps or waves.
     For smooth g, antithetic pairs about the centers of strata have the rate −1 − 4/d,
     which is also the rate of cubic stratification of second order.
+    If g is smooth inside the cube, a substitution makes it periodic [Sidi2006]_.
     """
-    smooth = _is_smooth(causes)
-    grows = any(cause.name == "border-growth" for cause in causes)
-    if grows or not (smooth or _shape(causes) in _GAINED):
-        return ""
-    if evidence.is_periodic:
-        return _LATTICE
-    if evidence.estimator.dims > _SETTINGS.paired_dims:
-        return _FOLDED
-    return _PAIRS if smooth else ""
+    estimator, smooth = evidence.estimator, _is_smooth(causes)
+    dims, names = estimator.dims, list[str]()
+    grows = any(cause.name in {"border-growth", "infinite-variance"} for cause in causes)
+    if not grows and (smooth or _shape(causes) in _GAINED):
+        if evidence.is_periodic:
+            names = [LATTICE, _FOLDED] if smooth else [LATTICE]
+        elif dims > _SETTINGS.paired_dims:
+            names = [_FOLDED]
+        elif smooth:
+            names = [_PAIRS]
+    found = {
+        name: Candidate("sampler", name, f"use {name}", Setup(estimator, as_sampler(name, dims)))
+        for name in names
+    }
+    at_border = _shape(causes) in {"border-growth", "infinite-variance"}
+    if (smooth or at_border) and len(estimator.counts) == 1 and not estimator.channels:
+        nets, exponent = Setup(estimator, as_sampler(NETS, dims)), _growth(causes)
+        search = Budget(points, CAUSE_SETTINGS.nets, Stream.from_rng(0))
+        made = candidates_of(nets, ["periodized"], search)
+        if points >= _SETTINGS.resolving_points**dims:
+            found |= {
+                each.name: each
+                for each in made
+                if isinstance(each, Candidate) and each.finite_below > exponent
+            }
+    return found
 
 
 def _measured(
@@ -880,9 +907,14 @@ def _measured(
     stream: Stream,
     *,
     lattice: bool = False,
+    few: bool = False,
 ) -> tuple[Curve, Replicates, int]:
-    """Measure the curve of a sampler within `evaluations`; return it with replicates and cost."""
+    """Measure the curve of a sampler within `evaluations`; return it with replicates and cost.
+
+    With `few`, there are few sets at few counts, so that the sets are large.
+    """
     most_sets = _SETTINGS.lattice_sets if lattice else CAUSE_SETTINGS.nets
+    most_sets = _SETTINGS.steep_sets if few else most_sets
     each, least = estimator.cost, _SETTINGS.least_sets
     sets = drawn = int(min(most_sets, sampler.most_realizations))
     if sets < least:
@@ -890,7 +922,7 @@ def _measured(
     setup, counts = Setup(estimator, sampler), list[int]()
     while sets > least and affordable_count(setup, evaluations // (2 * sets)) is None:
         sets -= 1
-    for k in range(_SETTINGS.counts):
+    for k in range(_SETTINGS.steep_counts if few else _SETTINGS.counts):
         n = affordable_count(setup, evaluations // (sets << k + 1))
         if n is not None and n not in counts:
             counts.append(n)
@@ -953,10 +985,49 @@ def _bound(curve: Curve, points: int) -> float:
     return value * math.exp(error)
 
 
+def _measured_rivals(
+    rivals: Mapping[str, Candidate], left: int, causes: Sequence[Cause], stream: Stream
+) -> tuple[dict[str, Curve], list[str], int]:
+    """Measure rivals within `left` evaluations. Return curves, reasons why not, evaluations."""
+    curves, not_tried, calls = dict[str, Curve](), list[str](), 0
+    jumps, least = _shape(causes) in _JUMPS, 2 * _SETTINGS.lattice_sets * _SETTINGS.least_checked
+    enough = _is_smooth(causes) or left >= least
+    weights = {name: _WEIGHTS.get(each.kind, 1) for name, each in rivals.items()}
+    steep = {name for name, each in rivals.items() if each.kind == "periodized"}
+    for place, (name, rival) in enumerate(rivals.items()):
+        setup, lattice = rival.setup, name != _PAIRS
+        share = (left - calls) * weights[name] // sum(list(weights.values())[place:])
+        if not enough and rival.kind == "sampler":
+            not_tried.append(f"{name}: only {left} evaluations remain for it")
+            continue
+        own = stream.child(97 - place)
+        with contextlib.suppress(McspectraError):  # the sampler may not support dims or counts
+            curve, _, cost = _measured(
+                setup.estimator, setup.sampler, share, own, lattice=lattice, few=name in steep
+            )
+            calls += cost
+            if lattice and curve.counts[-1:].sum() < _SETTINGS.few_points:
+                curve = replace(curve, rate=max(curve.rate, _SETTINGS.steepest_rate))
+            elif name in steep:
+                # Few counts hardly show the rate. It is between that of random points and the
+                # rate in theory, which are two standard errors from their mean
+                limit = -2.0 * CANDIDATE_SETTINGS.order * (1.0 - _growth(causes))
+                curve = curve.towards(0.5 * (limit - 1.0), abs(0.25 * (limit + 1.0)))
+                curve = replace(curve, rate=max(curve.rate, limit))
+            # If g jumps, all estimates of small sets may be equal, although larger sets differ
+            if not (jumps and math.isfinite(curve.vanishes)):
+                curves[name] = curve
+    return curves, not_tried, calls
+
+
 def _samplers(
-    given: Setup, curves: Mapping[str, Curve], reference: str, points: int
+    given: Setup,
+    curves: Mapping[str, Curve],
+    reference: str,
+    points: int,
+    rivals: Mapping[str, Candidate],
 ) -> list[_FoundSampler]:
-    """Return the samplers that may have less variance than the reference, the best first.
+    """Return the set-ups that may have less variance than the reference, the best first.
 
     A rival is always included if its rate at larger counts may be steeper without limit.
     """
@@ -965,18 +1036,21 @@ def _samplers(
     found = []
     for name in sorted(bounds, key=bounds.__getitem__):
         worse = bounds[name] >= bounds[reference]
-        if name == reference or (worse and name not in _RIVALS):
+        if name == reference or (worse and name not in rivals):
             continue
-        source, count, change = as_sampler(name, given.estimator.dims), points, f"use {name}"
-        if source.nearest_count(points) != points:
-            count = affordable_count(replace(given, sampler=source), points * each) or points
-            change += f" with n = {count}"
-        candidate = Candidate("sampler", name, change, replace(given, sampler=source))
-        curve = curves[name]
+        if name in rivals:
+            candidate = rivals[name]
+        else:
+            source = as_sampler(name, given.estimator.dims)
+            candidate = Candidate("sampler", name, f"use {name}", replace(given, sampler=source))
+        count, curve = points, curves[name]
+        if candidate.setup.sampler.nearest_count(points) != points:
+            count = affordable_count(candidate.setup, points * each) or points
+            candidate = replace(candidate, change=f"{candidate.change} with n = {count}")
         variance, beyond = curve.at(count), count > curve.counts[-1:].sum()
         # Smooth functions reach their rate only with larger sets. For analytic functions
         # the variance falls faster than any power of n
-        steepens = name in _RIVALS and bool(beyond)
+        steepens = name in rivals and bool(beyond)
         if steepens and not _is_known(curve, count):
             variance = math.nan, math.nan
         found.append(_FoundSampler(candidate, count, variance, curve.rate, curve.rate_ci, steepens))
