@@ -1,9 +1,9 @@
 """Alignment of strata with edges: variance for each offset of strata, and the best offset.
 
-A stratum that an edge cuts into shares s and 1 − s has the variance s(1 − s) of the jump.
+If an edge with a jump cuts a stratum into shares s and 1 − s, its variance is s(1 − s) · jump².
 A stratum whose border is the edge has no variance.
 A fixed offset moves all strata on the torus (``strata-shift``).
-If the positions of the edges are known, `aligned-strata` bends the strata to them.
+If the positions of the edges are known, `aligned-strata` bends the strata to the edges.
 """
 
 from __future__ import annotations
@@ -50,12 +50,13 @@ class AlignmentSettings:
     most_offsets: int = 4096
     # Default number of offsets along each axis in 1, 2 and more dims.
     # A scan has 16 offsets in 1-D, 64 in 2-D and 4^d in d dims.
-    # Half or twice as many offsets give the same variance within 0.1 % for disks and steps
-    # in 1-D and 2-D, unless the edge can be aligned almost exactly.
+    # With half or twice as many offsets, the variance changes by at most 0.1 %,
+    # unless the edge can be aligned almost exactly.
+    # This was measured for disks and steps in 1-D and 2-D.
     usual_offsets: tuple[int, int, int] = (16, 8, 4)
-    # Rounding of an exact variance, as a fraction of I²/n.
-    # An exact variance is a difference of means of g² and squared means, each rounded to 1.1e-16.
-    # The factor 100 allows for rounding in the sums of these means.
+    # Rounding error of an exact variance, as a fraction of I²/n.
+    # An exact variance is a difference of two sums: means of g², and squared means of g.
+    # Each term is rounded to 1.1e-16. The factor 100 allows for rounding in the sums.
     exact_rounding: float = 1e-14
     # Relative standard error that the fit of a rate assumes for exact variances.
     # All counts have this error and therefore equal weights, whatever the value is.
@@ -96,7 +97,7 @@ def strata_shift_scan(
         The default is the sampler's number of dims, unless the sampler is given as a spec.
     offsets
         Offsets along each axis, as fractions of the side n^(-1/d) of a stratum.
-        A list contains ascending numbers in [0, 1), and a number asks for equally spaced offsets.
+        Either a list of ascending numbers in [0, 1), or the number of equally spaced offsets.
         The default is 16 in 1-D, 8 in 2-D and 4 in more dims. A scan has at most 4096 offsets.
         The side depends on n, and so does the position of an offset in the domain.
     method
@@ -113,7 +114,7 @@ def strata_shift_scan(
         A dataset with ``variance`` and ``variance_ci`` for each n, on the dims offset0, offset1, …;
         ``rate`` and ``rate_ci`` for each offset; and a dim channel if f has several channels.
         Intervals of exact variances have width 0.
-        Intervals of the rates of exact variances show how well log variance follows a line.
+        If variances are exact, the interval of a rate shows how well log variance follows a line.
 
     Raises
     ------
@@ -329,7 +330,7 @@ def best_alignment(
 def aligned(
     estimator: AbstractEstimator | Integrand | str, edges: Any, n: int, *, dims: int | None = None
 ) -> Estimator:
-    """Return an estimator without a density, with n = s^d strata that have borders at edges.
+    """Return an estimator without a density, whose n = s^d strata have borders at edges.
 
     Parameters
     ----------
@@ -371,7 +372,7 @@ class _Offsets:
     sampler: Sampler
     # Whether variances are exact; otherwise, all offsets are measured with the same realizations
     exact: bool
-    # Number of realizations, random numbers and number of threads of measured variances
+    # For measured variances: number of realizations, random numbers, and number of threads
     realizations: int
     stream: Stream
     workers: int
@@ -399,8 +400,8 @@ class _Offsets:
         try:
             if exact:
                 # Raise an error if no closed form is known.
-                # Edges at multiples of the side cut strata if the offset is about half a side;
-                # strata that are cut may have no closed form
+                # If edges are multiples of the side, an offset of about half a side cuts strata.
+                # Strata that are cut may have no closed form
                 for probe, n in itertools.product((0.0, 0.4375), counts):
                     found.at([probe] * estimator.dims, n)
         except NoClosedForm:

@@ -2,8 +2,8 @@
 
 A *candidate* is a changed estimator or sampler. Its *result* is a comparison with
 the given set-up: both errors at a budget of evaluations.
-An *answer* names the best candidate. It names the given set-up if no candidate is better
-and significantly different.
+An *answer* names the best candidate.
+If no candidate is significantly better, the answer names the given set-up.
 `mcspectra.profile`, `mcspectra.remedies`, and studies of pixels and paths print an `Answer`.
 """
 
@@ -63,8 +63,7 @@ class Candidate:
     kind
         Kind of the change: one of `mcspectra.improve.candidates.KINDS`, or ``"given"``.
     name, change
-        A short label that is unique among the compared candidates,
-        and an imperative that describes the change.
+        A short unique label of the candidate, and an imperative that describes the change.
     setup
         The estimator and the sampler after the change.
     biased
@@ -72,13 +71,13 @@ class Candidate:
         In that case its error is measured about the integral of the given estimator.
     pilot
         Number of evaluations, in addition to the budget, that the search for the change took.
-        A pilot within the budget is counted in the set-up instead (`Setup.overhead`).
+        If the budget includes a pilot, `Setup.overhead` counts its evaluations instead.
     effort
         Cost of an evaluation divided by its cost in the given set-up; paths can differ in length.
     ratio
         Expected variance divided by that of the given estimator at equal cost, NaN if unknown.
     finite_below
-        If g grows as t^−a at the border, largest exponent a with a finite variance.
+        If g grows as t^−a at the border, the largest exponent a for which the variance is finite.
     note
         A sentence that is appended to the reason in the report.
     """

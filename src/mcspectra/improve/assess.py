@@ -50,7 +50,8 @@ class AssessSettings:
     # the prior reduces the scatter of standard errors from 12 to 10 %.
     # For any weight from 0 to 40, intervals contain the truth in 93 to 95 % of cases.
     prior: int = 20
-    # Equal estimates count as exact within this number of standard errors of the given mean.
+    # Equal estimates count as exact if they differ from the given mean
+    # by at most this number of standard errors.
     # A normal mean is beyond 4 standard errors with probability 6e-5.
     sigmas: float = 4.0
 
@@ -69,8 +70,8 @@ class Errors:
     influence: Array  # influence functions ψ of the realizations, (N, R)
     noise: Array  # Value of v below which the estimates differ by rounding only, (N,)
     blind: Array  # Whether the estimates are all equal, but differ from the integral, (N,)
-    # Number of evaluations before the first point.
-    # The fit of the rate excludes these evaluations, because their number does not grow
+    # Number of evaluations before the first point, for example of a pilot.
+    # The rate is fitted without these evaluations, because their number does not grow with n
     overhead: int = 0
 
     @staticmethod
@@ -231,7 +232,7 @@ def estimates_of(
 
 
 def _standard_error(influence: Array, prior: int = _SETTINGS.prior) -> float:
-    """Return the root mean square divided by √R, with a prior of normal estimates."""
+    """Return the standard error of a mean of R influences; their prior variance is 2."""
     count = len(influence)
     square = (np.square(influence).sum() + 2.0 * prior) / (count + prior)
     return math.sqrt(square / count)
@@ -240,7 +241,7 @@ def _standard_error(influence: Array, prior: int = _SETTINGS.prior) -> float:
 @final
 @dataclass(frozen=True)
 class MeasuredCandidate:
-    """A candidate with its errors as texts and numbers; this form is stored in reductions.
+    """A candidate in a form that can be stored: its errors as texts and numbers.
 
     Attributes
     ----------

@@ -7,8 +7,9 @@ The changes of these kinds keep the integral, whatever the evaluations of g are:
 * *fitted*: g(T(u))/q(T(u)) with uniform u. The density q consists of splines (`learned`),
   or it is a normal density of z = Φ⁻¹(u).
   The normal density is moved and stretched to the moments of |g|;
-* *order*: the same with an orthogonal matrix and q = 1. The first directions of z are those
-  along which g varies most ([Liu2023]_), since the first coordinates of nets are the best;
+* *order*: the same with q = 1, where T rotates z by an orthogonal matrix.
+  After the rotation, g varies most along the first coordinates of z ([Liu2023]_).
+  This helps because the first coordinates of nets are the best;
 * *regression*: g minus fitted polynomials of mean 0;
 * *preintegrated*: means along the first direction, in which g jumps or leaves 0 at one point.
   The mean has three parts: one on each side of this point, and one over a bracket around it.
@@ -170,7 +171,7 @@ class Evaluations:
 
     @cached_property
     def halves(self) -> tuple[Evaluations, Evaluations]:
-        """Two halves, the evaluations with odd and with even numbers: neighbors are separated."""
+        """Evaluations with odd and with even numbers. Neighbors are in different halves."""
         odd = np.arange(len(self.points)) % 2 == 1
         return self.part(odd), self.part(~odd)
 
@@ -272,7 +273,7 @@ class _Warped(_Changed):
     def finite_below(self) -> float:
         if not isinstance(self.density, _Normal):
             return 0.5
-        # Along the largest spread s of its normal density, q grows as t^−(1 − 1/s²)
+        # Along the direction of the largest standard deviation s, q grows as t^−(1 − 1/s²)
         return 1.0 - 0.5 / float(np.linalg.norm(self.density.matrix, 2) ** 2)
 
     def _at(self, u: Array) -> Array:
@@ -332,7 +333,7 @@ class _Basis:
 
     @staticmethod
     def of(dims: int, normal: bool, alone: int, together: int) -> _Basis:
-        """Return degrees: up to `alone` for one coordinate, up to `together` for two in total."""
+        """Make terms up to degree `alone` in one coordinate, and up to `together` in two."""
         terms = [(i, i, a, 0) for i in range(dims) for a in range(1, alone + 1)]
         terms += [
             (i, j, a, b)
@@ -489,7 +490,9 @@ class Cubic(_Changed):
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Preintegrated(_Changed):
-    """Integrand with means of g along an axis, on both sides of a jump or of an end of zeros.
+    """Integrand that replaces g by its mean along one axis.
+
+    Both sides of the point where g jumps or leaves 0 are sampled separately.
 
     Attributes
     ----------
@@ -593,11 +596,12 @@ def _splines(seen: Evaluations, setting: tuple[int, int, float], settings: Chang
 
 
 def _normal(seen: Evaluations, stretch: str, least_spread: float) -> _Map:
-    """Fit the normal density with the mean and the variances, or covariance, of z under |g|."""
+    """Fit a normal density to |g| in z: the mean, and either the variances or the covariance."""
     z, weights = seen.normal, seen.weights
     d, effective = z.shape[1], 1.0 / float((weights**2).sum())
     mean = weights @ z
-    # Shrink the means toward 0 and the variances toward 1, as for z, if points are few
+    # If points are few, shrink the means toward 0 and the variances toward 1.
+    # These are the moments of z for uniform points
     size = float(mean @ mean)
     mean = mean * max(0.0, 1.0 - d / (effective * size)) if size > 0.0 else mean
     covariance = np.eye(d)
@@ -716,8 +720,8 @@ def improvements(
 ) -> Iterator[Candidate]:
     """Yield changed estimators with the same integral, without new evaluations of g.
 
-    Expected ratios of variances hold for random points. For *order*, variances are compared
-    without their main effects, because nets remove main effects.
+    Expected ratios of variances hold for random points.
+    For *order*, main effects are excluded from the compared variances, because nets remove them.
     All ratios are computed from evaluations that were not used in the fit.
 
     Parameters
@@ -729,7 +733,7 @@ def improvements(
     kinds
         Kinds of change, some of `CHANGES`.
     charged
-        Number of evaluations charged to each change as its pilot; 0 if they were needed anyway.
+        Number of evaluations that count as the pilot of each change; 0 if they were needed anyway.
     settings
         Settings of the changes.
 
@@ -771,7 +775,7 @@ def evaluated(
     sizes = [count // rounds] * (rounds - 1) + [count - (rounds - 1) * (count // rounds)]
 
     def follow(points: Array, values: Array, pdf: Array) -> _Map | None:
-        """Fit a density, or return None as long as half of the evaluations may be all zero.
+        """Fit a density, or return None if all values of one half of the evaluations are zero.
 
         None means that the next points are uniform.
         """

@@ -9,8 +9,8 @@ Without the smoothness term, the sum is the relative entropy of |f| and p, up to
 Both integrals of the relative entropy are estimated from the *same* points.
 If |f| belongs to the family, the minimum is |f| itself for any number of points.
 A fit by the mean of log p alone would follow the random density of the points.
-As in P-splines [Eilers1996]_, the smoothness penalty depends on
-second differences of the logarithms of the splines' weights.
+The smoothness penalty uses second differences of the logarithms of the splines' weights,
+as in P-splines [Eilers1996]_.
 
 A candidate is defined by numbers of cells and parts, and by the weight of the penalty.
 Candidates are compared by the variance of f/p with points of the sampler itself.
@@ -62,11 +62,13 @@ __all__ = ["LEARNED", "LearnSettings", "fit_splines", "in_rounds", "learned_dens
 class LearnSettings:
     """Settings of fits of splines, and of the choice between fitted densities."""
 
-    # Candidates of the two kinds, from smooth to fine. Each has three numbers: cells of each axis;
-    # parts of a mixture, or 0 for a flow; weight of the smoothness penalty.
+    # Candidates of the two kinds, from smooth to fine. Each candidate has three numbers:
+    # the number of cells along each axis; the number of parts of a mixture, or 0 for a flow;
+    # and the weight of the smoothness penalty.
     # The first candidate is also fitted in each round, to place the points of the next round.
-    # Evaluations that were not used in any fit choose one candidate. Without any one of them,
-    # the variance of a peak in 2-D and of two bells in 3-D changes by −30 to +6 %.
+    # Evaluations that were not used in any fit choose one candidate.
+    # If one of the candidates is left out, the variances change by −30 to +6 %.
+    # This was measured for a peak in 2-D and for two bells in 3-D.
     mixture: tuple[tuple[int, int, float], ...] = (
         (12, 4, 1e-3),
         (8, 4, 1e-1),
@@ -81,7 +83,7 @@ class LearnSettings:
     )
     # Maximum number of dims of a learned density. The fit of a flow in 24-D takes 9 s.
     most_dims: int = 24
-    # Least allowed number of evaluations. Of 256, one half is for the fit.
+    # Least allowed number of evaluations. Half of these 256 evaluations are for the fit.
     # A quarter is for the choice of one of five candidates: six sets of two points for each.
     # Another quarter is for the check of the result on fresh points.
     least_evaluations: int = 256
@@ -93,7 +95,7 @@ class LearnSettings:
     # The check takes half of the 16 n: 16 sets of n/4 points of the result, and 16 uniform sets.
     evaluations_per_point: int = 16
     # Ratio of n to the smallest number of points at which candidates may be compared.
-    # At n/16, the ratios of variances of nets are already close to the ratios at n.
+    # With n/16 points, nets give nearly the same ratios of variances as with n points.
     # With fewer points, nets do not resolve the splines.
     fewest_divisor: int = 16
     # Maximum number of evaluations in a fit. With 2048 instead of 4096,
@@ -135,7 +137,7 @@ class LearnSettings:
     # Weight that is added to every spline at the start of a fit, so that logarithms are finite.
     # For values from 1e-8 to 1e-4, the variances differ by 0.3 % at most.
     least_weight: float = 1e-6
-    # A density is kept only if its variance is at most this fraction of that of uniform points.
+    # A density is kept only if it lowers the variance of uniform points at least to this fraction.
     # Smaller gains are within the errors of six sets, and uniform points are always safe.
     most_ratio: float = 0.5
     # Least number of evaluations for each weight of a flow.
@@ -236,7 +238,7 @@ class _Seen:
     """The function that a fit minimizes; points are processed in blocks."""
 
     basis: list[Array]  # values of the splines of each axis at the points, (blocks, M, size)
-    rho: Array  # arrays ρ and w (blocks, size); each sum is 1
+    rho: Array  # weights ρ and w of the points, (blocks, size); the sum of each is 1
     weight: Array
     uniform: Array  # logarithms of the spline weights of the uniform density, (d, M)
     defensive: float
@@ -286,7 +288,10 @@ class _Seen:
         shape, before = (*start.shape, features.shape[1]), np.tri(len(start), k=-1, dtype=bool)
 
         def loss_of(followed: Array) -> tuple[Array, Callable[[Array], tuple[float, Array]]]:
-            """Return a mask of used coefficients, and the loss, for dependences of axes (d, d)."""
+            """Return a mask of the coefficients in use, and the loss.
+
+            The matrix (d, d) states for each axis on which other axes it depends.
+            """
             columns = np.insert(np.repeat(followed, DEGREE, axis=1), 0, True, axis=1)
             used = np.broadcast_to(columns[:, None], shape)
             seen = [features[:, c] for c in columns]

@@ -92,7 +92,7 @@ class MeasuredPlanSettings:
     # Least number of points in each set of the first stage.
     # With 8 points, parts of a set give variances at smaller counts, and therefore a rate.
     least: int = 8
-    # Least number of sets for a variance, same as in `profile`; for samplers with few stored sets.
+    # Least number of sets for a variance, as in `profile`. Samplers with few stored sets need it.
     least_sets: int = 3
     # The measurement stops if the ratio of the ends of the interval of n is below this value.
     narrow: float = 1.5
@@ -728,7 +728,7 @@ class _Ladder:
 
 
 def _crossing(x: Array, off: Array) -> float:
-    """Return the first x at which a piecewise linear curve (x, off) is at most 0, or infinity."""
+    """Return the first x at which the piecewise linear curve of `off` reaches 0, or infinity."""
     reached = np.flatnonzero(off <= 0.0)
     if not len(reached):
         return math.inf
@@ -761,7 +761,7 @@ def _count_from(estimator: AbstractEstimator, sampler: Sampler, n: float) -> flo
 
 
 def _measured_count_from(estimator: AbstractEstimator, sampler: Sampler, n: float) -> float:
-    """Apply `_count_from`; lattices take powers of two, as other counts vary in quality."""
+    """Apply `_count_from`. For lattices, take powers of two: other counts vary in quality."""
     leaf = leaf_of(estimator.law(sampler, sampler.nearest_count(1)))
     if not (isinstance(leaf, Fixed) and leaf.even):
         return _count_from(estimator, sampler, n)

@@ -218,7 +218,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
         for step, n in _affordable(setup, self.budget).items():
             try:
                 estimator = setup.at(n)
-            except McspectraError:  # Too few strata for the edges
+            except McspectraError:  # The edges need more strata
                 continue
             cost.append(n * setup.cost + setup.overhead)
             own = stream.child(step)
@@ -263,8 +263,8 @@ def remedies(
 ) -> xr.Dataset:
     """Try changes of an estimator and its sampler at equal cost, rank and explain the results.
 
-    All changes together evaluate a user's function 10 to 25 times budget · realizations times.
-    With a budget of 1,000 and the default realizations, these are about 20 million evaluations.
+    All changes together take 10 to 25 · budget · realizations evaluations of a user's function.
+    With a budget of 1,000 and the default realizations, this is about 20 million evaluations.
 
     Parameters
     ----------

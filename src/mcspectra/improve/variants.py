@@ -2,8 +2,8 @@
 
 See docs/theory.md, "Mirroring and smoothing". The bias of smoothing does not fall with n,
 so the width with the least mean squared error depends on n.
-The talk on [Singh2019]_ shows six convergence plots, with and without a shift of the samples:
-original, mirror-random and mirror-uniform.
+The talk on [Singh2019]_ shows six convergence plots of three variants:
+original, mirror-random and mirror-uniform, each with and without a shift of the samples.
 """
 
 from __future__ import annotations
@@ -87,8 +87,9 @@ def smoothing_scan(
         ``bias_squared(width)`` is the square of the change of the integral.
         Its interval ``bias_squared_ci`` is computed from the errors of the integrals.
         ``mse(width, n)`` with ``mse_ci`` is the mean squared error, bias² + variance.
-        ``best_width(n)`` is the width with the least mse. ``best_width_range(n, bound)`` is
-        the range of widths whose mse may be as small, as judged by the intervals.
+        ``best_width(n)`` is the width with the least mse.
+        ``best_width_range(n, bound)`` contains all widths whose mse may be as small:
+        their intervals do not exclude it.
         Several channels add a dim channel; the best width minimizes the sum over channels.
 
     Raises
@@ -127,7 +128,7 @@ def smoothing_scan(
 
     # Compute the bias ∫ f_δ − ∫ f, (W[, channels]).
     # The errors of the two integrals give an interval of the squared bias
-    kept = [g is f or isinstance(g, BoxSmoothed) for g in functions]  # Boxes keep ∫f
+    kept = [g is f or isinstance(g, BoxSmoothed) for g in functions]  # Means over boxes keep ∫f
     pairs = list(zip(functions, kept, strict=True))
     accuracy = [0.0 if k else integral_accuracy(f)[1] + integral_accuracy(g)[1] for g, k in pairs]
     none = np.zeros(f.channels or ())
@@ -192,8 +193,8 @@ def mirror_study(
     ----------
     estimator, sampler, counts
         Same as in `mcspectra.convergence`. The sampler must not end with a shift.
-        The number n counts evaluations of the integrand,
-        so that variances at one n are at equal cost.
+        The number n counts evaluations of the integrand. Therefore all variances at the same n
+        have the same cost.
     dims
         Number of dims; needed if the estimator is a function or a spec without dims.
         The default is the sampler's number of dims, unless the sampler is given as a spec.

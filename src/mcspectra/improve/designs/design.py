@@ -138,11 +138,13 @@ def design(
     Parameters
     ----------
     kind
-        Kind of the result. ``"lattice"``: generating vectors, all in 2-D, else built axis by axis.
+        Kind of the result, which says what the search chooses.
+        ``"lattice"``: the generating vector. In 2-D all vectors are tried;
+        in more dims the vector is built axis by axis.
         ``"polynomial-lattice"`` and ``"digital-net"``: generator matrices.
-        ``"owen"``: 64 flipped trees of Sobol' points with the same t.
+        ``"owen"``: 64 Owen scramblings of Sobol' points, which keep the quality parameter t.
         ``"strata"``: the shape of strata, and combinations of points of different strata.
-        ``"points"``: sets that divide a grid among them, or one set on the torus by gradient.
+        ``"points"``: sets that share the cells of a grid, or one set by gradients on the torus.
         ``"density"``: an importance density, see `learned_density`.
     objective
         The integrand of a density, or the class of integrands of a sampler. A class is one of:
@@ -167,8 +169,8 @@ def design(
     path
         File for the sampler or the density, with the suffix .json.
         Point sets are stored in a .npz file of the same name. The default is the cache folder.
-        The file names its sets relative to its own folder; the spec of the result has the path
-        relative to the current folder.
+        In the .json file, the path of the sets is relative to the folder of this file.
+        In the spec of the result, the path is relative to the current folder.
     family, sampler, budget, defensive
         Options of a density, passed to `learned_density`: `kind` (default ``"mixture"``),
         `sampler` (default ``"sobol | owen"``), `evaluations` and `defensive`.
@@ -440,7 +442,7 @@ def _better_rival(goal: Objective, made: Sampler, n: int, stream: Stream) -> tup
     members = _SETTINGS.check_evaluations // (n * realizations)
     members = min(_SETTINGS.check_members, max(_SETTINGS.groups, members))
     with warnings.catch_warnings():
-        # Rivals without balance in their points have large variances
+        # Ignore warnings about unbalanced point sets: such rivals have large variances
         warnings.simplefilter("ignore", NotPowerOfTwoWarning)
         rivals = [rival for rival in _rivals(None, goal.dims, n) if rival.unbiased]
         sums = _sums_of_groups(goal, [made, *rivals], n, members, realizations, stream)

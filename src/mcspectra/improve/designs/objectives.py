@@ -51,8 +51,8 @@ class ObjectiveSettings:
     # Each wave gives two functions, a cosine and a sine.
     most_waves: int = 1024
     # Number of members and number of points of the test for constant members.
-    # A class is refused by mistake if its members vary only in a region
-    # with less than about 1/8192 of the volume.
+    # A class is refused by mistake if its members vary only in a small region,
+    # with a volume of less than about 1/8192.
     probe_members: int = 16
     probe_points: int = 2**13
     # Default and largest half width h of a spectrum or a covariance given as a function.
@@ -99,7 +99,7 @@ class Objective:
 def as_objective(given: object, dims: int | None = None) -> Objective:
     """Read an objective; see `design`.
 
-    The default number of dims is that of the integrands, or 2 if they have none.
+    By default, the integrands determine the number of dims; it is 2 if they allow any number.
 
     Raises
     ------
@@ -160,7 +160,8 @@ def _read(given: Any, dims: int | None) -> Objective:
                 found = given(rng)
             except McspectraError:
                 raise
-            # If the user gives a function of points instead, it fails with one of these errors
+            # The argument of a user's function is a random generator.
+            # A function that expects points instead raises one of these errors
             except (AttributeError, TypeError, ValueError) as error:
                 raise ParameterError(
                     f"{name} raised {type(error).__name__} of a generator: {error}; give a "

@@ -145,8 +145,9 @@ class SearchSettings:
     # (tests/improve/test_design.py).
     cosets: bool = True
     # Number of shapes of strata that are compared, starting with the most even shapes;
-    # and number of realizations in each comparison. A variance of 32 realizations has
-    # a relative error of √(2/31) = 25 %. Good and bad shapes differ by more than 25 %.
+    # and number of realizations in each comparison.
+    # A variance of 32 realizations has a relative error of √(2/31) = 25 %.
+    # Good and bad shapes differ by more than 25 %.
     shapes: int = 12
     shape_realizations: int = 32
 
@@ -154,7 +155,7 @@ class SearchSettings:
 
     # Number of points in the table from which the spectrum is estimated.
     # With more points, each gradient takes more time. For designs of kind ``points`` at n = 5000,
-    # the ratio is 0.20 for half, 0.082 for once, and 0.078 for twice as many points.
+    # the ratio is 0.20 with half of this number, 0.082 with it, and 0.078 with twice this number.
     torus_frequencies: int = 2**14
 
 
@@ -342,7 +343,8 @@ def _tables(
     members = min(settings.members, settings.table_values >> dims * bits)
     values = objective.functions(members, stream.generator(0))
     for fold in (False, True):
-        # Compute E|f_m|² for Walsh functions of the bits of all axes, (2^(d bits),); 0 at m = 0
+        # Compute E|f_m|² for Walsh functions of the bits of all axes, (2^(d bits),).
+        # The value at m = 0 is 0
         x = grid((np.arange(1 << bits) + 0.5) / (1 << bits), dims)
         table, power = evaluated(values, folded(x) if fold else x, settings.block), np.zeros(len(x))
         for start in range(0, len(table), 16):
@@ -380,7 +382,10 @@ def _nets(
     sobol = (_sobol_directions()[:dims, :m] >> np.uint32(32 - rows)).astype(np.int64)
 
     def code(columns: Array) -> Array:
-        """Return columns int64 (d, m) of `rows` digits as leading bits of the code of all axes."""
+        """Return a code for each column, from columns int64 (d, m) of `rows` digits.
+
+        The code contains the leading bits of the column on all axes.
+        """
         top = columns >> rows - bits
         return np.asarray(sum(top[j] << (dims - 1 - j) * bits for j in range(dims)))
 
