@@ -88,8 +88,7 @@ def smoothing_scan(
         Its interval ``bias_squared_ci`` is computed from the errors of the integrals.
         ``mse(width, n)`` with ``mse_ci`` is the mean squared error, bias² + variance.
         ``best_width(n)`` is the width with the least mse.
-        ``best_width_range(n, bound)`` contains all widths whose mse may be as small:
-        their intervals do not exclude it.
+        ``best_width_range(n, bound)`` is the range of widths that may be best within the intervals.
         Several channels add a dim channel; the best width minimizes the sum over channels.
 
     Raises

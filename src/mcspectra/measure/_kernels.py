@@ -67,7 +67,7 @@ def band_estimates(
 
 @kernel
 def accumulate(s: Array, mean: Array, estimate: Array, squares: Array, cov: Array) -> None:
-    """Add second moments of a block about its own means, for every real number in the same way.
+    """Add second moments of a block about its own means. All real numbers are treated alike.
 
     The inputs are s (R, J), mean (J,), and estimate (R, C) without its mean.
     Σ_r (S − S̄)² is added to squares (J,), and Σ_r (S − S̄)(I − Ī) to cov (C, J).

@@ -328,7 +328,7 @@ class AnovaSpectrum(Analysis, frozen=True, kw_only=True):
     ] = 64
 
     def need(self, subject: Subject) -> Need:
-        """Check exact coefficients, uniform points and uncorrelated frequencies."""
+        """Check that coefficients are exact, points uniform and frequencies uncorrelated."""
         estimator, sampler = subject.estimator, subject.sampler
         estimator.check_sampler(sampler, self.n)
         plain = isinstance(estimator, Estimator) and estimator.density is None
@@ -539,8 +539,8 @@ def anova_spectrum(
     Returns
     -------
     xarray.Dataset
-        ``anova_variance`` c_u and ``anova_variance_se`` on dim subset, as in `anova_variances`.
-        The error is the standard error of the mean of 16 independent batches.
+        ``anova_variance(subset)`` is c_u, and ``anova_variance_se(subset)`` is its standard error.
+        This error comes from the mean of 16 independent batches.
         Each batch has its own frequencies and sets.
         The attribute ``power`` reports whether ⟨|S_m|²⟩ is exact.
 

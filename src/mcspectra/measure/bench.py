@@ -102,7 +102,7 @@ class BenchSettings:
 _SETTINGS = BenchSettings()
 _LEVEL = 0.95  # Level of the simultaneous intervals of ranks
 
-# Genz's difficulty of each family, which is the sum of a_i over the dims
+# Genz's difficulty of each family: the sum of its coefficients a_i over the dims
 _GENZ = {
     "oscillatory": 9.0,
     "product-peak": 7.25,
@@ -115,7 +115,7 @@ _KINDS = {"continuous": "kink", "discontinuous": "jump"}
 
 
 class Task(NamedTuple):
-    """A standard integrand: its difficulty (``smooth``, ``kink``, ``jump``), spec and dims."""
+    """A standard integrand: its kind (``smooth``, ``kink`` or ``jump``), spec and dims."""
 
     kind: str
     spec: str
@@ -162,22 +162,22 @@ def sampler_bench(
     Returns
     -------
     xarray.Dataset
-        On the dims (sampler, integrand, n): ``mean``, ``variance``, ``variance_ci``.
-        ``points_made`` is the allowed count of the sampler that was used for n.
+        ``mean``, ``variance`` and ``variance_ci`` have the dims (sampler, integrand, n).
+        ``points_made`` is the number of points that the sampler used for n: an allowed count.
 
-        On (sampler, integrand): ``rate``, ``rate_ci`` and ``rank``.
+        ``rate``, ``rate_ci`` and ``rank`` have the dims (sampler, integrand).
         Samplers are ranked by n · variance at the largest n.
         ``rank_ci`` holds simultaneous 95 % intervals of all ranks.
 
-        On (sampler, n): the figures of quality, and ``points_per_second``.
+        The figures of quality and ``points_per_second`` have the dims (sampler, n).
         ``points_per_second`` is the speed of one thread. It is NaN for points that are read.
 
-        Spectra in 1 to 3 dims are on (sampler, m0, …) and (sampler, radius).
-        The spectra are ``power``, ``radial_power`` and ``anisotropy_db``.
+        Spectra are computed in 1 to 3 dims. ``power`` has the dims (sampler, m0, …).
+        ``radial_power`` and ``anisotropy_db`` have the dims (sampler, radius).
 
-        On (sampler, r): ``pair_correlation`` and ``pair_correlation_ci``.
+        ``pair_correlation`` and ``pair_correlation_ci`` have the dims (sampler, r).
 
-        On (sampler, point, axis): ``points``, one set in the sampler's largest number of dims.
+        ``points`` (sampler, point, axis) is one set in the sampler's largest number of dims.
         ``pictured_n`` is the number of points of the spectra and pair correlations.
         ``spectrum_sets``, ``pair_sets`` and ``quality_sets`` are the numbers of averaged sets.
 

@@ -39,7 +39,7 @@ class BlindnessSettings:
     # Share of one square in Σ (estimate − mean)² above which the tail is not resolved.
     # For 1,000 exponential numbers, the median share of the largest square is 4 %.
     # This share exceeds 17 % in one of a thousand samples.
-    # For normal numbers, both shares are 1.2 % and 2.4 %.
+    # For normal numbers, these two shares are 1.2 % and 2.4 %.
     large_share: float = 0.2
     # Probability that the largest square of a few normal estimates exceeds its limit.
     # Fewer estimates have a larger limit for this square.

@@ -70,7 +70,8 @@ class ChainSettings:
     # The values were tested on 200 sets of 4 chains of 1,000 normal draws + 5 exp(−t/100).
     # A burn-in is reported for 153 sets (the other 47 are stuck, without an end of the burn-in).
     # Of the 95 % intervals, 93 % contain the mean.
-    # With settled 0.3 and margin 1.5, 76 % are reported and 93 % of intervals contain the mean.
+    # With settled 0.3 and margin 1.5, a burn-in is reported for 76 % of the sets,
+    # and 93 % of the intervals contain the mean.
     # With settled 0.1 and margin 1.5, these fractions are 90 % and 89 %.
     settled: float = 0.2
     margin: float = 2.0
@@ -307,7 +308,7 @@ class _ChainFit:
     spectrum: Array  # spectral density S at the frequencies
     error: Array  # parts of the variance at the frequencies
     power: Array  # periodogram at the frequencies
-    frequency: Array  # j / length cycles per draw, from 0 to ½
+    frequency: Array  # frequencies j / length in cycles per draw, from 0 to ½
 
 
 def _fitted(z: Array) -> _ChainFit:
@@ -350,7 +351,7 @@ def _fitted(z: Array) -> _ChainFit:
         variance = float(error.sum())
 
     # Compute the error of log S(0) by the delta method.
-    # The covariance of the coefficients contains Γ⁻¹.
+    # The covariance of the coefficients contains the inverse of the autocovariance matrix.
     # AIC chooses up to two unnecessary orders.
     # The error therefore includes one more coefficient, even if this coefficient is 0
     order = len(chosen) + 1
@@ -407,7 +408,7 @@ def _burn_in(z: Array, settings: ChainSettings) -> int:
     fit = _fitted(last)
 
     def chance(start: int, stop: int, first: int = half) -> float:
-        """Return the probability that two parts of stationary draws differ as much."""
+        """Return the probability that two parts of stationary draws differ at least as much."""
         spread = fit.at_zero * (1.0 / (stop - start) + 1.0 / (n - first)) / chains
         away = float(mean[start:stop].mean() - mean[first:].mean())
         return float(f.sf(away**2 / spread, 1, fit.degrees))

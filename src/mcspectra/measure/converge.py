@@ -402,7 +402,7 @@ def convergence(
         With `relative_error` it is the largest number.
     rng
         Seed (SPEC 7). Each n has its own stream of random numbers.
-        All estimators and samplers share it (common random numbers).
+        All estimators and samplers share this stream (common random numbers).
     relative_error
         Relative standard error of the variance at which the search for each count stops.
         By default all realizations are used. See also `realizations_needed`.
@@ -418,7 +418,8 @@ def convergence(
     Returns
     -------
     xarray.Dataset
-        ``variance(n)``, ``variance_ci(n, bound)``, ``mean(n)`` and ``mean_se(n)``.
+        ``variance(n)`` has the interval ``variance_ci(n, bound)``.
+        ``mean(n)`` has the standard error ``mean_se(n)``.
 
         ``bias(n)`` and ``mse(n)`` refer to the estimator's integral.
         The attribute ``integral_source`` names its source.
@@ -427,7 +428,7 @@ def convergence(
         and ``mse`` is the variance.
 
         ``realizations_used(n)`` is the number of realizations.
-        With `relative_error`, ``reached(n)`` is 1 if the error was reached.
+        With `relative_error`, ``reached(n)`` is 1 if this error was reached.
         ``reached`` is 0 if `realizations` was reached first, or there was no spread.
 
         ``rate`` has the interval ``rate_ci(bound)``.

@@ -13,8 +13,8 @@ With the profile of f, θ is known. All points then form one net or lattice.
 Its R runs of n points are nets or lattices themselves, and take the place of replicates.
 The value has the error of the largest possible set, because the errors of the runs cancel.
 The interval of independent replicates is therefore too wide, by the factor R^{(θ−1)/2}.
-For nets it is divided by the root of this factor.
-For lattices it is not changed, because their rates vary with n.
+For nets, the interval is divided by the root of this factor.
+For lattices, the interval is not changed, because the rates of lattices vary with n.
 
 The interval is the smallest that contains Student's t interval and Hall's transform of it.
 Intervals of `mean_interval` were tested with 300 seeds at 256 calls.
@@ -22,13 +22,13 @@ They contain the integral of x^−½ in 88 % of cases, and Student's t alone in 
 For the integral of e^(x + y), both kinds contain it in 97 % and 96 % of cases.
 
 If f grows without bound toward a face of the cube, the errors of strata follow another law.
-The quantiles of this law replace those of Student's t if the interval is then wider
+The quantiles of this law are used if they make the interval wider than Student's t
 (`estimators/tails.py`).
 
 Both intervals are accurate for a large number R of replicates, and R is at least eight.
 Replicates may all miss an event whose probability in one replicate is below 1/R.
 An interval from replicates that missed an event is too short [Owen2025]_.
-An example of an event is a point between a cell border of a net and a jump next to it.
+A rare event is, for example, a point between a cell border of a net and a nearby jump of f.
 Intervals that hold for any bounded function would need n = Θ(N^{1/(θ+1)}) [Jain2026]_.
 Such intervals would spend most of the budget on replicates.
 The integral of a smooth function would then have ten times the error.
@@ -209,7 +209,7 @@ def integrate(
 
         ``calls`` is the number of calls, and ``skipped`` the number of failed calls.
         There are ``replicates`` replicates of ``n`` points each.
-        ``rate`` is the rate of the variance that divides the budget, NaN if not measured.
+        ``rate`` is the rate of the variance by which the budget is divided, NaN if not measured.
 
         The interval is infinite in three cases, and the attribute ``note`` gives the reason.
         All replicates may be equal, or a few values may hold most of the variance.
@@ -390,7 +390,7 @@ def _sampled(
             first = known.values[:few]
         else:
             first = calls(source.draw_stream(pilot, stream, 0, few))
-        # Fit θ of a variance ∝ n^-θ. Use the largest value if a prefix has no variance
+        # Fit θ of a variance ∝ n^-θ. If a prefix has no variance, use the largest θ
         prefixes = first.shape[1] >> np.arange(_SETTINGS.levels)
         known_first = _filled(first)
         means = np.stack([known_first[:, :n].mean(axis=1) for n in prefixes])
@@ -456,7 +456,7 @@ def _in_one_set(calls: Calls, setup: Setup, stream: Stream, best: Any) -> _Repli
         counts = (least << k for k in range((count // least).bit_length() - 1))
         counts = (r for r in counts if r <= _SETTINGS.most_runs)
         widths = {r: student_t(r) * r ** (0.25 * (surely - 1.0)) for r in counts}
-    # Independent sets use more of the budget, if it is no power of two
+    # If the budget is not a power of two, independent sets use more of it
     if not (lattice or net) or count**rate <= calls.budget * least ** (rate - 1.0):
         return None
     replicates = min(widths, key=lambda r: widths[r])
@@ -573,8 +573,7 @@ def _with_profile(
     low, high = profile.interval
     twice = 2.0 * low - profile.integral, 2.0 * high - profile.integral
     if found.alike and twice[0] <= value <= twice[1] and high - low < math.inf:
-        # f varied in the profile. At the points of the recommended sampler, f is constant
-        # except for rounding.
+        # f varied in the profile, but is constant at the points of the recommended sampler.
         # The value is within about four standard errors (two half widths) of the profile's mean
         away = math.sqrt(float(rounding_floor(np.array(value))))
         error, note = tied_error(found.values), "all replicates are equal to rounding"

@@ -372,10 +372,11 @@ class _Coordinates:
 
     # Indices of the band's coefficients among the stored coefficients of all techniques, (P,)
     place: Array
-    factor: Array  # y = factor · S, with conj(f_m) or 1, times `scale`: (P,)
+    # Factors (P,) that turn S into y: `scale`, and also conj(f_m) if coefficients are weighted
+    factor: Array
     scale: Array  # Factor √2 for a coefficient that also stands for −m, else 1: (P,)
     # Indices of the coefficients with an imaginary part, (Q,).
-    # In a complex basis these are all coefficients but the constants
+    # In a complex basis these are all coefficients except those of the constants
     complex: Array
     direction: Array  # Vector whose scalar product with z is the band's part of the estimate: (D,)
 
@@ -423,7 +424,7 @@ class CovarianceProduct:
     mean: Array
     along: Array
     product: Array  # the sum of products, (D, k)
-    squares: Array  # Σ (z − z̄)², (D,): the diagonal
+    squares: Array  # the sum of squares Σ (z − z̄)², (D,)
     # Degrees of freedom of the batches, (B,), and matrices Vᵀ A_b V of the batches, (B, k, k)
     degrees: Array
     projected: Array

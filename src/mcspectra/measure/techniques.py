@@ -170,7 +170,7 @@ class Techniques(Counted, frozen=True, kw_only=True):
             for name, (dims, _) in parts[0].items()
         }
         notes: dict[str, Any] = {} if self._several else {"n": counts[0]}
-        if is_fixed(estimator, subject.sampler):  # Nonzero variances are rounding noise
+        if is_fixed(estimator, subject.sampler):  # Variances above 0 are rounding noise
             notes["note"] = f"{subject.sampler.spec} {NO_VARIANCE}"
             variables = {
                 name: (dims, v if name.startswith(("mean", "captured")) else np.zeros_like(v))
@@ -237,7 +237,7 @@ def technique_terms(
     estimator, sampler
         A `MultipleImportance`, a `TechniqueSum` or any other estimator, and its sampler.
     counts
-        Number n. Each technique takes n times its number in ``counts`` of the estimator.
+        A number n: each technique takes n points times its number in ``counts`` of the estimator.
         A list of ascending numbers adds the dim n, rates and the bottleneck.
     dims, half_width, basis, engine, eps, workers
         Same as in `variance_terms`.
@@ -259,7 +259,7 @@ def technique_terms(
     Returns
     -------
     xarray.Dataset
-        On technique and technique_other there are ``technique_covariance`` and its terms.
+        ``technique_covariance`` and its terms have the dims technique and technique_other.
         ``technique_covariance`` is the covariance of two techniques' parts of the estimate.
         The sum of the covariances is ``measured_variance``.
         ``technique_dc_term``, ``technique_power_term`` and ``technique_cross_term`` are the terms.
@@ -272,7 +272,7 @@ def technique_terms(
         The dc and power terms are then sums over the diagonal, and the cross term is the rest.
         ``captured`` has the interval ``captured_ci``.
 
-        On technique: ``technique_variance`` with ``_ci`` is the diagonal of the covariances.
+        ``technique_variance(technique)`` with ``_ci`` is the diagonal of the covariances.
 
         With a list of n: ``technique_rate`` and ``rate`` have intervals ``_ci``.
         ``bottleneck`` is the technique whose rate is significantly slower than all other rates:

@@ -158,7 +158,7 @@ class Terms(Counted, frozen=True, kw_only=True):
                 own["measured_variance_ci"][1][blind, 1] = np.inf
                 captured = own["captured_ci"][1]
                 captured[blind, 0] = np.minimum(captured[blind, 0], 0.0)
-                if is_fixed(estimator, sampler):  # Nonzero variances are rounding noise
+                if is_fixed(estimator, sampler):  # Variances above 0 are rounding noise
                     known = ("mean", "energy_share", "captured")
                     own = {
                         name: (dims, v if name.startswith(known) else np.zeros_like(v))
@@ -287,7 +287,7 @@ def variance_terms(
         The basis is ``"fourier"``, ``"cosine"``, ``"walsh"`` or ``"haar"``
         (`mcspectra.spectra.bases`).
         ``"auto"`` is the basis that fits the sampler's randomization.
-        The attribute ``basis`` reports it. A list of samplers needs a basis that fits all of them.
+        The attribute ``basis`` names the basis. It must fit all samplers of a list.
     space
         ``"domain"`` uses f with the warped, weighted points (the paper's view).
         ``"primary"`` uses g(u) with the sampler's own points.
@@ -328,7 +328,7 @@ def variance_terms(
         Standard errors ``_se`` come from batch means and need at least 4 realizations.
         The three terms, ``contribution``, ``band_covariance`` and both matrices have them.
         The attribute ``batches`` is the number of batches.
-        95 % intervals use Student's t with one degree of freedom less.
+        95 % intervals use Student's t. Its degrees of freedom are the number of batches minus one.
         The interval of ``captured`` is logarithmic.
         Few batches that hold most of the error widen the interval of ``captured``.
 
@@ -372,7 +372,7 @@ def _variables(total: TermSums, view: View, partition: Partition) -> Variables:
     """Return all variables with a channel axis first. Errors are NaN for fewer than two blocks."""
     sums, measured, basis = total.sums, total.measured, view.basis
     batches = total.all_batches(partition)
-    assert batches is not None  # The first block of realizations has at least two
+    assert batches is not None  # The first block has at least two realizations
     f, degrees = partition.coefficients, sums.count - 1
     shape = (len(f), len(view.transforms), basis.stored)
     maps, pairs = ("channel", "technique", *basis.names), ("channel", "band", "band_other")

@@ -135,7 +135,7 @@ class Frequencies:
         return self.space == "domain" and self.estimator.infinite_weights
 
     def view(self, n: int, asked: Any, *, apart: bool = False) -> View:
-        """Prepare transforms of n points and coefficients of f, with `apart` by technique.
+        """Prepare transforms of n points and coefficients of f; `apart` separates the techniques.
 
         In primary space, techniques are always separate.
         """
@@ -208,7 +208,7 @@ class View:
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
 
     def energy(self, n: int) -> tuple[Array, Array]:
-        """Return the part of ∫f² in the basis functions, and the random variance of the rest.
+        """Return the part of ∫f² in the basis functions, and the rest's variance for random points.
 
         Both results are (channels or 1,), and NaN if ∫f² is not known.
         The power of random points is (1/n) times the mean square of the weights.
