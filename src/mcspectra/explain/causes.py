@@ -82,9 +82,10 @@ Name: TypeAlias = Literal[
 class CauseSettings:
     """Fractions of a budget of evaluations, and thresholds above which causes are reported.
 
-    "Values from a to b give the same results" refers to ``python -m benchmarks settings``:
-    with the values a and b, profiles find the right first cause in all 152 test cases,
-    as they do with the setting itself. A cause is "wrong" if it is not the right first cause.
+    "Values from a to b give the same results" refers to ``python -m benchmarks settings``.
+    With the setting itself, profiles find the right first cause in all 152 test cases;
+    with the values a and b they find it as well.
+    A cause is "wrong" if it is not the right first cause.
     """
 
     # Least number of scrambled nets.
@@ -237,8 +238,8 @@ class CauseSettings:
     # Values from 0.25 to 1 for the second limit give the same results.
     dominant: float = 0.8
     largest_part: float = 0.5
-    # With 95 % confidence, a technique has a slower rate if the rates differ by this number
-    # of standard errors.
+    # A technique has a slower rate if the rates differ by this number of standard errors.
+    # Two standard errors give a confidence of 95 %.
     slower: float = 2.0
     # Settings of lines, of the search for poles, and of curves of variance
     lines: LineSettings = LINE_SETTINGS

@@ -17,8 +17,8 @@ The climb ends early if the function is bounded.
 A function that grows as r^−a toward a set of codimension k leads the climb to that set.
 On rays from the top, the differences g(r) − g(4r) are ∝ r^−a.
 These differences determine a, whatever constant is added to g.
-|g|^(−2/a) is a quadratic form of the distance, and its rank is k.
-Each face that contains the top contributes one to the rank.
+|g|^(−2/a) is a quadratic form of the distance, and its rank is the codimension k.
+Each face that contains the top adds one to this rank.
 
 The volume in which |g| > λ is ∝ λ^(−k/a). Therefore ∫g² is infinite for a/k ≥ ½,
 and the integral does not exist for a/k ≥ 1.
@@ -114,11 +114,11 @@ class LineSettings:
     # With 1.3 logarithmic growth is missed, and six of 152 causes are wrong.
     goes_on: float = 0.65
     # Largest distance of the parallel line that tests whether a jump is normal to the axis.
-    # On it, an edge with a slope of 1 is moved by at least 0.0025,
-    # which is a hundred times the last step of the halvings.
+    # If the edge has a slope of 1, its place on the parallel line differs by at least 0.0025.
+    # This is a hundred times the last step of the halvings.
     # Values from 0.0025 to 0.01 give the same results.
     aside: float = 0.005
-    # Number of groups of axes; a displacement moves the roughest place along one group.
+    # Number of groups of axes. A displacement of a chord is along the axes of one group.
     # A chord is moved off an edge that is normal to an axis only if the group contains this axis.
     # An edge that is oblique to two axes seems normal to an axis with probability 1/3.
     # With more axes this probability is smaller.
@@ -157,8 +157,9 @@ class PoleSettings:
     The counts of wrong cases come from ``python -m benchmarks settings``.
     """
 
-    # Maximum number of halvings of the step of a climb. The first step is the distance between
-    # neighboring points. After all halvings, the largest of the `radii` is 1/16 of the first step.
+    # Maximum number of halvings of the step of a climb.
+    # The first step is the distance between neighboring points.
+    # After all halvings, the largest of the `radii` is 1/16 of the first step.
     # With 8 halvings 30 of 152 causes and 10 of 18 poles are wrong.
     # Values from 16 to 32 give the same results.
     halvings: int = 16

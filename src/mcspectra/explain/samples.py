@@ -76,8 +76,8 @@ class CurveSettings:
     # Candidate standard deviations of the drift of the rate in an octave, weighted by likelihood.
     # The value 0.05 is for straight curves.
     # With the value 0.4, a rate changes by 1 to 3 in a few octaves, the usual range.
-    # With half of all values, intervals contain the true rate in 94 % of cases;
-    # with double values, or with the value 0.2 alone, intervals contain it in 92 % of cases.
+    # If all values are halved, intervals contain the true rate in 94 % of cases.
+    # If all values are doubled, or with 0.2 alone, intervals contain it in 92 % of cases.
     drifts: tuple[float, ...] = (0.05, 0.1, 0.2, 0.4)
     # If a rate is not known, −1 is used with this standard error.
     # Rates from −2 to 0 are within two standard errors.

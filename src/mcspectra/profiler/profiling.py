@@ -4,8 +4,8 @@ The number of evaluations of the function is at most the given budget.
 
 Most of the budget goes to scrambled nets (`samples`).
 These nets give the variances of several samplers at once.
-A fifth goes to lines that detect discontinuities and kinks (`probing`).
-If the nets do not give the variance of the given sampler, a part goes to this sampler.
+A fifth of the budget goes to lines that detect discontinuities and kinks (`probing`).
+If the nets do not give the variance of the given sampler, a part is spent on this sampler.
 `causes` finds the causes in these evaluations.
 The rest of the budget is used to measure changes that remove the causes, and one more sampler.
 This sampler is a lattice, or antithetic pairs in strata for smooth functions of one dim.
@@ -112,8 +112,8 @@ class ProfileSettings:
     teeth_error: float = 0.5
     # The level of such a sawtooth is the mean over this number of its last counts.
     # About this level, the log variance has the standard deviation `teeth_scatter`.
-    # If a uniform share p of the stratum is on one side of the jump, the variance is ∝ p(1 − p),
-    # and its logarithm has the standard deviation √(4 − π²/3) = 0.84.
+    # If a share p of the stratum is on one side of the jump, the variance is ∝ p(1 − p).
+    # For a uniform p, its logarithm has the standard deviation √(4 − π²/3) = 0.84.
     teeth: int = 4
     teeth_scatter: float = 0.84
     # Standard error of the prior assumption that a change of the estimator keeps the rate.
@@ -130,7 +130,7 @@ class ProfileSettings:
     # The RMSE after one of the changes differed by a factor of up to 1.9 between these values.
     few_points: int = 16
     steepest_rate: float = -2.0
-    # Number of errors by which the log variance of a change at the budget must be lower,
+    # Number of standard errors by which a change must lower the log variance at the budget,
     # if g grows at the border or has a heavy tail.
     # This was tested in 112 profiles with 4096 evaluations each:
     # there were seven such functions, two samplers and eight seeds.
@@ -233,9 +233,9 @@ class Profile:
         Number of evaluations of f, and the number that the user allowed.
     variance, rate, rate_ci
         Variance of an estimate of `budget` evaluations with the given sampler, and its slope.
-        If the given sampler could not be measured, variance and rate are those of nets.
+        If the given sampler could not be measured, nets give the variance and the rate.
     points
-        Number of points of an estimate at the budget: `budget` over the evaluations of a point.
+        Number of points of an estimate that takes `budget` evaluations.
     reference
         The sampler with which `best` is compared. Usually this is the given sampler.
         It is random points if the given sampler always draws the same set or was not measured.
@@ -305,7 +305,7 @@ class Profile:
         return "\n".join(found)
 
     def _rows(self) -> list[tuple[str, str, str]]:
-        # The RMSE of a rival is extrapolated, so only its upper end is reliable
+        # The RMSE of a rival is extrapolated, so only the upper end of its interval is reliable
         results = {result.name: result for result in self.answer.results}
         ends = {name: results[name].rmse_ci for name in _RIVALS & {*results} & {*self.samplers}}
         limits = {name: high for name, (low, high) in ends.items() if low == 0.0 < high}
