@@ -50,9 +50,9 @@ class AlignmentSettings:
     most_offsets: int = 4096
     # Default number of offsets along each axis in 1, 2 and more dims.
     # A scan has 16 offsets in 1-D, 64 in 2-D and 4^d in d dims.
-    # With half or twice as many offsets, the variance changes by at most 0.1 %,
-    # unless the edge can be aligned almost exactly.
-    # This was measured for disks and steps in 1-D and 2-D.
+    # With half or twice as many offsets, the variance changes by at most 0.1 %.
+    # The change is larger only if the edge can be aligned almost exactly.
+    # The numbers of offsets were tested for disks and steps in 1-D and 2-D.
     usual_offsets: tuple[int, int, int] = (16, 8, 4)
     # Rounding error of an exact variance, as a fraction of I²/n.
     # An exact variance is a difference of two sums: means of g², and squared means of g.
@@ -64,8 +64,8 @@ class AlignmentSettings:
     exact_se: float = 1e-6
     # Number of times that the pattern search halves its step.
     # The last step is 1/256 of the spacing of the scan.
-    # For 11 points and disks in 1-D, 16 halvings lower the variance by 0.02 %,
-    # and 4 halvings raise the variance by 0.3 %.
+    # For 11 points and disks in 1-D, 16 halvings lower the variance by 0.02 %.
+    # For the same points and disks, 4 halvings raise the variance by 0.3 %.
     halvings: int = 8
 
 
@@ -103,8 +103,8 @@ def strata_shift_scan(
     method
         ``"exact"`` computes exact variances (`mcspectra.exact_variance`);
         ``"measured"`` measures variances with the same random numbers for all offsets.
-        ``"auto"`` computes exact variances if they are known and f is not a user's function,
-        because exact variances need many calls of f. The attribute ``method`` names the choice.
+        ``"auto"`` computes exact variances if they are known and f is not a user's function.
+        Exact variances need many calls of f. The attribute ``method`` names the choice.
     realizations, rng, workers
         Options of measured variances; see `mcspectra.convergence`.
 
@@ -225,8 +225,8 @@ def best_alignment(
         ``variance_ratio`` is the ratio of the measured variance to that of the first candidate.
         ``improvement`` depends on the interval ``variance_ratio_ci``:
         1 if the interval is below 1, −1 if the interval is above 1, and 0 otherwise.
-        The attribute ``best`` names the candidate with the least predicted variance,
-        or with the least measured variance if a candidate has no prediction.
+        The attribute ``best`` names the candidate with the least predicted variance.
+        If a candidate has no prediction, ``best`` names the least measured variance.
         The attribute ``improved`` is yes, no or undecided for the best candidate.
 
     Raises
@@ -337,8 +337,8 @@ def aligned(
     estimator
         An estimator without a density, or an integrand.
     edges
-        Positions of the edges, as in the density ``aligned-strata``:
-        one list in 1-D, else one list for each dim.
+        Positions of the edges, as one list in 1-D, else one list for each dim.
+        The density ``aligned-strata`` has the same argument.
     n
         Number of points that the estimator will use; a power s^d of an integer s.
 

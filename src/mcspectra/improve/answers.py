@@ -1,7 +1,7 @@
 """The answer to "what should I use?": candidates, results of candidates, and advice.
 
-A *candidate* is a changed estimator or sampler. Its *result* is a comparison with
-the given set-up: both errors at a budget of evaluations.
+A *candidate* is a changed estimator or sampler.
+Its *result* compares both errors, of candidate and given set-up, at a budget of evaluations.
 An *answer* names the best candidate.
 If no candidate is significantly better, the answer names the given set-up.
 `mcspectra.profile`, `mcspectra.remedies`, and studies of pixels and paths print an `Answer`.

@@ -46,12 +46,12 @@ class AssessSettings:
     """Settings of the comparison of candidates."""
 
     # Weight of the prior that estimates are normal (Var(ψ) = 2), as a number of realizations.
-    # The prior is used in fits of rates, not in comparisons. With 100 normal realizations
-    # the prior reduces the scatter of standard errors from 12 to 10 %.
+    # The prior is used in fits of rates, not in comparisons.
+    # With 100 normal realizations, it reduces the scatter of standard errors from 12 to 10 %.
     # For any weight from 0 to 40, intervals contain the truth in 93 to 95 % of cases.
     prior: int = 20
-    # Equal estimates count as exact if they differ from the given mean
-    # by at most this number of standard errors.
+    # Largest allowed deviation of equal estimates from the given mean, in standard errors.
+    # With a smaller deviation, equal estimates count as exact.
     # A normal mean is beyond 4 standard errors with probability 6e-5.
     sigmas: float = 4.0
 
@@ -89,8 +89,8 @@ class Errors:
         Errors are relative to the integral if `biased`, else to the mean of the estimates.
         `tolerance` is the relative tolerance of the integral.
         """
-        # Compute mean squared errors about the integral or the mean,
-        # and the influence of each realization on its error, (R,)
+        # Compute mean squared errors about the integral or the mean, (N,).
+        # Also compute the influence of each realization on these errors, (R,)
         parts = []
         for values in estimates:
             count = len(values)

@@ -86,12 +86,12 @@ class CandidateSettings:
     # Maximum number of dims in which edges are smoothed by means over boxes.
     # In more dims, means take too many evaluations; smoothing by the distance takes only one.
     most_boxed_dims: int = 2
-    # A pilot takes the budget B divided by this number. With an eighth of B, the rest is enough
-    # for estimates at the two largest budgets of `mcspectra.remedies`.
+    # A pilot takes the budget B divided by this number.
+    # The remaining 7/8 of B allow estimates at the two largest budgets of `mcspectra.remedies`.
     # These two budgets, B/4 and B, give a rate.
     pilot_divisor: int = 8
-    # Least number of points of a pilot. Each half of the pilot has 32 points,
-    # 4 for each of 8 coefficients of a regression (`RegressionSettings.evaluations_per_term`).
+    # Least number of points of a pilot. Each half of the pilot has 32 points.
+    # A regression on 8 terms takes 4 points each (`RegressionSettings.evaluations_per_term`).
     least_pilot: int = 64
     # Maximum number of points of a pilot.
     # Regressions of an Asian option in 16-D were tested with 2048, 4096 and 8192 points.
@@ -447,8 +447,8 @@ def improve(kind: Kind, given: Setup, budget: Budget) -> _Candidates:
     if not found:
         raise ParameterError(f"{len(seen.points)} evaluations show no gain from it.")
     yield from found
-    # Combine the change with the best sampler for the remaining variance,
-    # unless the given sampler is this sampler
+    # Combine the change with the best sampler for the remaining variance.
+    # Skip this if the given sampler is already the best one
     nets = make_sampler(NETS, given.estimator.dims)
     if nets.spec != given.sampler.spec:
         for alone in found:

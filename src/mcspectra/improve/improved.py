@@ -115,7 +115,7 @@ class RegressionSettings:
     # Maximum number of terms of a basis, which limits the cost of an evaluation.
     # Results are the same for 128 and 512.
     most_terms: int = 256
-    # Candidate degrees of polynomials: the largest degree in one coordinate,
+    # Candidates for two degrees of polynomials: the largest degree in one coordinate,
     # and the largest total degree of products of two coordinates.
     # Candidates range from linear functions to products of degree 8.
     # One candidate is chosen by evaluations that were not used in the fit.
@@ -132,8 +132,8 @@ class RegressionSettings:
     # Highest degree of Hermite polynomials. Higher degrees have most of their variance in tails:
     # half of E z⁸ comes from |z| > 2.9, a region of probability 0.004.
     most_normal_degree: int = 3
-    # Number of leading directions of z for which separate bases are tried,
-    # because a basis of few coordinates may have more terms.
+    # Number of leading directions of z for which separate bases are tried.
+    # A basis of few coordinates may have more terms.
     # With one direction, the remaining variance of a ridge is 1.6 times as large.
     # With four, the remaining variance of an Asian option in 16-D is 1.1 times as large.
     turned: int = 2

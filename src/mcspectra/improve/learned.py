@@ -62,9 +62,10 @@ __all__ = ["LEARNED", "LearnSettings", "fit_splines", "in_rounds", "learned_dens
 class LearnSettings:
     """Settings of fits of splines, and of the choice between fitted densities."""
 
-    # Candidates of the two kinds, from smooth to fine. Each candidate has three numbers:
-    # the number of cells along each axis; the number of parts of a mixture, or 0 for a flow;
-    # and the weight of the smoothness penalty.
+    # Candidates of the two kinds, from smooth to fine.
+    # The first number of each candidate is the number of cells along each axis.
+    # The second number is the number of parts of a mixture, or 0 for a flow.
+    # The third number is the weight of the smoothness penalty.
     # The first candidate is also fitted in each round, to place the points of the next round.
     # Evaluations that were not used in any fit choose one candidate.
     # If one of the candidates is left out, the variances change by −30 to +6 %.
@@ -98,11 +99,11 @@ class LearnSettings:
     # With n/16 points, nets give nearly the same ratios of variances as with n points.
     # With fewer points, nets do not resolve the splines.
     fewest_divisor: int = 16
-    # Maximum number of evaluations in a fit. With 2048 instead of 4096,
-    # the variances of the peak in 2-D and the bells in 3-D change by −21 to +12 %.
+    # Maximum number of evaluations in a fit.
+    # With 2048 instead of 4096 evaluations, the two variances change by −21 to +12 %.
     most_fitted: int = 2**13
-    # Number of points in a block of the sums of a fit. All machines compute the same bits,
-    # because BLAS does not use threads for products of blocks of 128 points.
+    # Number of points in a block of the sums of a fit. All machines then compute the same bits:
+    # BLAS does not use threads for products of blocks of 128 points.
     block: int = 128
     # Number of bins of the marginal distributions of |f|, by which the knots are placed.
     # Half or twice as many bins change the variances by 1 % at most.
@@ -121,8 +122,8 @@ class LearnSettings:
     # For values from 2e-10 to 2e-8, the variances are the same to three digits.
     gain: float = 2e-9
     # Maximum number of dims in which a flow is fitted with all `steps`.
-    # For d dims above this limit, the number of steps is multiplied by 4/d,
-    # because longer fits cost more and do not improve the densities.
+    # For d dims above this limit, the number of steps is multiplied by 4/d.
+    # Longer fits cost more and do not improve the densities.
     most_dims_of_all_steps: int = 4
     # Least number of sets for the variance of each candidate. With 6 sets for each variance,
     # the logarithm of a ratio of two variances has a standard error of √(4/5) = 0.9.
@@ -141,8 +142,8 @@ class LearnSettings:
     # Smaller gains are within the errors of six sets, and uniform points are always safe.
     most_ratio: float = 0.5
     # Least number of evaluations for each weight of a flow.
-    # With fewer evaluations, weights would follow the noise of the points, as in regressions
-    # (`evaluations_per_term` of `mcspectra.improve.improved.RegressionSettings`).
+    # With fewer evaluations, weights would follow the noise of the points. The same holds for
+    # `evaluations_per_term` of `mcspectra.improve.improved.RegressionSettings`.
     # In 2-D and 3-D, results are the same for 2 and 8.
     evaluations_per_gate: int = 4
 

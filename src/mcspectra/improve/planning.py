@@ -57,8 +57,8 @@ class PlanSettings:
     # For larger n the curve is extrapolated by its rate.
     # `predict` also searches for the asymptotic rate up to this count.
     octaves: int = 16
-    # The predicted curve extends below the target variance by this factor,
-    # so that the upper ends of intervals also reach the target.
+    # The predicted curve extends below the target variance by this factor.
+    # Then the upper ends of intervals also reach the target.
     margin: float = 4.0
     # Largest planned number of points. Larger numbers do not fit into a 64-bit integer.
     most: int = 2**62
@@ -385,8 +385,7 @@ def _least(
     # Bisect between the last count that misses the target and the first count that reaches it.
     # Several octaves can be between these counts, because the curve need not be monotone.
     # Searches for two targets take the same steps while both are reached or both are missed.
-    # When one target is reached and the other is missed,
-    # only the search for the smaller target continues toward larger n.
+    # If only the larger target is reached, the search for the smaller one continues to larger n.
     # Nets are balanced only at powers of their base
     if not before or _base(estimator.law(sampler, counts[first])):
         return best

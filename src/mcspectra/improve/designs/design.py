@@ -74,11 +74,11 @@ class DesignSettings:
         "rank1-lattice | shift | mirror(mode='fold')",
         "fibonacci | shift | mirror(mode='fold')",
     )
-    # Limits of the comparison of a design with its rivals, before the design is returned:
-    # number of members, number of realizations of each group of members,
-    # and maximum number of evaluations of each sampler.
-    # The integrands of a group share realizations. A variance from 20 groups of 32 realizations
-    # has 620 degrees of freedom and therefore a relative standard error of 6 %.
+    # Limits of the comparison of a design with its rivals, before the design is returned.
+    # The first two are the numbers of members, and of realizations of each group of members.
+    # The third is the maximum number of evaluations of each sampler.
+    # The integrands of a group share realizations. 20 groups of 32 realizations have
+    # 620 degrees of freedom, so a variance has a relative standard error of 6 %.
     check_members: int = 2000
     check_realizations: int = 32
     check_evaluations: int = 2**24

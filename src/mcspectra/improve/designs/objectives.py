@@ -51,8 +51,7 @@ class ObjectiveSettings:
     # Each wave gives two functions, a cosine and a sine.
     most_waves: int = 1024
     # Number of members and number of points of the test for constant members.
-    # A class is refused by mistake if its members vary only in a small region,
-    # with a volume of less than about 1/8192.
+    # A class is refused by mistake if its members are constant in all but 1/8192 of the volume.
     probe_members: int = 16
     probe_points: int = 2**13
     # Default and largest half width h of a spectrum or a covariance given as a function.

@@ -78,8 +78,8 @@ class SearchSettings:
     block: int = 2**13
     # Numbers of points and of class members with which samplers are measured during a search.
     # The searches that measure samplers are those of nets, and of lattices in three dims or more.
-    # The variance ratio of nets is 0.167 for half or twice as many points,
-    # and 0.164 to 0.167 for half or twice as many members of the class.
+    # The variance ratio of nets is 0.167 for half or twice as many points.
+    # The ratio is 0.164 to 0.167 for half or twice as many members of the class.
     # In 3-D, another lattice is chosen with 128 members; its ratio is 0.313 instead of 0.295.
     judge_points: int = 2**16
     judge_members: int = 256
@@ -87,8 +87,9 @@ class SearchSettings:
     # Settings of lattices
 
     # Number of points of the table from which the spectrum of a class is estimated.
-    # Above three dims this number is doubled. With half or twice as many points,
-    # the variance ratio of lattices is 0.020 to 0.021 in 2-D, and 0.27 to 0.30 in 3-D.
+    # Above three dims this number is doubled.
+    # With half or twice as many points, the variance ratio of lattices is 0.020 to 0.021 in 2-D.
+    # In 3-D this ratio is 0.27 to 0.30.
     frequencies: int = 2**16
     # Number of initial vectors in the search of lattices in three dims or more.
     # One vector is built axis by axis, and the others are random.
@@ -127,15 +128,14 @@ class SearchSettings:
     # The variance ratio of strata designs is 0.031 for half or twice as many features.
     features: int = 160
     # Number of exchanges of cells that are tried in a round; the time is proportional to it.
-    # The variance ratio of strata designs is 0.035, 0.031 and 0.028
-    # with 2^19, 2^20 and 2^21 exchanges.
+    # With 2^19, 2^20 and 2^21 exchanges, the variance ratio of strata designs is
+    # 0.035, 0.031 and 0.028.
     trials: int = 2**20
     # Maximum number of rounds of exchanges; the time is proportional to it.
     # The variance ratio of strata designs is 0.037, 0.031 and 0.028 for 12, 24 and 48 rounds.
     rounds: int = 24
     # Number of rounds after which the search continues with the best start only.
-    # For designs of kind ``points`` and the class ``half-spaces``,
-    # the ratio is 0.735 with 2, 4 and 8 rounds.
+    # With 2, 4 and 8 rounds, the ratio is 0.735 for kind ``points`` and class ``half-spaces``.
     first_rounds: int = 4
     # The search ends after a round that lowers the variance by less than this fraction.
     # The variance ratio of strata designs is the same for half or twice this fraction.
@@ -144,8 +144,8 @@ class SearchSettings:
     # With 64 points in 4-D, these exchanges end with less variance than those from random sets
     # (tests/improve/test_design.py).
     cosets: bool = True
-    # Number of shapes of strata that are compared, starting with the most even shapes;
-    # and number of realizations in each comparison.
+    # Number of shapes of strata that are compared, starting with the most even shapes.
+    # The second number is the number of realizations in each comparison.
     # A variance of 32 realizations has a relative error of √(2/31) = 25 %.
     # Good and bad shapes differ by more than 25 %.
     shapes: int = 12
@@ -154,8 +154,9 @@ class SearchSettings:
     # Settings of point sets that are optimized on the torus
 
     # Number of points in the table from which the spectrum is estimated.
-    # With more points, each gradient takes more time. For designs of kind ``points`` at n = 5000,
-    # the ratio is 0.20 with half of this number, 0.082 with it, and 0.078 with twice this number.
+    # With more points, each gradient takes more time. The ratio was measured at n = 5000
+    # for designs of kind ``points``. It is 0.082 with this number of points, 0.20 with half of it,
+    # and 0.078 with twice this number.
     torus_frequencies: int = 2**14
 
 
