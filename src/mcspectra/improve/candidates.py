@@ -87,7 +87,7 @@ class CandidateSettings:
     # In more dims, means take too many evaluations; smoothing by the distance takes only one.
     most_boxed_dims: int = 2
     # A pilot takes the budget B divided by this number.
-    # The remaining 7/8 of B allow estimates at the two largest budgets of `mcspectra.remedies`.
+    # After a pilot of B/8, evaluations remain at the two largest budgets of `mcspectra.remedies`.
     # These two budgets, B/4 and B, give a rate.
     pilot_divisor: int = 8
     # Least number of points of a pilot. Each half of the pilot has 32 points.

@@ -1,12 +1,11 @@
 """Changes of estimators by evaluations of g: densities, control variates, rotations, smoothing.
 
-All changes apply to the primary-space integrand g on the unit cube,
-so they can be used with any estimator of one technique.
+All changes apply to the primary-space integrand g on the unit cube.
+Therefore every change can be used with any estimator of one technique.
 The changes of these kinds keep the integral, whatever the evaluations of g are:
 
-* *fitted*: g(T(u))/q(T(u)) with uniform u. The density q consists of splines (`learned`),
-  or it is a normal density of z = Φ⁻¹(u).
-  The normal density is moved and stretched to the moments of |g|;
+* *fitted*: g(T(u))/q(T(u)) with uniform u. The density q consists of splines (`learned`)
+  or is a normal density of z = Φ⁻¹(u) with the moments of |g|;
 * *order*: the same with q = 1, where T rotates z by an orthogonal matrix.
   After the rotation, g varies most along the first coordinates of z ([Liu2023]_).
   This helps because the first coordinates of nets are the best;
@@ -14,8 +13,8 @@ The changes of these kinds keep the integral, whatever the evaluations of g are:
 * *preintegrated*: means along the first direction, in which g jumps or leaves 0 at one point.
   The mean has three parts: one on each side of this point, and one over a bracket around it.
     Each part of the mean is sampled at one or two points.
-  The bracket depends on the other coordinates only,
-  so the sum over the parts has the expectation of g.
+  The bracket depends on the other coordinates only.
+  Therefore the expectation of the sum over the three parts is the expectation of g.
 
 `Cubic` needs no pilot: it subtracts polynomials from g.
 These polynomials go through the values of g at the centers of cells.

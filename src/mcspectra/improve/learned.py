@@ -9,16 +9,16 @@ Without the smoothness term, the sum is the relative entropy of |f| and p, up to
 Both integrals of the relative entropy are estimated from the *same* points.
 If |f| belongs to the family, the minimum is |f| itself for any number of points.
 A fit by the mean of log p alone would follow the random density of the points.
-The smoothness penalty uses second differences of the logarithms of the splines' weights,
-as in P-splines [Eilers1996]_.
+The smoothness penalty uses second differences of log spline weights, as in P-splines
+[Eilers1996]_.
 
 A candidate is defined by numbers of cells and parts, and by the weight of the penalty.
 Candidates are compared by the variance of f/p with points of the sampler itself.
 Only evaluations that were not used in the fit are compared.
 The integral ∫f²/p alone does not measure the roughness of f/p.
 This roughness causes the variance that nets and strata do not remove.
-The best candidate is checked on fresh points. The result is the uniform density
-unless the best candidate has less variance than uniform points.
+The best candidate is checked on fresh points.
+If it has no less variance than uniform points, the result is the uniform density.
 """
 
 from __future__ import annotations
@@ -397,8 +397,9 @@ def learned_density(
         Number of dims, up to 24. It is needed if neither f nor the sampler has a number of dims.
     evaluations
         Maximum number of evaluations of f, at least 256.
-        Half of them are for the fit, but at most 8192. The others are divided into two halves:
-        one half chooses between candidates, and the other half checks the result.
+        Half of the evaluations are for the fit, but at most 8192.
+        Of the remaining evaluations, one half chooses between candidates.
+        The other half checks the chosen density.
         The default is 16 n + 8192, and at least 24576.
     defensive
         Lower bound δ of the density, between 0 and 1. Then |f|/p is at most |f|/δ.
@@ -411,8 +412,9 @@ def learned_density(
     -------
     Density
         A continuous density with an exact inverse and a continuous warp.
-        Its `spec` names the file. If no candidate halves the variance of uniform points,
-        or if the check does not confirm the gain, it is ``uniform``, with a `NoGainWarning`.
+        The `spec` of the density names its file. If no candidate halves the variance of uniform
+        points, or if the check does not confirm this, the density is ``uniform``.
+        In this case a `NoGainWarning` is issued.
 
     Raises
     ------
@@ -431,10 +433,11 @@ def learned_density(
     The variance of f/p is compared for at least six realizations of the sampler.
     Each realization has n points if the evaluations allow it.
     Otherwise it has at least n/16 points, and by default usually n/4.
-    The best candidate is checked on fresh points. At least 16 realizations must show,
-    with 95 % confidence, that it has less variance than uniform points.
-    In addition, ∫f²/p must be smaller than ∫f². The effective number of uniform points,
-    (Σ|f|)²/Σf², must be at least 16, because peaks may be missed otherwise.
+    The best candidate is checked on fresh points, with at least 16 realizations.
+    They must show with 95 % confidence that the variance is less than for uniform points.
+    In addition, ∫f²/p must be smaller than ∫f².
+    The effective number (Σ|f|)²/Σf² of uniform points must be at least 16: peaks may be missed
+    otherwise.
     `mcspectra.improve.learned` describes the method of fitting.
 
     Examples

@@ -454,8 +454,8 @@ class _Stage:
     means
         Estimates from the largest sets, (R, channels).
     points, values
-        Points (N, d) of a single technique, or None if there are several techniques;
-        and values (N, channels) of the technique with the largest variance.
+        Points (N, d) of a single technique, or None if there are several techniques.
+        The values (N, channels) belong to the technique with the largest variance.
     largest
         Number of points in all sets of the largest size:
         R times the number of points of one set.
@@ -835,21 +835,23 @@ def plan(
         Number of threads; all processors by default. It has no effect on results.
     max_evaluations
         Maximum number of evaluations of a function or of a costly integrand.
-        All samplers share these evaluations; the default is 2^18. A plan starts with 4,096
-        and doubles this number until the ends of the interval of n differ by a factor below 1.5.
+        All samplers share these evaluations; the default is 2^18.
+        A plan starts with 4,096 evaluations, and doubles this number in each stage.
+        The plan ends when the ends of the interval of n differ by a factor below 1.5.
 
     Returns
     -------
     xarray.Dataset
-        A dataset. ``planned_n`` is the least count whose RMSE is at most the target,
-        or NaN if it is not known.
-        For nets (such as sobol and pmj02) it is a power of their base,
+        A dataset. ``planned_n`` is the least count whose RMSE is at most the target.
+        If this count is not known, ``planned_n`` is NaN.
+        For nets (such as sobol and pmj02) ``planned_n`` is a power of the net's base,
         because nets of other counts are unbalanced.
-        For other samplers of known integrands, it is accurate to 0.4 %.
+        For other samplers and known integrands, ``planned_n`` is accurate to 0.4 %.
         With the same seed, a smaller target never has a smaller ``planned_n``.
         ``planned_n_ci(bound)`` is the count for the ends of the 95 % interval of the variance.
-        If the values do not bound the variance, the upper end is infinite,
-        and the attribute ``note`` gives the reason. ``planned_error`` is the RMSE at ``planned_n``.
+        If the values do not bound the variance, the upper end is infinite.
+        The attribute ``note`` gives the reason.
+        ``planned_error`` is the RMSE at ``planned_n``.
         ``target_variance`` is the square of the target.
         ``predicted_variance(n)`` with ``predicted_variance_ci(n, bound)`` is the curve of variance.
         The counts of this curve are allowed powers of two.

@@ -1,7 +1,7 @@
 """Remedies: changes that lower an estimator's noise at a budget, measured, ranked and explained.
 
 Every candidate (`mcspectra.improve.candidates`) is run at the same budgets of evaluations
-and with the same random numbers as the given set-up (`mcspectra.improve.assess`).
+as the given set-up, and with the same random numbers (`mcspectra.improve.assess`).
 Intervals of all comparisons are simultaneous:
 a remedy is recommended only if its interval excludes the given set-up.
 """
@@ -293,22 +293,22 @@ def remedies(
     Returns
     -------
     xarray.Dataset
-        A dataset. The dim ``remedy`` lists changes by name, with the least variance first;
-        the given set-up is ``"as given"``.
-        Variables on ``remedy``: ``error`` with ``error_ci`` is the variance at the budget,
-        or the mean squared error of a biased change, summed over channels.
+        A dataset. The dim ``remedy`` lists changes by name, with the least variance first.
+        The name of the given set-up is ``"as given"``.
+        ``error`` with ``error_ci`` is the variance at the budget, summed over channels.
+        For a biased change, ``error`` is the mean squared error.
         ``error_ratio`` with ``error_ratio_ci`` is the ratio to the error of the given set-up.
         ``rate`` with ``rate_ci`` is the rate of the variance.
         ``rate_difference`` with ``rate_difference_ci`` is this rate minus that of the given set-up.
         Intervals of ratios and of differences are simultaneous, at 95 %.
         ``rank_by_rate`` is the rank of the rate.
-        The coordinates of a remedy are its ``kind``, ``change`` (an imperative) and ``reason``,
-        and the verdicts on its error, ``verdict``, and on its rate, ``rate_verdict``.
+        The coordinates of a remedy are its ``kind``, ``change`` (an imperative) and ``reason``.
+        Two further coordinates are ``verdict`` for the error, and ``rate_verdict`` for the rate.
         A verdict is better, worse, undecided or given.
         Variables on (remedy, step): ``cost`` and ``error_at_cost``.
         Attributes: ``diagnosis`` and ``answer`` are sentences,
-        ``best`` contains the numbers of the answer as JSON,
-        and ``not_tried`` lists changes that could not be tried, with reasons.
+        ``best`` contains the numbers of the answer as JSON.
+        ``not_tried`` lists changes that could not be tried, with reasons.
 
     Raises
     ------
@@ -321,15 +321,15 @@ def remedies(
     These kinds change the estimator after the pilot, and keep its integral.
     The pilot takes an eighth of the budget, but at most 4096 evaluations.
 
-    If no count of points costs exactly the budget, the largest count below it is measured,
-    and the error is extrapolated to the budget along the fitted rate.
+    If no count of points costs exactly the budget, the largest count below it is measured.
+    The error is then extrapolated to the budget along the fitted rate.
     The interval includes the uncertainty of the slope.
     Errors are not extrapolated for changes with a pilot.
 
-    A user's function is evaluated at most 4/3 · budget · realizations times for each set-up,
-    and 7/3 · budget · realizations times for the given set-up with its diagnosis.
-    Searches for offsets of strata and for widths of smooth edges take more evaluations,
-    so these changes are not tried for a user's function.
+    A user's function is evaluated at most 4/3 · budget · realizations times for each set-up.
+    The given set-up and its diagnosis take at most 7/3 · budget · realizations evaluations.
+    Searches for offsets of strata and for widths of smooth edges take more evaluations.
+    These changes are therefore not tried for a user's function.
 
     A change is biased if it smooths, or if its sampler is not randomized.
     Its error is taken about the integral of the given estimator.

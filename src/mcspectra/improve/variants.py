@@ -1,7 +1,7 @@
 """Convergence of variants of a set-up on the same random numbers: smoothed edges and mirroring.
 
-See docs/theory.md, "Mirroring and smoothing". The bias of smoothing does not fall with n,
-so the width with the least mean squared error depends on n.
+See docs/theory.md, "Mirroring and smoothing". The bias of smoothing does not fall with n.
+Therefore the width with the least mean squared error depends on n.
 The talk on [Singh2019]_ shows six convergence plots of three variants:
 original, mirror-random and mirror-uniform, each with and without a shift of the samples.
 """
@@ -81,8 +81,8 @@ def smoothing_scan(
     Returns
     -------
     xarray.Dataset
-        A dataset. ``variance(width, n)`` with ``variance_ci`` is the variance,
-        and ``rate(width)`` with ``rate_ci`` is its rate.
+        A dataset. ``variance(width, n)`` with ``variance_ci`` is the variance.
+        ``rate(width)`` with ``rate_ci`` is the rate of this variance.
         ``smoothing_bias(width)`` is the change of the integral.
         ``bias_squared(width)`` is the square of the change of the integral.
         Its interval ``bias_squared_ci`` is computed from the errors of the integrals.
@@ -192,8 +192,7 @@ def mirror_study(
     ----------
     estimator, sampler, counts
         Same as in `mcspectra.convergence`. The sampler must not end with a shift.
-        The number n counts evaluations of the integrand. Therefore all variances at the same n
-        have the same cost.
+        The number n counts evaluations of the integrand, so the same n means the same cost.
     dims
         Number of dims; needed if the estimator is a function or a spec without dims.
         The default is the sampler's number of dims, unless the sampler is given as a spec.
@@ -202,15 +201,15 @@ def mirror_study(
         The six plots of the slides do not include ``"integrand"``.
     exact
         Whether exact variances are also returned. Exact variances are fast in 1-D.
-        In 2-D, they can take minutes for each count of a shifted set.
+        In 2-D, exact variances can take minutes for each count of a shifted set.
     realizations, rng, max_evaluations, workers
         Same as in `mcspectra.convergence`. All curves use the same random numbers.
 
     Returns
     -------
     xarray.Dataset
-        A dataset with ``variance``, ``variance_ci``, ``mean`` and ``mean_se``;
-        with `exact` also ``exact_variance``, which is NaN where it is not known.
+        A dataset with ``variance``, ``variance_ci``, ``mean`` and ``mean_se``.
+        If `exact` is true, it also has ``exact_variance``, with NaN for unknown values.
         Dims are mirroring, homogenized (True with ``shift``) and n.
         ``rate`` and ``rate_ci`` have the first two dims only.
         A dim channel is added if f has several channels.

@@ -45,8 +45,8 @@ def band_estimates(
 ) -> None:
     """Compute Σ_{h in a} double[h] Re(conj(f_ch) S_rh) for two partitions of h, and Σ_r S_rh.
 
-    The inputs are s (R, H) and f (C, H), both complex or both real; double (H,);
-    and the integers band and shell (H,).
+    The inputs are s (R, H) and f (C, H), which are both complex or both real.
+    Further inputs are double (H,), and the integers band and shell (H,).
     The outputs are bands (R, C, A), shells (R, C, K+1) and total (H,). They must be zero initially.
     """
     for low in range(0, s.shape[1], _TILE):

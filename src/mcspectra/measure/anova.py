@@ -459,8 +459,8 @@ def anova_variances(
 
         ``total_variance(axis)`` is the sum of c_u over all subsets u that contain the axis.
         ``total_share(axis)`` is the total Sobol' index.
-        ``higher_order_variance`` is the part of subsets with more than `order` axes,
-        and ``higher_order_share`` is its share.
+        ``higher_order_variance`` is the part of subsets with more than `order` axes.
+        ``higher_order_share`` is the share of this part.
         ``truncation_share(axes)`` is the share of the first axes.
 
         The effective dimensions are ``effective_dimension_truncation`` and

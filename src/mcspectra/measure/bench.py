@@ -144,8 +144,8 @@ def sampler_bench(
         Samplers, spec strings or arrays of points, as in `as_sampler`.
         A spec string gives one sampler for each number in `dims`.
         Sampler objects and arrays are used only in the number of dims that they have.
-        Sets that are always the same are randomized before variances are measured:
-        digital nets by owen, other sets by shift.
+        Sets that are always the same are randomized before variances are measured.
+        Digital nets are randomized by owen, and other sets by shift.
         Given sets are also randomized if there are fewer than 16 sets with the same count.
         Points of files are recognized as nets in base 2, 3 or 5.
     counts
@@ -194,8 +194,9 @@ def sampler_bench(
 
     Notes
     -----
-    The integrands are Genz's six families [Genz1984]_ with his difficulties,
-    a half-space with an oblique border, a ball in up to 3 dims and Sobol's g-function.
+    Six integrands are Genz's families [Genz1984]_ with his difficulties.
+    The others are a half-space with an oblique border, a ball in up to 3 dims, and Sobol's
+    g-function.
     Genz's families are smooth, have a kink, or have an axis-parallel jump.
     All results except ``points_per_second`` depend only on the samplers and the seed.
     Every sampler has its own stream of random numbers.

@@ -1,8 +1,7 @@
 """Detect estimates that missed the source of their variance, and explain each in a sentence.
 
-Three kinds of estimates give no upper bound of the variance:
-estimates without spread, estimates whose mean differs from the integral,
-and estimates of which a single one causes most of the variance.
+Three kinds of estimates give no upper bound of the variance. The estimates may have no spread.
+Their mean may differ from the integral. A single estimate may cause most of the variance.
 `blindness` detects these estimates by the known integral, by ∫g² and by poles.
 """
 

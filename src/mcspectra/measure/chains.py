@@ -43,8 +43,8 @@ class ChainSettings:
     Comments give numbers of cases from ``python -m benchmarks settings --chains``.
     """
 
-    # Least number of draws of a chain. With fewer draws the autoregression has order 2 at most,
-    # because the largest order is a quarter of the draws.
+    # Least number of draws of a chain. With fewer draws the autoregression has order 2 at most.
+    # In general, the largest order is a quarter of the number of draws.
     least_draws: int = 10
     # Deviation of the mean chain's power, in standard errors, above which chains are correlated.
     # A normal law exceeds 5 standard errors with probability 6e-7.
@@ -65,8 +65,8 @@ class ChainSettings:
     # Smaller fractions have too few draws for a normal law. Larger ones would reach the last half.
     starts: tuple[float, ...] = (0.05, 0.1, 0.2)
     # `settled` is the p-value above which the draws after a burn-in count as stationary.
-    # `margin` is the factor by which the burn-in is then lengthened:
-    # at its end the mean may still have a bias of one standard error.
+    # `margin` is the factor by which the burn-in is then lengthened.
+    # At the end of the burn-in, the mean may still have a bias of one standard error.
     # The values were tested on 200 sets of 4 chains of 1,000 normal draws + 5 exp(−t/100).
     # A burn-in is reported for 153 sets (the other 47 are stuck, without an end of the burn-in).
     # Of the 95 % intervals, 93 % contain the mean.
@@ -90,8 +90,8 @@ class ChainSettings:
     # Number of different values above which repeated draws are a fault.
     # Discrete quantities, such as counts and flags, have few different values and repeat them.
     values: int = 20
-    # Draws lie on two levels if more than this share of the variance lies between two groups:
-    # the draws above and below the mean.
+    # Draws lie on two levels if more than this share of the variance lies between two groups.
+    # One group has the draws above the mean, and the other group the draws below.
     # This share of the variance is 0.64 for a normal law, 0.75 for a uniform law, 1 for two values.
     # With 0.7, 22 of 50 random walks are reported as levels.
     # With 0.95, levels that are 8 standard deviations apart are missed.
@@ -177,8 +177,8 @@ def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
 
     Notes
     -----
-    S(0) from an autoregression has a smaller error than two alternatives,
-    and its interval has a coverage closer to 95 %; see docs/theory.md, "Chains".
+    S(0) from an autoregression has a smaller error than two alternatives.
+    Its interval also has a coverage closer to 95 %; see docs/theory.md, "Chains".
     The initial monotone sequence cannot resolve antithetic or oscillating chains.
     The other alternative averages the spectrum over the lowest frequencies.
     The cost is O(n log n).

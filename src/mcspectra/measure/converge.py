@@ -10,8 +10,9 @@ A skewed sample tends to reach the accuracy first when its kurtosis is underesti
 Estimates without any spread do not prove that the variance is 0.
 After 10,000 equal estimates the error is NaN, and the precision is not reached.
 
-Estimates may miss the source of the variance. The interval then has no finite upper end,
-and the rate has no interval. The attribute ``note`` explains why
+Estimates may miss the source of the variance.
+In this case the interval has no finite upper end, and the rate has no interval.
+The attribute ``note`` explains why
 (`mcspectra.measure.blindness`).
 """
 
@@ -96,8 +97,7 @@ class StageSettings:
     step: float = 1.25
     leap: float = 4.0
     # Number of realizations without spread after which the search ends.
-    # If an event has probability 3e-4 per realization,
-    # it occurs in 10,000 realizations with probability 95 %.
+    # An event of probability 3e-4 occurs in 10,000 realizations with probability 95 %.
     blank: int = 10_000
     # The usual length of a block is divided by this number, so that threads share small analyses.
     # For example, a thousand realizations of a thousand points are two blocks for two threads.
@@ -292,8 +292,8 @@ class Convergence(Counted, frozen=True, kw_only=True):
     def _cells(self, subject: Subject, stream: Stream) -> list[MomentsCell]:
         """Return one cell of work for each group of estimators, each sampler and each count.
 
-        Estimators of one technique without their own `draw` share realizations,
-        because they use the sampler's points.
+        Estimators of one technique without their own `draw` share the sampler's points.
+        Therefore they also share realizations.
         If a precision is requested, each estimator takes as many realizations as it needs.
         """
         estimators = tuple(subject.estimators)
@@ -390,8 +390,8 @@ def convergence(
     ----------
     estimator, sampler
         One estimator and one sampler, or a list of each, without duplicates.
-        Samplers may be spec strings. For plain sampling an estimator may be an integrand,
-        its spec string, or a vectorized function of points (…, d).
+        Samplers may be spec strings. For plain sampling, an estimator may be an integrand
+        or its spec string, or a vectorized function of points (…, d).
     dims
         Number of dims of a function, or of a spec without ``dims``.
         The default is the number of dims of the sampler, unless the sampler is a spec.
@@ -424,8 +424,8 @@ def convergence(
         ``bias(n)`` and ``mse(n)`` refer to the estimator's integral.
         The attribute ``integral_source`` names its source.
         ``bias_se(n)`` includes the error of the integral.
-        For a user's function without a given integral ``bias`` and ``bias_se`` are NaN,
-        and ``mse`` is the variance.
+        For a user's function without a given integral, ``bias`` and ``bias_se`` are NaN.
+        In this case ``mse`` is the variance.
 
         ``realizations_used(n)`` is the number of realizations.
         With `relative_error`, ``reached(n)`` is 1 if this error was reached.
@@ -510,8 +510,8 @@ def realizations_needed(
         ``reached`` is 1 if the last stage confirmed the error.
         ``reached`` is 0 if the maximum was reached first, or the estimates had no spread.
         ``variance`` has the interval ``variance_ci`` and the error ``variance_relative_se``.
-        This error is NaN without spread. It is infinite if tails are not resolved,
-        which the attribute ``note`` reports.
+        This error is NaN without spread, and infinite if tails are not resolved.
+        The attribute ``note`` reports tails that are not resolved.
         ``skewness`` and ``kurtosis`` describe the estimates; they are 0 and 3 for normal estimates.
         ``mean`` has the standard error ``mean_se``. Several channels add a dim channel.
 

@@ -37,8 +37,8 @@ A few linear scrambles of a net cause most of the variance.
 The many remaining linear scrambles have far smaller errors.
 The *median* of replicates ignores the few bad scrambles.
 For smooth f its error falls faster than any power of n ([Pan2024]_).
-Order statistics bound the median for any distribution,
-because half of the estimates are above the median.
+An estimate is above the median with probability one half.
+Therefore order statistics bound the median for any distribution.
 Nested scrambles have no such bad sets, so their mean is better.
 """
 
@@ -432,8 +432,8 @@ def _sampled(
 def _in_one_set(calls: Calls, setup: Setup, stream: Stream, best: Any) -> _Replicates | None:
     """Return the runs of one set of as many points as possible, or None if replicates are better.
 
-    Any 2^k points of a scrambled net in base 2 that start at a multiple of 2^k are a scrambled net,
-    and every R-th point of a lattice is a lattice.
+    Any 2^k points of a scrambled net in base 2 that start at a multiple of 2^k are a scrambled net.
+    The points k, k + R, k + 2R, … of a lattice are a shifted lattice.
     """
     source, least = setup.sampler, _SETTINGS.least
     count = affordable_count(setup, calls.budget)

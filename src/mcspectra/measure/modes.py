@@ -68,8 +68,9 @@ class ModeSettings:
     # Largest number of elements of one set of vectors: 1 GiB in float64.
     most_numbers: int = 2**27
     # Number of realizations per coefficient below which a note warns of sampling noise.
-    # With 10 realizations per coefficient, the largest eigenvalue of pure noise
-    # is (1 + √(1/10))² = 1.73 times the mean eigenvalue [Marchenko1967]_.
+    # For pure noise, the largest eigenvalue would be equal to the mean eigenvalue.
+    # With 10 realizations per coefficient, it is (1 + √(1/10))² = 1.73 times the mean
+    # [Marchenko1967]_.
     many: float = 10.0
     # Variance of a coordinate that counts as rounding, as a fraction of the largest variance.
     # The standard deviation is then 1e-10 of the largest, about a million rounding errors.
@@ -336,11 +337,11 @@ def covariance_modes(
         ``noise_edge`` is the largest expected sample eigenvalue if all true eigenvalues are equal.
         Sample eigenvalues differ unless realizations are far more numerous than coefficients.
 
-        ``eigenvalue_residual(mode)`` is a bound of the numerical error of an eigenvalue:
-        an eigenvalue of the sample covariance is at most this far away.
+        ``eigenvalue_residual(mode)`` is a bound of the numerical error of an eigenvalue.
+        The distance to an eigenvalue of the sample covariance is at most this bound.
         ``eigenvalue_share(mode)`` is the share of the trace.
-        ``mode_contribution(mode)`` is the mode's own part of the variance of the estimate,
-        where the estimate is limited to the bands.
+        ``mode_contribution(mode)`` is the mode's own part of the variance of an estimate.
+        This estimate is limited to the bands.
         ``mode_vector(mode, m0, …)`` has norm 1 over all frequencies.
         ``band_trace`` is the sum of all eigenvalues.
 
@@ -457,8 +458,8 @@ class CovarianceProduct:
     def eigenpairs(self, vectors: Array) -> tuple[Array, Array, Array, Array]:
         """Return eigenpairs of the unbiased covariance A in the range of vectors (D, k).
 
-        The results are the eigenvalues in descending order, the eigenvectors (D, k),
-        the residuals ‖A v − λ v‖, and standard errors.
+        The results are the eigenvalues in descending order, and the eigenvectors (D, k).
+        Further results are the residuals ‖A v − λ v‖ and standard errors.
         """
         image = self.product / (self.count - 1)
         values, rotation = eigenpairs(product(vectors.T, image))

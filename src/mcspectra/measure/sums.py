@@ -4,10 +4,9 @@ The moments give the power term, the contribution map and the band covariance.
 The theory is in docs/theory.md, "Contributions and bands".
 
 Errors come from batch means. Every block of realizations gives an unbiased estimate.
-The spread over B blocks gives the error of their mean,
-with the quantile of Student's t for B − 1 degrees of freedom.
-The estimate from all realizations together is slightly more precise,
-so the errors are conservative.
+The spread over B blocks gives the error of the mean over blocks.
+Intervals use the quantile of Student's t for B − 1 degrees of freedom.
+The errors are conservative: the estimate from all realizations together is more precise.
 If realizations reuse a few stored sets, groups of these sets replace the blocks.
 """
 

@@ -8,8 +8,8 @@ Each covariance has a dc, a power and a cross term.
 The terms use the spectrum S^t and the integrand f^t of technique t instead of S and f.
 
 For large n, the slowest rate of a technique becomes the rate of the sum.
-That technique is the *bottleneck* if its rate is significantly slower:
-the 95 % interval of its rate lies above the intervals of all other techniques.
+A technique is the *bottleneck* if its rate is significantly slower than all other rates.
+The 95 % interval of this rate must lie above the intervals of all other techniques.
 """
 
 from __future__ import annotations
@@ -64,8 +64,8 @@ _FINITE = ("technique_covariance", "technique_variance", "measured_variance", "m
 class TechniqueSettings:
     """Limit of memory for sums over pairs of techniques."""
 
-    # Largest number of complex values of Σ_r S^t conj(S^s),
-    # over all pairs of techniques and frequencies: 512 MiB.
+    # Largest number of sums Σ_r S^t conj(S^s), one for each pair of techniques and each frequency.
+    # This number of complex values takes 512 MiB.
     most: int = 2**25
 
 
@@ -248,8 +248,8 @@ def technique_terms(
         With a list, each n has the same random numbers as in `convergence`.
     space
         ``"domain"`` or ``"primary"`` as in `variance_terms`.
-        The default is the domain, if there is one. In primary space the dc terms are 0,
-        because the points of every technique have equal weights.
+        The default is the domain, if there is one. In primary space the dc terms are 0:
+        the points of every technique have equal weights.
     fit_last
         Number of the largest counts to which rates are fitted, as in `convergence`.
     max_evaluations
@@ -275,8 +275,8 @@ def technique_terms(
         ``technique_variance(technique)`` with ``_ci`` is the diagonal of the covariances.
 
         With a list of n: ``technique_rate`` and ``rate`` have intervals ``_ci``.
-        ``bottleneck`` is the technique whose rate is significantly slower than all other rates:
-        the 95 % interval of its rate overlaps no other. The value −1 means undecided.
+        ``bottleneck`` is the technique whose rate is significantly slower than all other rates.
+        The 95 % interval of this rate overlaps no other interval. The value −1 means undecided.
         The attribute ``bottleneck`` has the name of this technique.
         Techniques without variance are excluded. Several channels add a dim channel.
 
@@ -323,7 +323,7 @@ def _variables(total: _Total, view: View) -> Variables:
     found, moments = total.sums.covariances(view), total.sums.moments
     share = total.weights / total.weights.sum()
     # Few stored sets may raise the error of the whole variance by a factor.
-    # The errors of all techniques are multiplied by the same factor
+    # This factor also multiplies the errors of all techniques
     wider = moments.widening[:, -1]
     errors = spread(total.values - weighted_sum(share, total.values), share)
     errors = errors * wider[:, None, None]

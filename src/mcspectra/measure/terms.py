@@ -2,8 +2,8 @@
 
 The theory is in docs/theory.md, "The three terms" and "Contributions and bands".
 The M × M matrix of M frequencies is never stored, except on request.
-In primary space every technique has its own integrand and points,
-and the sums run over (technique, m).
+In primary space every technique has its own integrand and points.
+The sums then run over all techniques and all frequencies m.
 """
 
 from __future__ import annotations
@@ -277,8 +277,8 @@ def variance_terms(
     half_width
         Frequencies m run over {−half_width … half_width}^d.
         The default is 64, or the power of two near 2 n^(1/d) if that is larger.
-        The default is lower if f has no higher frequencies,
-        or if there would be more than 2^17 frequencies.
+        The default is lower if f has no higher frequencies.
+        The number of frequencies is at most 2^17 by default.
     realizations
         Number of independent realizations, at least 2.
     rng
@@ -294,8 +294,9 @@ def variance_terms(
         This view shows discontinuities of the warp.
         The default is the domain view, if there is a domain.
     bands
-        One of the partitions ``"radial"``, ``"dyadic"``, ``"anova"`` and ``"wedge"``,
-        or an integer label ≥ 0 for every basis function; see `mcspectra.measure.views.make_bands`.
+        One of the partitions ``"radial"``, ``"dyadic"``, ``"anova"`` and ``"wedge"``.
+        Another choice is an array with an integer label ≥ 0 for every basis function:
+        see `mcspectra.measure.views.make_bands`.
     cross_matrix
         Whether to return C_ml and conj(f_m) f_l C_ml in full, for at most 4096 frequencies.
     engine, eps
@@ -422,8 +423,8 @@ def _variables(total: TermSums, view: View, partition: Partition) -> Variables:
 
     # Full C_ml and conj(f_m) f_l C_ml. Errors of conjugates are equal and scale with |f_m f_l|
     if sums.matrix is not None and batches.matrix is not None:
-        # Find the position of each coefficient of each technique among the stored coefficients,
-        # and whether the stored coefficient is conjugated
+        # Find the position of each coefficient of each technique among the stored coefficients.
+        # Also find out whether the stored coefficient is conjugated
         techniques, (place, conjugate) = len(view.transforms), basis.whole()
         index = (np.arange(techniques)[:, None] * basis.stored + place).ravel()
         flip = np.tile(conjugate, techniques)

@@ -285,8 +285,8 @@ def make_bands(bands: str | Array, basis: Basis) -> Bands:
     bands
         ``radial`` bands are shells of |m| of width one.
         ``dyadic`` bands are shells whose width doubles.
-        ``anova`` groups functions by the axes along which they vary,
-        so the bands are the parts of the ANOVA decomposition.
+        ``anova`` groups functions by the axes along which they vary.
+        The bands of ``anova`` are the parts of the ANOVA decomposition.
         ``wedge`` (2-D) has a band for the constant and 12 sectors of 15° for the direction of ±m.
         For Walsh and Haar functions, m are the numbers of oscillations along the axes.
         These numbers of oscillations are powers of two.

@@ -162,8 +162,8 @@ def design(
     n
         Number of points. Nets and trees require powers of two.
     dims
-        Number of dims, up to 8. The default is the number of dims of the integrands,
-        or 2 if the integrands exist in any number of dims.
+        Number of dims, up to 8. The default is the number of dims of the integrands.
+        If the integrands exist in any number of dims, the default is 2.
     rng
         Seed. The same seed gives the same sampler.
     path
@@ -180,8 +180,8 @@ def design(
     Returns
     -------
     Sampler or Density
-        The sampler is unbiased for every integrand. Its `spec` creates the sampler again;
-        if the sampler has stored sets, the spec names their file.
+        The sampler is unbiased for every integrand. Its `spec` creates the sampler again.
+        If the sampler has stored sets, the spec names the file of these sets.
         A usual sampler may have less variance over fresh members of the class.
         If its variance is less with 95 % confidence and `settings.return_rival` is true,
         the usual sampler is returned with a `NoGainWarning`.

@@ -3,14 +3,14 @@
 Let P(m) = E|f_m|² be the mean power of the class.
 A set that is shifted at random has the variance Σ_{m≠0} P(m) |S_m|².
 For a lattice, this is the sum of P over its dual lattice.
-A digital shift has the same property in the Walsh basis, where κ is the Walsh series of P:
-the variance is (1/n²) Σ_ij κ(x_i xor x_j). For a digital net it is the mean of κ over the points.
-If sets are folded after the shift, both statements hold for g(x) = f(1 − |2x − 1|),
-because this function is continuous on the torus [Hickernell2002]_.
+A digital shift has the same property in the Walsh basis. Let κ be the Walsh series of P.
+The variance is (1/n²) Σ_ij κ(x_i xor x_j). For a digital net this is the mean of κ over the points.
+If sets are folded after the shift, both statements hold for g(x) = f(1 − |2x − 1|).
+This function g is continuous on the torus [Hickernell2002]_.
 Each search tries plain sets and folded sets, and keeps the kind with less variance.
 
-Sets that divide the cells of a grid among them need no shift. At the centers of cells,
-features are functions φ_t with Σ_t φ_t(x) φ_t(y) = Cov(f(x), f(y)).
+Sets that divide the cells of a grid among them need no shift.
+*Features* are functions φ_t with Σ_t φ_t(x) φ_t(y) = Cov(f(x), f(y)) at centers of cells.
 The variance is the mean over sets of Σ_t (mean φ_t)².
 Exchanges of cells between sets lower this variance.
 Exchanges start from random sets, or from the cosets of a digital net if these are better.
@@ -57,8 +57,9 @@ class SearchSettings:
 
     Larger numbers make searches longer. Comments give variance ratios.
     A ratio is the mean variance of designs with another value of a setting,
-    divided by the mean variance of ``sobol | owen``. Unless stated otherwise, it is measured
-    with 400 fresh members of the class ``gaussians`` and about 64 points in 2-D.
+    divided by the mean variance of ``sobol | owen``.
+    Unless stated otherwise, ratios are measured with about 64 points in 2-D.
+    The integrands are 400 fresh members of the class ``gaussians``.
     """
 
     # Settings of classes
@@ -164,8 +165,8 @@ class Design(NamedTuple):
     """A sampler that a search found.
 
     `variance` is the expected variance, and `done` is the finished fraction of the search.
-    `make` returns the sampler. Its argument is the path of a .npz file,
-    which is written only if the sampler needs a file.
+    `make` returns the sampler. Its argument is the path of a .npz file.
+    The file is written only if the sampler has stored sets.
     """
 
     variance: float
@@ -196,8 +197,8 @@ def _fourier_power(
     """Return frequencies, int64 (K, d), and 2 E|f_m|², (K,), with the largest values first.
 
     Only one of m and −m is listed. In up to 3 dims the frequencies form a grid.
-    In more dims a grid would have few frequencies along each axis,
-    but functions that are not periodic have most of their power along the axes.
+    In more dims a grid would have few frequencies along each axis.
+    Functions that are not periodic have most of their power along the axes.
     Therefore a hyperbolic cross and a ball of frequencies are used, estimated on a lattice.
     If the lattice cannot distinguish several frequencies, only the lowest is kept.
     """
