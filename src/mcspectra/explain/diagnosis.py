@@ -28,8 +28,8 @@ class DiagnosisSettings:
     # Number of evaluations of g in the search for causes.
     # With fewer evaluations, `python -m benchmarks battery` does not detect all causes.
     evaluations: int = 8192
-    # Two limits of the odd part of g, as fractions of the variance of g. Above the first limit,
-    # the odd part is the reason for a gain, because all other variance is below 10 %.
+    # Two limits of the odd part of g, as fractions of the variance of g.
+    # Above the first limit, the odd part is the reason for a gain: other variance is below 10 %.
     # Above the second limit, the odd part is one of several reasons: it explains at least a tenth.
     mostly: float = 0.9
     partly: float = 0.1

@@ -9,8 +9,9 @@ The second difference stays constant at a jump, and it grows at a pole.
 Steps shrink faster toward the ends of lines along the axes.
 There the slope of log |g| is the exponent with which g grows at the border.
 
-Another search moves uphill to poles: a climb. It starts at the largest or the smallest known value,
-and it moves in random directions in which |g| grows.
+Another search, called a climb, moves uphill to poles.
+A climb starts at the largest or the smallest known value of g.
+It moves in random directions in which |g| grows.
 If |g| grows in none of the tried directions, the step is halved.
 The ellipsoid of directions adapts to the moves ([Hansen2001]_).
 The climb ends early if the function is bounded.
@@ -20,8 +21,8 @@ These differences determine a, whatever constant is added to g.
 |g|^(−2/a) is a quadratic form of the distance, and its rank is the codimension k.
 Each face that contains the top adds one to this rank.
 
-The volume in which |g| > λ is ∝ λ^(−k/a). Therefore ∫g² is infinite for a/k ≥ ½,
-and the integral does not exist for a/k ≥ 1.
+The volume in which |g| > λ is ∝ λ^(−k/a).
+Therefore ∫g² is infinite for a/k ≥ ½, and the integral does not exist for a/k ≥ 1.
 Where several faces meet, g may be a product of powers of the distances to these faces.
 Its tail is that of the largest power at a single face, or that of the mean power of all faces.
 """
@@ -95,8 +96,9 @@ class LineSettings:
     # With 0.8, 14 of 152 causes are wrong.
     # With 3.2, smooth functions count as kinks, and 36 causes are wrong.
     kink: float = 1.6
-    # Smallest height of a jump, as a fraction of the spread of g. A smaller jump does not matter
-    # at any count of a profile, as a jump of 1e-4 of the spread has 1e-8 of the variance.
+    # Smallest height of a jump, as a fraction of the spread of g.
+    # A jump of 1e-4 of the spread has 1e-8 of the variance.
+    # Such a jump does not matter at any number of points of a profile.
     # Values from 5e-5 to 2e-4 give the same results.
     least_jump: float = 1e-4
     # Second differences below this fraction of the spread of g count as rounding.
@@ -115,7 +117,7 @@ class LineSettings:
     goes_on: float = 0.65
     # Largest distance of the parallel line that tests whether a jump is normal to the axis.
     # If the edge has a slope of 1, its place on the parallel line differs by at least 0.0025.
-    # This is a hundred times the last step of the halvings.
+    # This distance is a hundred times the last step of the halvings.
     # Values from 0.0025 to 0.01 give the same results.
     aside: float = 0.005
     # Number of groups of axes. A displacement of a chord is along the axes of one group.
@@ -152,7 +154,7 @@ class PoleSettings:
     """Settings of the uphill search for a pole, and of measurements at the pole.
 
     The search is called a climb. It takes steps to places with larger values of |g|.
-    Its last place is called the top.
+    The last place of a climb is called its top.
 
     The counts of wrong cases come from ``python -m benchmarks settings``.
     """
@@ -192,15 +194,15 @@ class PoleSettings:
     # Values from 0.125 to 0.5 give the same results.
     rising: float = 0.25
     # Distance from all other faces at which growth toward one face is measured.
-    # The distance is in units of the last step. It equals half of the first step,
-    # and is 2^7 times as large as the third of the radii.
+    # The distance is in units of the last step.
+    # It equals half of the first step, and 2^7 times the third of the radii.
     # Values from 2^14 to 2^16 give the same results.
     away: float = 2.0**15
     # If the exponent is above this value, the function grows toward one face alone.
     # Values from 0.025 to 0.1 give the same results.
     alone: float = 0.05
-    # The codimension is the number of eigenvalues of the quadratic form
-    # that are above this fraction of the largest eigenvalue.
+    # Fraction of the largest eigenvalue of the quadratic form.
+    # The codimension is the number of eigenvalues above this fraction.
     # Values from 0.002 to 0.008 give the same results.
     rank: float = 0.004
     # A move is accepted if the height grows by more than this factor.
@@ -424,8 +426,8 @@ def lines_of(
 
     # Halve the steps around the largest second difference.
     # Near an end, second differences are used only if g does not grow toward this end.
-    # Every second line uses the largest fourth difference instead,
-    # which shows a kink even if g is steep elsewhere
+    # Every second line uses the largest fourth difference instead.
+    # A fourth difference shows a kink even if g is steep elsewhere
     wide = np.full((2, len(axis)), np.nan)
     wide[:, straight] = np.where(grows, np.nan, outer[..., 1])
     t = np.column_stack([np.full(len(axis), gaps[1]), t, np.full(len(axis), 1.0 - gaps[1])])
@@ -454,8 +456,8 @@ def lines_of(
     size = np.where(size > floor, size, np.maximum(size[first, rows], 1e-300))
     slope = -np.polyfit(np.arange(settings.late + 1), np.log2(size), 1)[0]
     exponent = np.where(rough, slope, 2.0)
-    # At a steep end there is neither a jump nor a kink:
-    # bounded functions of normal quantiles have steep ends
+    # At a steep end there is neither a jump nor a kink.
+    # For example, bounded functions of normal quantiles have steep ends
     edge = np.abs(window[:, 1] - 0.5) > 0.5 - 4.0 * gaps[1]
     exponent[edge & (exponent >= settings.pole)] = 2.0
 

@@ -1,7 +1,7 @@
 """The answer to "what should I use?": candidates, results of candidates, and advice.
 
 A *candidate* is a changed estimator or sampler.
-Its *result* compares both errors, of candidate and given set-up, at a budget of evaluations.
+The *result* of a candidate compares its error with the error of the given set-up, at a budget.
 An *answer* names the best candidate.
 If no candidate is significantly better, the answer names the given set-up.
 `mcspectra.profile`, `mcspectra.remedies`, and studies of pixels and paths print an `Answer`.

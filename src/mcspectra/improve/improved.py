@@ -491,7 +491,7 @@ class Cubic(_Changed):
 class _Preintegrated(_Changed):
     """Integrand that replaces g by its mean along one axis.
 
-    Both sides of the point where g jumps or leaves 0 are sampled separately.
+    The parts on the two sides of a jump, or of the end of zeros, are sampled separately.
 
     Attributes
     ----------

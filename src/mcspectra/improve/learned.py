@@ -434,7 +434,7 @@ def learned_density(
     Each realization has n points if the evaluations allow it.
     Otherwise it has at least n/16 points, and by default usually n/4.
     The best candidate is checked on fresh points, with at least 16 realizations.
-    They must show with 95 % confidence that the variance is less than for uniform points.
+    The check must show with 95 % confidence that the variance is less than for uniform points.
     In addition, ∫f²/p must be smaller than ∫f².
     The effective number (Σ|f|)²/Σf² of uniform points must be at least 16: peaks may be missed
     otherwise.

@@ -68,7 +68,7 @@ class PlanSettings:
     # The answer contains the interval of n if the ratio of its ends is larger than this.
     wide: float = 1.25
     # If an estimator has several techniques, the sampler must have sets for all of them.
-    # This is the number of consecutive counts that are tried until such sets exist.
+    # At most this number of consecutive counts is tried until such sets exist.
     tries: int = 256
 
 

@@ -59,7 +59,7 @@ class RemedySettings:
     # The margin allows for values that cancel to 1e-6 of their size.
     exact_tolerance: float = 1e-9
     # The same limit for an integral by quadrature or by many points.
-    # It is larger, because the estimated error of such an integral can be too small.
+    # This limit is larger, because the estimated error of such an integral can be too small.
     # Equal estimates that miss a rare event differ from the integral by far more than this.
     quadrature_tolerance: float = 1e-3
     # Differences up to this number of standard errors of such an integral are also allowed.
@@ -332,7 +332,7 @@ def remedies(
     These changes are therefore not tried for a user's function.
 
     A change is biased if it smooths, or if its sampler is not randomized.
-    Its error is taken about the integral of the given estimator.
+    The error of a biased change is taken about the integral of the given estimator.
     If ∫f is unknown, biased changes are not tried.
     A change to another integral has no rate, since its error converges to the square of the bias.
     All evaluations count, including those in pilots of heuristics and in means over boxes.

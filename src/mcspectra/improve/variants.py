@@ -85,7 +85,7 @@ def smoothing_scan(
         ``rate(width)`` with ``rate_ci`` is the rate of this variance.
         ``smoothing_bias(width)`` is the change of the integral.
         ``bias_squared(width)`` is the square of the change of the integral.
-        Its interval ``bias_squared_ci`` is computed from the errors of the integrals.
+        The interval ``bias_squared_ci`` is computed from the errors of both integrals.
         ``mse(width, n)`` with ``mse_ci`` is the mean squared error, bias² + variance.
         ``best_width(n)`` is the width with the least mse.
         ``best_width_range(n, bound)`` is the range of widths that may be best within the intervals.

@@ -344,7 +344,7 @@ def ranks(variance: Array, variance_ci: Array, n: Array) -> tuple[Array, Array]:
     -------
     tuple
         Ranks (sampler, task), where rank 1 has the least variance.
-        Their 95 % intervals have the shape (sampler, task, 2).
+        The 95 % intervals of ranks have the shape (sampler, task, 2).
         The lower end of an interval is one more than the number of significantly better samplers.
         The test compares independent estimates of log variance.
         The test uses the Bonferroni correction over all pairs of samplers on all tasks.

@@ -1,7 +1,8 @@
 """Detect estimates that missed the source of their variance, and explain each in a sentence.
 
 Three kinds of estimates give no upper bound of the variance. The estimates may have no spread.
-Their mean may differ from the integral. A single estimate may cause most of the variance.
+The mean of the estimates may differ from the integral.
+A single estimate may cause most of the variance.
 `blindness` detects these estimates by the known integral, by ∫g² and by poles.
 """
 

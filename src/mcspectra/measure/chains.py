@@ -178,7 +178,7 @@ def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
     Notes
     -----
     S(0) from an autoregression has a smaller error than two alternatives.
-    Its interval also has a coverage closer to 95 %; see docs/theory.md, "Chains".
+    The interval also has a coverage closer to 95 %; see docs/theory.md, "Chains".
     The initial monotone sequence cannot resolve antithetic or oscillating chains.
     The other alternative averages the spectrum over the lowest frequencies.
     The cost is O(n log n).

@@ -263,7 +263,7 @@ def technique_terms(
         ``technique_covariance`` is the covariance of two techniques' parts of the estimate.
         The sum of the covariances is ``measured_variance``.
         ``technique_dc_term``, ``technique_power_term`` and ``technique_cross_term`` are the terms.
-        Their sum is ``predicted_variance``.
+        The sum of the three terms is ``predicted_variance``.
         With at least 4 realizations, all four have standard errors ``_se`` by batch means.
 
         ``dc_term``, ``power_term`` and ``cross_term`` are the same as in `variance_terms`.

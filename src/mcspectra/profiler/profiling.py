@@ -87,8 +87,8 @@ class ProfileSettings:
     # Width of the text of a cause in columns, one line of a usual terminal or page.
     width: int = 100
     # Points of each net to which changes are fitted; 20 nets take 1280 evaluations.
-    # In 12 profiles of 8192 evaluations (six functions, two seeds), the advice was the same
-    # with half and with double this number of points.
+    # Half and twice this number were tested in 12 profiles of 8192 evaluations,
+    # with six functions and two seeds. The advice was the same.
     # The RMSE after one of the fitted changes differed by a factor of 2.4.
     fitted_points: int = 64
     # Dependence of draws is a cause if the ratio of effective draws to all draws is at most this.
@@ -98,7 +98,8 @@ class ProfileSettings:
     # Least number of points of each net with which a change of the estimator is measured.
     # With 8, two of 12 profiles did not measure the preintegration of a jump along an axis.
     least_checked: int = 4
-    # Largest number of counts at which a sampler is measured: B/2, B/4, …, B/32 of B evaluations.
+    # Maximum number of counts at which a sampler is measured.
+    # With B evaluations, the counts take B/2, B/4, …, B/32 of them.
     # Three or eight counts gave the same results in these 12 profiles.
     counts: int = 5
     # Least number of sets for a variance. With three, the jackknife has two degrees of freedom.
@@ -119,26 +120,26 @@ class ProfileSettings:
     # Standard error of the prior assumption that a change of the estimator keeps the rate.
     # With 0.2 or 0.8 the RMSE of 12 profiles changed by 8 % at most.
     alike_error: float = 0.4
-    # A change without variance is dropped if its mean differs from the mean of the nets
-    # by more than this number of standard errors.
+    # Largest allowed deviation from the mean of the nets, in standard errors.
+    # A change without variance is dropped if its mean deviates by more.
     # A normal error exceeds 4 standard errors with probability 6e-5.
     off_sigmas: float = 4.0
     # If a net has fewer points than this, the rate of a change is limited to `steepest_rate`.
-    # Few points do not show whether a steep rate continues,
-    # and the gain at the budget would be exaggerated.
+    # Few points do not show whether a steep rate continues.
+    # Without the limit, the gain at the budget would be exaggerated.
     # The advice of 12 profiles was the same for 8 or 32 points, and for rates of −1.5 or −3.
     # The RMSE after one of the changes differed by a factor of up to 1.9 between these values.
     few_points: int = 16
     steepest_rate: float = -2.0
     # Number of standard errors by which a change must lower the log variance at the budget,
     # if g grows at the border or has a heavy tail.
-    # This was tested in 112 profiles with 4096 evaluations each:
-    # there were seven such functions, two samplers and eight seeds.
+    # The number was tested in 112 profiles with 4096 evaluations each.
+    # The profiles were of seven such functions, with two samplers and eight seeds.
     # With 1, none of 88 recommended changes had a larger variance than the given set-up.
     # With 0.5, one of 99 recommended changes was worse, and with 0, five of 109 were worse.
     tail_errors: float = 1.0
-    # Number of sets of a lattice at each count. It is small because the remaining budget is small,
-    # and rates of lattices require several counts.
+    # Number of sets of a lattice at each count.
+    # It is small because the remaining budget is small and rates require several counts.
     lattice_sets: int = 10
     # Standard deviation of the log variance of lattices about a line through all counts.
     # The deviations are large because each count has another generating vector.
@@ -238,10 +239,10 @@ class Profile:
         Number of points of an estimate that takes `budget` evaluations.
     reference
         The sampler with which `best` is compared. Usually this is the given sampler.
-        It is random points if the given sampler always draws the same set or was not measured.
+        If the given sampler always draws the same set or was not measured, it is random points.
     answer
-        The recommended set-up and the causes. The set-up is compared with the given sampler,
-        or with random points if the given sampler always draws the same set or was not measured.
+        The recommended set-up and the causes. The set-up is compared with the given sampler.
+        If that sampler always draws the same set or was not measured, random points are used.
     samplers
         Curves of variance by sampler.
     function
@@ -427,10 +428,9 @@ def profile(
         A vectorized function of points (…, d) to values (…), an integrand, an estimator, or a spec.
         Three functions (f, pdf, sample) on the unit cube are also allowed:
         points are drawn by sample(u) and weighted by 1/pdf.
-        Draws of Markov chains or independent estimates are analyzed as in `chain_error`,
-        without any sampling.
-        A scene is a Mitsuba XML file or a scene's dictionary; see `profile_scene`,
-        which takes `target` and `rng`, and has further parameters.
+        Draws of Markov chains or independent estimates are only analyzed, as in `chain_error`.
+        A scene is a Mitsuba XML file or a scene's dictionary; see `profile_scene`.
+        For scenes, `target` and `rng` are used; `profile_scene` has further parameters.
     sampler
         The sampler in use.
     dims
@@ -439,7 +439,7 @@ def profile(
     budget
         Maximum number of evaluations of f in total, at least 256.
         With 262,144 evaluations, errors of rates are about 0.05 instead of 0.1.
-        They take less than a second if f is fast.
+        These evaluations take less than a second if f is fast.
     target
         For scenes only: relative error σ / mean that pixels should reach, by default 0.05.
     rng
@@ -715,8 +715,8 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         sure = [each for each in made if each.sure]
         found = sure + found + [each for each in made if not each.sure]
     curve = curves.get(given.spec, curves[NETS])
-    # The interval is known if the values do not depend on a few of them,
-    # or if growth at the border was found
+    # The interval is known if the mean does not depend on a few values.
+    # It is also known if growth at the border was found
     names = {cause.name for cause in causes}
     infinite = "infinite-variance" in names
     no_integral = any(
@@ -1106,8 +1106,8 @@ def _offers(
 def _paid(offer: Candidate, left: int, *, last: bool) -> tuple[int, int]:
     """Return how many points and nets `left` evaluations allow to measure the removal of a jump.
 
-    The number of nets is halved if all nets would need too many evaluations,
-    or if too few evaluations would be left for another change.
+    The number of nets is halved if all nets would need too many evaluations.
+    It is also halved if too few evaluations would be left for another change.
     If `left` is too small, the number of points is 0.
     """
     nets, least = CAUSE_SETTINGS.nets, _SETTINGS.least_checked

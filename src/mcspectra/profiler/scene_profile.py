@@ -16,8 +16,8 @@ Samplers are compared by the geometric mean of their variances over the noisier 
 These pixels decide the number of samples; all other pixels reach any target earlier.
 Errors from few renders scatter, which widens their distribution over the pixels.
 The scatter between two halves of the renders is used to correct this.
-If the answer is far from the measured numbers of samples, pixels near the quantile
-are rendered again with a number of samples near the answer.
+If the answer is far from the measured numbers of samples, it is checked by further renders.
+Pixels near the quantile are rendered again with a number of samples near the answer.
 """
 
 from __future__ import annotations
@@ -94,8 +94,8 @@ class SceneSettings:
     # Fraction of the time that is spent on the comparison of samplers.
     # The rest of the time is for larger numbers of samples and for the confirmation
     comparison: float = 0.55
-    # Number of pixels near a quantile that are rendered with more samples,
-    # and number of renders of each of these pixels
+    # Number of pixels near a quantile that are rendered with more samples.
+    # The second number is the number of renders of each of these pixels
     near: int = 32
     near_renders: int = 16
     # Fraction of the time that these renders take in total, on average over five scenes
@@ -104,12 +104,12 @@ class SceneSettings:
     compilation: float = 2.0
     # Largest number of samples per pixel with which pixels near a quantile are rendered
     most_samples: int = 2**14
-    # A sampler is not measured at the second number of samples if its variance at the first
-    # exceeds the least variance by this factor.
+    # Ratio of a sampler's variance to the least variance, at the first number of samples.
+    # Samplers with a larger ratio are not measured at the second number of samples.
     # Between the two numbers, the ratio of two variances changes by less than a factor of 2
     dropped: float = 2.0
-    # Number of pixels, and number of pairs of paths for each pixel,
-    # from which the shares of the variance are estimated
+    # Number of pixels from which the shares of the variance are estimated.
+    # The second number is the number of pairs of paths for each pixel
     cause_pixels: int = 128
     cause_chains: int = 64
     # Number of pixels with the largest errors that are listed
@@ -161,7 +161,7 @@ class SceneProfile:
     ----------
     answer
         The recommended sampler, compared with the sampler of the scene.
-        Both have `compared_spp` samples per pixel.
+        Both samplers take `compared_spp` samples per pixel.
         An error (`rmse`) is the median of σ / mean over the pixels.
     target
         Relative error σ / mean that pixels should reach.
