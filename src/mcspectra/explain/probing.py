@@ -70,7 +70,7 @@ class LineSettings:
     # Features that 16 steps can find are much farther apart than the last step.
     # With 6 halvings 29 of 152 causes are wrong; values from 12 to 24 give the same results.
     halvings: int = 12
-    # Number of the last halvings whose second differences give the exponent.
+    # Number of the last halvings. The exponent is computed from their second differences.
     # Values from 3 to 6 give the same results; with 12 two of 152 causes are wrong.
     late: int = 6
     # Exponent below which the roughest place is a pole.
@@ -121,12 +121,12 @@ class LineSettings:
     # Values from 0.0025 to 0.01 give the same results.
     aside: float = 0.005
     # Number of groups of axes. A displacement of a chord is along the axes of one group.
-    # A chord is moved off an edge that is normal to an axis only if the group contains this axis.
+    # If an edge is normal to an axis, only the group with this axis moves a chord off the edge.
     # An edge that is oblique to two axes seems normal to an axis with probability 1/3.
     # With more axes this probability is smaller.
     groups: int = 3
     # Distances from both ends at which g is evaluated on a line along an axis.
-    # Between the last two distances, which have the ratio 2^10, even t^−0.08 grows by 1.7 times.
+    # The last two distances have the ratio 2^10. Between them, even t^−0.08 grows 1.7 times.
     # 2^−40 is still exact next to 1. Half and twice these distances give the same results.
     ends: tuple[float, ...] = (2.0**-4, 2.0**-12, 2.0**-20, 2.0**-30, 2.0**-40)
     # Distance from an end of a line at which g must be computable.
@@ -210,6 +210,7 @@ class PoleSettings:
     # With 2, few moves are accepted, and 15 of 18 poles are missed.
     better: float = 1.005
     # Number of the largest heights that are compared before a climb.
+    # The height at a point is the distance of g from the median of its known values.
     # Values from 8 to 32 give the same results.
     compared: int = 16
     # A climb starts only if the largest and the last of these heights differ by this fraction.
@@ -696,7 +697,7 @@ def _measured(
     table[first, second] = table[second, first] = size
     own = np.diag(table)
     form = 0.5 * (table - own[:, None] - own) + 1.5 * np.diag(own)
-    # A face counts for the codimension unless the pole extends from this face inward
+    # A face adds one to the codimension unless the pole extends from the face into the cube
     side &= own > settings.rank * own.max()
     free = np.linalg.eigvalsh(form[np.ix_(~side, ~side)])
     rank = int(side.sum() + (free > settings.rank * own.max()).sum())

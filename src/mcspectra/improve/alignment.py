@@ -59,7 +59,7 @@ class AlignmentSettings:
     # Each term is rounded to 1.1e-16. The factor 100 allows for rounding in the sums.
     exact_rounding: float = 1e-14
     # Relative standard error that the fit of a rate assumes for exact variances.
-    # All counts have this error and therefore equal weights, whatever the value is.
+    # Every count has this error. Therefore all counts have equal weights in the fit.
     # Rates and their intervals agree to 9 digits for values from 1e-9 to 1e-3.
     exact_se: float = 1e-6
     # Number of times that the pattern search halves its step.

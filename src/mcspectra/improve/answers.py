@@ -50,7 +50,7 @@ class AnswerSettings:
 _SETTINGS = AnswerSettings()
 
 Verdict = Literal["given", "better", "worse", "undecided"]
-"""Result of a comparison with the given set-up, as decided by the interval."""
+"""Result of a comparison with the given set-up, by the interval of the gain."""
 
 
 @final
@@ -180,7 +180,7 @@ class Answer:
     given
         The given set-up, with which all candidates are compared.
     best
-        The first result that is better than the given set-up, or `given`.
+        The first result that is better than the given set-up. If no result is better, `given`.
     runner_up
         The second best, or the undecided candidate with the least RMSE, or None.
     causes

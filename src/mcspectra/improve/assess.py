@@ -45,7 +45,7 @@ __all__ = [
 class AssessSettings:
     """Settings of the comparison of candidates."""
 
-    # Weight of the prior that estimates are normal (Var(ψ) = 2), as a number of realizations.
+    # Weight of the prior for normal estimates (Var(ψ) = 2), as a number of realizations.
     # The prior is used in fits of rates, not in comparisons.
     # With 100 normal realizations, it reduces the scatter of standard errors from 12 to 10 %.
     # For any weight from 0 to 40, intervals contain the truth in 93 to 95 % of cases.
@@ -84,9 +84,9 @@ class Errors:
         tolerance: float = 1e-9,
         overhead: int = 0,
     ) -> Errors:
-        """Compute errors of estimates (R, C) of the integral (C,); one array (R, C) for each cost.
+        """Compute errors from estimates (R, C), one array for each cost. The integral is (C,).
 
-        Errors are relative to the integral if `biased`, else to the mean of the estimates.
+        If `biased` is true, errors are taken about the integral, else about the mean estimate.
         `tolerance` is the relative tolerance of the integral.
         """
         # Compute mean squared errors about the integral or the mean, (N,).
@@ -162,7 +162,7 @@ class Errors:
         return fit_rate(self.cost - self.overhead, self.error, self.relative_se, self.noise)
 
     def at(self, budget: float, *, carry: bool = True) -> tuple[float, Array]:
-        """Return log v extrapolated along the rate to a cost of `budget`, and influences (R,).
+        """Return log v at the cost `budget`, extrapolated along the rate, and influences (R,).
 
         After a pilot the last error is not extrapolated,
         because nets often have only half of the points that the budget allows.
@@ -338,7 +338,7 @@ def assessed(measured: Sequence[MeasuredCandidate], budget: int) -> list[Assesse
     slope = reference.rate()[0]
 
     def needed(log_ratio: float) -> float:
-        """Return the evaluations with which the given set-up reaches the error of the change."""
+        """Return how many evaluations the given set-up needs for the error of the change."""
         if not slope < 0.0 or math.isnan(log_ratio):
             return math.nan
         return budget * math.exp(min(log_ratio / slope, 700.0))

@@ -359,7 +359,7 @@ def change_warp(given: Setup, budget: Budget) -> _Candidates:  # noqa: ARG001
         raise ParameterError(f"{estimator.spec} has no single density to replace.")
 
     # List the same pdf with other warps, a pdf without jumps, and a pdf that is bounded below
-    plain: Any = density  # The parameters read below exist for some densities only
+    plain: Any = density  # Only some densities have the parameters that are read below
     others = [dataclasses.replace(plain, warp=w) for w in density.warps if w != plain.warp]
     if isinstance(density, EnvironmentDensity) and density.interpolation == "constant":
         others.append(dataclasses.replace(density, interpolation="bilinear", warp="marginal"))

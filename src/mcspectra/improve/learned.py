@@ -88,8 +88,8 @@ class LearnSettings:
     # A quarter is for the choice of one of five candidates: six sets of two points for each.
     # Another quarter is for the check of the result on fresh points.
     least_evaluations: int = 256
-    # Least number of evaluations by default: `most_fitted` for the fit,
-    # `most_fitted` for the choice of a candidate, and `most_fitted` for the check.
+    # Least number of evaluations by default. The fit, the choice of a candidate and the check
+    # take `most_fitted` evaluations each.
     usual_evaluations: int = 3 * 2**13
     # Default number of evaluations for each of the n points, in addition to `most_fitted`.
     # The choice takes half of the 16 n: each of five candidates has six sets of n/4 points.
@@ -173,7 +173,7 @@ def fit_splines(
         Points (N, d); values (N, channels), not all 0; and the density of the points, (N,).
     setting
         Number of cells along each axis, number of parts, and weight of the smoothness penalty.
-        The parts are those of a mixture; 0 stands for a flow.
+        A mixture has at least one part. The number 0 stands for a flow.
     defensive
         Share δ of the uniform density.
     generator
@@ -618,7 +618,7 @@ def in_rounds(
     """Return points (N, d) that follow a function better in each round, with values and densities.
 
     Before each round except the first, `follow` fits a density to all evaluations.
-    It returns an object with `sample` and `pdf`, or None for uniform points.
+    `follow` returns an object with `sample` and `pdf`, or None for uniform points.
     All points together are one sample of the mixture of all densities.
     """
     points, values = np.empty((0, dims)), np.empty((0, 1))

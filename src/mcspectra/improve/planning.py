@@ -7,8 +7,8 @@ Scrambled nets give the variance of several samplers at once (`mcspectra.explain
 Other samplers draw their own sets.
 A measurement has stages. Each stage doubles the evaluations, and none is repeated.
 The measurement ends at the first stage whose interval of n is narrow enough.
-A smaller error never takes fewer points: every search uses the error in comparisons only,
-and no stage returns an n that an earlier stage excluded.
+A smaller error never takes fewer points. Every search uses the error in comparisons only.
+No stage returns an n that an earlier stage excluded.
 """
 
 from __future__ import annotations
@@ -554,7 +554,10 @@ class _Nets:
 
 @dataclass
 class _Own:
-    """Stages of sets of a sampler at powers of a base; each stage adds sets and counts."""
+    """Stages of the sets of a sampler, with counts that are powers of a base.
+
+    Each stage adds larger counts, or further sets at the same counts.
+    """
 
     estimator: AbstractEstimator
     sampler: Sampler
@@ -617,7 +620,7 @@ def _in_stages(source: _Nets | _Own, sampler: Sampler, target: Array) -> _Found:
     estimator, least, best = source.estimator, 0.0, None
     for stage in source.stages():
         curves = stage.curves.get(sampler.spec)
-        if curves is None:  # No variance is known: its error is too large
+        if curves is None:  # The variance is not known, because its error is too large
             continue
         curve = _Ladder.of(curves)
         note, _ = doubt(stage.points, stage.values) or ("", False)
@@ -858,7 +861,7 @@ def plan(
         The curve ends at a quarter of the target variance or at 2^16 points.
         For larger n it is extrapolated by the last slope, which ``how`` reports.
         The coordinates ``method`` and ``how`` are the same as in `predict`.
-        For measurements they are ``"measured"`` and the number of evaluations.
+        For measurements, ``method`` is ``"measured"`` and ``how`` is the number of evaluations.
         If there is a single sampler, ``method`` and ``how`` are attributes of the dataset.
         A list of samplers adds the dim sampler.
         The attribute ``answer`` is a sentence.

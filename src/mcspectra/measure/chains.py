@@ -143,7 +143,7 @@ def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
     weights
         Importance weights or multiplicities of the draws, (n,) or (chain, draw), not negative.
         By default the weights are equal.
-        The error is that of the ratio estimate Σwx/Σw, linearized.
+        The error is the linearized error of the ratio estimate Σwx/Σw.
 
     Returns
     -------

@@ -351,7 +351,7 @@ def make_bands(bands: str | Array, basis: Basis) -> Bands:
 
 
 def check_bands(bands: str | Array, basis: Basis) -> None:
-    """Raise the errors of `make_bands` that do not need its result."""
+    """Check the arguments of `make_bands` before any bands are made."""
     if isinstance(bands, str):
         as_choice("bands", bands, PARTITIONS)
         if bands == "wedge" and basis.dims != 2:

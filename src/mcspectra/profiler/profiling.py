@@ -91,8 +91,8 @@ class ProfileSettings:
     # with six functions and two seeds. The advice was the same.
     # The RMSE after one of the fitted changes differed by a factor of 2.4.
     fitted_points: int = 64
-    # Dependence of draws is a cause if the ratio of effective draws to all draws is at most this.
-    # The upper end of the interval of the ratio must also be at most this.
+    # Largest ratio of effective draws to all draws at which dependence of draws is a cause.
+    # The upper end of the interval of this ratio must not exceed this limit either.
     # At this ratio, standard errors are 20 % larger than for independent draws.
     dependent: float = 0.7
     # Least number of points of each net with which a change of the estimator is measured.
@@ -881,7 +881,7 @@ def _measured(
     *,
     lattice: bool = False,
 ) -> tuple[Curve, Replicates, int]:
-    """Measure the curve of a sampler within `evaluations`; return it with replicates and cost."""
+    """Measure the curve of a sampler within `evaluations`. Also return replicates and the cost."""
     most_sets = _SETTINGS.lattice_sets if lattice else CAUSE_SETTINGS.nets
     each, least = estimator.cost, _SETTINGS.least_sets
     sets = drawn = int(min(most_sets, sampler.most_realizations))
@@ -938,7 +938,7 @@ class _FoundSampler:
     variance: tuple[float, float]
     rate: float
     rate_ci: tuple[float, float]
-    steepens: bool = False  # The rate may be steeper at larger counts, without limit
+    steepens: bool = False  # Whether the rate may be steeper at larger counts, without limit
     sure: bool = False  # Whether it was significantly better in the measurement
 
 

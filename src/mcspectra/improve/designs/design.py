@@ -54,8 +54,9 @@ _VERSION = 4  # Version of the searches; the cache ignores samplers of other ver
 class DesignSettings:
     """Settings of the cache of designs and of certificates."""
 
-    # The cache identifies a class by its text, and by values of random members at random points,
-    # because a text does not identify a function. These are the numbers of points and members.
+    # The cache identifies a class by its text, and by values of random members at random points.
+    # A text alone does not identify a function.
+    # The two settings are the number of points and the number of members.
     # Values may be 0 outside a small region: disks of radius 0.1 were missed by 64 points.
     # A region of volume 1e-3 is missed by 8192 points with probability 3e-4.
     cache_points: int = 2**13
@@ -75,8 +76,9 @@ class DesignSettings:
         "fibonacci | shift | mirror(mode='fold')",
     )
     # Limits of the comparison of a design with its rivals, before the design is returned.
-    # The first two are the numbers of members, and of realizations of each group of members.
-    # The third is the maximum number of evaluations of each sampler.
+    # The first setting is the number of members.
+    # The second setting is the number of realizations of each group of members.
+    # The third setting is the maximum number of evaluations of each sampler.
     # The integrands of a group share realizations. 20 groups of 32 realizations have
     # 620 degrees of freedom, so a variance has a relative standard error of 6 %.
     check_members: int = 2000
@@ -149,7 +151,7 @@ def design(
     objective
         The integrand of a density, or the class of integrands of a sampler. A class is one of:
         a spec whose parameters may be ``uniform(a, b)`` or ``normal(mean, sd)``,
-        which are drawn for each axis if possible;
+        these random parameters are drawn for each axis if possible;
         ``"gaussians"``, short for ``"gaussian(center=uniform(0, 1), width=uniform(0.1, 0.4))"``;
         ``"disks"``, with random centers and radii;
         ``"half-spaces"``, with a uniform direction through a uniform point;
@@ -172,8 +174,9 @@ def design(
         In the .json file, the path of the sets is relative to the folder of this file.
         In the spec of the result, the path is relative to the current folder.
     family, sampler, budget, defensive
-        Options of a density, passed to `learned_density`: `kind` (default ``"mixture"``),
-        `sampler` (default ``"sobol | owen"``), `evaluations` and `defensive`.
+        Options of a density, which are passed to `learned_density`.
+        The default of `family` is ``"mixture"``, and the default of `sampler` ``"sobol | owen"``.
+        The options `budget` and `defensive` become `evaluations` and `defensive`.
     settings
         Settings of the search of a sampler, `mcspectra.improve.designs.searches.SearchSettings`.
 

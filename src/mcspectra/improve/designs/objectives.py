@@ -248,7 +248,10 @@ def _drawn(text: str, dims: int, one: Callable[[np.random.Generator], Integrand]
 
 
 def _members(integrands: Sequence[Integrand], x: Array) -> Array:
-    """Return the values of all channels, scaled so that mean squares of members are plain sums."""
+    """Return the values of all channels, divided by the root of the number of members.
+
+    Sums of squares of the results are means over the members.
+    """
     rows = []
     for f in integrands:
         values = f(x)
