@@ -50,9 +50,8 @@ class AlignmentSettings:
     most_offsets: int = 4096
     # Default number of offsets along each axis in 1, 2 and more dims.
     # A scan has 16 offsets in 1-D, 64 in 2-D and 4^d in d dims.
-    # With half or twice as many offsets, the variance changes by at most 0.1 %.
-    # The change is larger only if the edge can be aligned almost exactly.
-    # The numbers of offsets were tested for disks and steps in 1-D and 2-D.
+    # Half and twice as many offsets were tested for disks and steps in 1-D and 2-D.
+    # The variance changes by at most 0.1 %, unless the edge can be aligned almost exactly.
     usual_offsets: tuple[int, int, int] = (16, 8, 4)
     # Rounding error of an exact variance, as a fraction of I²/n.
     # An exact variance is a difference of two sums: means of g², and squared means of g.
@@ -111,8 +110,9 @@ def strata_shift_scan(
     Returns
     -------
     xarray.Dataset
-        A dataset with ``variance`` and ``variance_ci`` for each n, on the dims offset0, offset1, …;
-        ``rate`` and ``rate_ci`` for each offset; and a dim channel if f has several channels.
+        A dataset. ``variance`` and ``variance_ci`` have the dims offset0, offset1, … and n.
+        ``rate`` and ``rate_ci`` have the dims offset0, offset1, … only.
+        If f has several channels, there is a dim channel.
         Intervals of exact variances have width 0.
         If variances are exact, the interval of a rate shows how well log variance follows a line.
 
@@ -126,7 +126,7 @@ def strata_shift_scan(
 
     Notes
     -----
-    Fixed offsets of strata: [Ramamoorthi2012]_.
+    Fixed offsets of strata are described in [Ramamoorthi2012]_.
 
     Examples
     --------
@@ -207,8 +207,8 @@ def best_alignment(
         The default is the sampler's number of dims, unless the sampler is given as a spec.
     edges
         Positions of known edges; see `aligned`.
-        With edges, strata whose borders lie at the edges are tested as well.
-        This requires an estimator without a density, and n = s^d points.
+        If edges are given, strata whose borders lie at the edges are also tested.
+        Edges require an estimator without a density, and n = s^d points.
     offsets, method
         Same as in `mcspectra.improve.strata_shift_scan`.
         A pattern search, which halves its step 8 times, refines the best offset of the scan.
@@ -221,12 +221,12 @@ def best_alignment(
         A dataset on the dim candidate, which is ``"unshifted"``, ``"offset"`` or ``"aligned"``.
         The candidate ``"aligned"`` exists only if `edges` are given.
         ``strata_offset(candidate, axis)`` is the offset of each candidate.
-        ``predicted_variance`` and ``measured_variance`` have sums over channels.
+        ``predicted_variance`` and ``measured_variance`` are sums over channels.
         ``variance_ratio`` is the ratio of the measured variance to that of the first candidate.
-        ``improvement`` depends on the interval ``variance_ratio_ci``:
-        1 if the interval is below 1, −1 if the interval is above 1, and 0 otherwise.
+        ``improvement`` is 1 if the interval ``variance_ratio_ci`` is below 1.
+        It is −1 if this interval is above 1, and 0 otherwise.
         The attribute ``best`` names the candidate with the least predicted variance.
-        If a candidate has no prediction, ``best`` names the least measured variance.
+        If a candidate has no prediction, ``best`` has the least measured variance.
         The attribute ``improved`` is yes, no or undecided for the best candidate.
 
     Raises

@@ -68,7 +68,7 @@ class Candidate:
         The estimator and the sampler after the change.
     biased
         Whether the candidate estimates another integral.
-        In that case its error is measured about the integral of the given estimator.
+        The error of such a candidate is measured about the integral of the given estimator.
     pilot
         Number of evaluations, in addition to the budget, that the search for the change took.
         If the budget includes a pilot, `Setup.overhead` counts its evaluations instead.
@@ -116,7 +116,7 @@ class CandidateResult:
     rmse, rmse_ci
         Root mean square error of an estimate, and its 95 % interval.
         The interval includes the error of extrapolation beyond the measured counts.
-        All are NaN if the error cannot be determined.
+        RMSE and interval are NaN if the error cannot be determined.
     gain, gain_ci
         Ratio of the variances before and after the change, and the interval of this ratio.
         The intervals of all candidates are simultaneous, at 95 %.

@@ -2,8 +2,8 @@
 
 Each realization of a candidate is compared with the same realization of the given set-up.
 The comparison uses influence functions (docs/theory.md, "Intervals of variances, and stopping").
-If all estimates are equal, either the estimator has no variance,
-or all estimates have missed a rare event.
+All estimates may be equal because the estimator has no variance.
+They may also be equal because all of them have missed a rare event.
 If equal estimates differ from the integral, the error is unknown (NaN), not 0.
 """
 
@@ -164,8 +164,8 @@ class Errors:
     def at(self, budget: float, *, carry: bool = True) -> tuple[float, Array]:
         """Return log v at the cost `budget`, extrapolated along the rate, and influences (R,).
 
-        After a pilot the last error is not extrapolated,
-        because nets often have only half of the points that the budget allows.
+        After a pilot the last error is not extrapolated.
+        Nets often have only half of the points that the budget allows.
         """
         last = len(self.cost) - 1
         if not self.used[last]:

@@ -91,7 +91,7 @@ class CandidateSettings:
     # These two budgets, B/4 and B, give a rate.
     pilot_divisor: int = 8
     # Least number of points of a pilot. Each half of the pilot has 32 points.
-    # A regression on 8 terms takes 4 points each (`RegressionSettings.evaluations_per_term`).
+    # A regression takes 4 points for each of 8 terms (`RegressionSettings.evaluations_per_term`).
     least_pilot: int = 64
     # Maximum number of points of a pilot.
     # Regressions of an Asian option in 16-D were tested with 2048, 4096 and 8192 points.
@@ -146,7 +146,7 @@ Kind: TypeAlias = Literal[
 
 
 def candidates_of(given: Setup, kinds: Sequence[Kind], budget: Budget) -> _Candidates:
-    """Yield each candidate of the given kinds once, and ``name: reason`` of other changes.
+    """Yield each candidate of the given kinds once. For other changes, yield ``name: reason``.
 
     If a kind raises an error, the reason is the message of the error.
     If the estimator is mirrored, its inner estimator is changed, and the result is mirrored again.

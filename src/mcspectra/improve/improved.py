@@ -4,8 +4,8 @@ All changes apply to the primary-space integrand g on the unit cube.
 Therefore every change can be used with any estimator of one technique.
 The changes of these kinds keep the integral, whatever the evaluations of g are:
 
-* *fitted*: g(T(u))/q(T(u)) with uniform u. The density q consists of splines (`learned`)
-  or is a normal density of z = Φ⁻¹(u) with the moments of |g|;
+* *fitted*: g(T(u))/q(T(u)) with uniform u. The density q consists of splines (`learned`).
+ Another choice of q is a normal density of z = Φ⁻¹(u) with the moments of |g|;
 * *order*: the same with q = 1, where T rotates z by an orthogonal matrix.
   After the rotation, g varies most along the first coordinates of z ([Liu2023]_).
   This helps because the first coordinates of nets are the best;
@@ -491,7 +491,7 @@ class Cubic(_Changed):
 class _Preintegrated(_Changed):
     """Integrand that replaces g by its mean along one axis.
 
-    The parts on the two sides of a jump, or of the end of zeros, are sampled separately.
+    The mean is sampled separately on both sides of the point where g jumps or leaves 0.
 
     Attributes
     ----------

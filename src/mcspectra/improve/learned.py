@@ -68,8 +68,8 @@ class LearnSettings:
     # The third number is the weight of the smoothness penalty.
     # The first candidate is also fitted in each round, to place the points of the next round.
     # Evaluations that were not used in any fit choose one candidate.
-    # If one of the candidates is left out, the variances change by −30 to +6 %.
-    # This was measured for a peak in 2-D and for two bells in 3-D.
+    # If one candidate is left out, the variances of two test functions change by −30 to +6 %.
+    # The test functions have a peak in 2-D and two bells in 3-D.
     mixture: tuple[tuple[int, int, float], ...] = (
         (12, 4, 1e-3),
         (8, 4, 1e-1),
@@ -88,8 +88,8 @@ class LearnSettings:
     # A quarter is for the choice of one of five candidates: six sets of two points for each.
     # Another quarter is for the check of the result on fresh points.
     least_evaluations: int = 256
-    # Least number of evaluations by default. The fit, the choice of a candidate and the check
-    # take `most_fitted` evaluations each.
+    # Least number of evaluations by default.
+    # The fit, the choice of a candidate and the check take `most_fitted` evaluations each.
     usual_evaluations: int = 3 * 2**13
     # Default number of evaluations for each of the n points, in addition to `most_fitted`.
     # The choice takes half of the 16 n: each of five candidates has six sets of n/4 points.
@@ -100,7 +100,7 @@ class LearnSettings:
     # With fewer points, nets do not resolve the splines.
     fewest_divisor: int = 16
     # Maximum number of evaluations in a fit.
-    # With 2048 instead of 4096 evaluations, the two variances change by −21 to +12 %.
+    # With 2048 instead of 4096 evaluations, the variances of these tests change by −21 to +12 %.
     most_fitted: int = 2**13
     # Number of points in a block of the sums of a fit. All machines then compute the same bits:
     # BLAS does not use threads for products of blocks of 128 points.
@@ -142,8 +142,8 @@ class LearnSettings:
     # Smaller gains are within the errors of six sets, and uniform points are always safe.
     most_ratio: float = 0.5
     # Least number of evaluations for each weight of a flow.
-    # With fewer evaluations, weights would follow the noise of the points. The same holds for
-    # `evaluations_per_term` of `mcspectra.improve.improved.RegressionSettings`.
+    # With fewer evaluations, weights would follow the noise of the points.
+    # Regressions have a similar limit (`mcspectra.improve.improved.RegressionSettings`).
     # In 2-D and 3-D, results are the same for 2 and 8.
     evaluations_per_gate: int = 4
 
@@ -386,8 +386,8 @@ def learned_density(
     Parameters
     ----------
     f
-        An integrand with one or more channels, a spec,
-        or a function that maps points (k, d) to values (k,).
+        An integrand with one or more channels, or a spec.
+        Another choice is a function that maps points (k, d) to values (k,).
     kind
         ``"mixture"`` is a mixture of products of splines.
         In a ``"spline-flow"``, the spline weights of a coordinate depend on earlier coordinates.
@@ -412,8 +412,8 @@ def learned_density(
     -------
     Density
         A continuous density with an exact inverse and a continuous warp.
-        The `spec` of the density names its file. If no candidate halves the variance of uniform
-        points, or if the check does not confirm this, the density is ``uniform``.
+        The `spec` of the density names its file. The density is ``uniform`` if no candidate halves
+        the variance of uniform points, or if the check does not confirm the gain.
         In this case a `NoGainWarning` is issued.
 
     Raises
@@ -436,8 +436,8 @@ def learned_density(
     The best candidate is checked on fresh points, with at least 16 realizations.
     The check must show with 95 % confidence that the variance is less than for uniform points.
     In addition, ∫f²/p must be smaller than ∫f².
-    The effective number (Σ|f|)²/Σf² of uniform points must be at least 16: peaks may be missed
-    otherwise.
+    Many uniform points must have nonzero f, because peaks may be missed otherwise:
+    their effective number (Σ|f|)²/Σf² must be at least 16.
     `mcspectra.improve.learned` describes the method of fitting.
 
     Examples

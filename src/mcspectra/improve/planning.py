@@ -63,12 +63,12 @@ class PlanSettings:
     # Largest planned number of points. Larger numbers do not fit into a 64-bit integer.
     most: int = 2**62
     # Resolution of the search for n: the next power of two is divided by this number.
-    # Up to n = 256 the least count is found; above, eight predictions find n within 0.4 %.
+    # Up to n = 256 the least count is found. For larger n, eight predictions find n within 0.4 %.
     steps: int = 256
     # The answer contains the interval of n if the ratio of its ends is larger than this.
     wide: float = 1.25
     # If an estimator has several techniques, the sampler must have sets for all of them.
-    # At most this number of consecutive counts is tried until such sets exist.
+    # Number of consecutive counts that are tried until such sets exist.
     tries: int = 256
 
 
@@ -90,7 +90,7 @@ class MeasuredPlanSettings:
     # With 2, sets have half as many points, and rates of functions with jumps become uncertain.
     doubling: int = 3
     # Least number of points in each set of the first stage.
-    # With 8 points, parts of a set give variances at smaller counts, and therefore a rate.
+    # With 8 points, parts of a set give variances at smaller counts, and these give a rate.
     least: int = 8
     # Least number of sets for a variance, as in `profile`. Samplers with few stored sets need it.
     least_sets: int = 3
@@ -457,8 +457,7 @@ class _Stage:
         Points (N, d) of a single technique, or None if there are several techniques.
         The values (N, channels) belong to the technique with the largest variance.
     largest
-        Number of points in all sets of the largest size:
-        R times the number of points of one set.
+        Number R · n of points in all R sets of the largest size n.
     evaluations
         Number of evaluations of this stage and all earlier stages together.
     """

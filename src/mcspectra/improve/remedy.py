@@ -151,7 +151,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
         start = Candidate("given", "as given", "leave everything as it is", given)
         unknown = np.isnan(given.estimator.known_integral()[0]).any()
         search = Budget(self.budget, self.realizations, stream.child(_SEARCH))
-        # Divide the evaluations equally among the kinds, after those of the given set-up
+        # Divide the evaluations that the given set-up leaves equally among the kinds
         limit = self.max_evaluations
         first = self._evaluations(given)
         share = None if limit is None else max(1, (limit - first) // len(self._kinds))
@@ -297,16 +297,16 @@ def remedies(
         The name of the given set-up is ``"as given"``.
         ``error`` with ``error_ci`` is the variance at the budget, summed over channels.
         For a biased change, ``error`` is the mean squared error.
-        ``error_ratio`` with ``error_ratio_ci`` is the ratio to the error of the given set-up.
+        ``error_ratio`` with ``error_ratio_ci`` is the error relative to the given set-up.
         ``rate`` with ``rate_ci`` is the rate of the variance.
-        ``rate_difference`` with ``rate_difference_ci`` is this rate minus that of the given set-up.
+        ``rate_difference`` with ``rate_difference_ci`` is the change of the rate by the remedy.
         Intervals of ratios and of differences are simultaneous, at 95 %.
         ``rank_by_rate`` is the rank of the rate.
         The coordinates of a remedy are its ``kind``, ``change`` (an imperative) and ``reason``.
         Two further coordinates are ``verdict`` for the error, and ``rate_verdict`` for the rate.
         A verdict is better, worse, undecided or given.
-        Variables on (remedy, step): ``cost`` and ``error_at_cost``.
-        Attributes: ``diagnosis`` and ``answer`` are sentences,
+        ``cost`` and ``error_at_cost`` have the dims remedy and step.
+        Four attributes describe the result. ``diagnosis`` and ``answer`` are sentences.
         ``best`` contains the numbers of the answer as JSON.
         ``not_tried`` lists changes that could not be tried, with reasons.
 

@@ -94,8 +94,8 @@ def smoothing_scan(
     Raises
     ------
     CountError, ParameterError
-        If the sampler cannot draw one of the counts, if widths are not ascending or impossible,
-        or if dims disagree.
+        If the sampler cannot draw one of the counts, if dims disagree,
+        or if widths are not ascending or impossible.
 
     Examples
     --------
@@ -210,7 +210,7 @@ def mirror_study(
     xarray.Dataset
         A dataset with ``variance``, ``variance_ci``, ``mean`` and ``mean_se``.
         If `exact` is true, it also has ``exact_variance``, with NaN for unknown values.
-        Dims are mirroring, homogenized (True with ``shift``) and n.
+        The dims are mirroring, homogenized (True with ``shift``) and n.
         ``rate`` and ``rate_ci`` have the first two dims only.
         A dim channel is added if f has several channels.
 

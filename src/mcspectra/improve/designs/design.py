@@ -79,8 +79,9 @@ class DesignSettings:
     # The first setting is the number of members.
     # The second setting is the number of realizations of each group of members.
     # The third setting is the maximum number of evaluations of each sampler.
-    # The integrands of a group share realizations. 20 groups of 32 realizations have
-    # 620 degrees of freedom, so a variance has a relative standard error of 6 %.
+    # The integrands of a group share realizations.
+    # 20 groups of 32 realizations have 620 degrees of freedom:
+    # a variance then has a relative standard error of 6 %.
     check_members: int = 2000
     check_realizations: int = 32
     check_evaluations: int = 2**24
@@ -146,19 +147,19 @@ def design(
         ``"polynomial-lattice"`` and ``"digital-net"``: generator matrices.
         ``"owen"``: 64 Owen scramblings of Sobol' points, which keep the quality parameter t.
         ``"strata"``: the shape of strata, and combinations of points of different strata.
-        ``"points"``: sets that share the cells of a grid, or one set by gradients on the torus.
+        ``"points"``: sets that share the cells of a grid, or one set optimized on the torus.
         ``"density"``: an importance density, see `learned_density`.
     objective
         The integrand of a density, or the class of integrands of a sampler. A class is one of:
-        a spec whose parameters may be ``uniform(a, b)`` or ``normal(mean, sd)``,
-        these random parameters are drawn for each axis if possible;
+        a spec with random parameters ``uniform(a, b)`` or ``normal(mean, sd)``,
+        where a parameter is drawn for each axis if possible;
         ``"gaussians"``, short for ``"gaussian(center=uniform(0, 1), width=uniform(0.1, 0.4))"``;
         ``"disks"``, with random centers and radii;
         ``"half-spaces"``, with a uniform direction through a uniform point;
         a function ``generator -> integrand``;
         a list of classes and integrands with equal shares, such as the pixels of a scene;
         ``{"spectrum": P}``, where P contains the powers P(m) = E|f_m|² for m = −h … h.
-        P is an array (2h + 1, …), or with ``"half_width": h`` a callable of m (k, d);
+        P is an array (2h + 1, …), or a callable of m (k, d) together with ``"half_width": h``;
         ``{"covariance": C}``, where C contains C_ml = E[f_m conj(f_l)].
         C is a matrix with the frequencies m in C order, or a callable of m and l.
     n
@@ -328,8 +329,9 @@ def certificate(
     dims
         Number of dims. The default is the number of dims of the sampler.
     rivals
-        Samplers that are compared with the design. The default is sobol | owen, pmj02 and
-        pmj02-blue-noise, and shifted lattices (Korobov, rank-1 and Fibonacci), also folded.
+        Samplers that are compared with the design.
+        By default these are the nets sobol | owen, pmj02 and pmj02-blue-noise,
+        and shifted lattices (Korobov, rank-1 and Fibonacci), also folded.
         Of these, only samplers with sets of n points in these dims are used.
     members
         Number of random members, which are divided into 20 groups.
@@ -343,7 +345,7 @@ def certificate(
     xarray.Dataset
         `mean_variance(sampler)` with `mean_variance_ci` is the mean variance over the class.
         `design_ratio` with `design_ratio_ci` compares the sampler with its rivals.
-        The ratio is the mean variance of the sampler divided by that of the best rival.
+        The ratio is the mean variance of the sampler divided by the variance of the best rival.
         For each half of the groups, the rival is chosen by the other half.
         Intervals at 95 % are by Student's t over groups, and by the jackknife for the ratio.
         The attribute `best_rival` names the rival with the least mean variance.

@@ -80,7 +80,7 @@ class Objective:
         Name of the class in messages.
     draw
         Function of M and a random generator that returns M random members.
-        If this is a list, it is the whole class.
+        A list of integrands is the whole class.
     whole
         The functions of the whole class if all of them are known; otherwise None.
     """

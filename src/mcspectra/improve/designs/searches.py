@@ -2,7 +2,7 @@
 
 Let P(m) = E|f_m|² be the mean power of the class.
 A set that is shifted at random has the variance Σ_{m≠0} P(m) |S_m|².
-For a lattice, this is the sum of P over its dual lattice.
+For a lattice, the variance is the sum of P over the dual lattice.
 A digital shift has the same property in the Walsh basis. Let κ be the Walsh series of P.
 The variance is (1/n²) Σ_ij κ(x_i xor x_j). For a digital net this is the mean of κ over the points.
 If sets are folded after the shift, both statements hold for g(x) = f(1 − |2x − 1|).
@@ -96,7 +96,7 @@ class SearchSettings:
     # One vector is built axis by axis, and the others are random.
     # In 3-D the variance ratio is 0.295 with 24 or 48 vectors, and 0.274 with 96 in twice the time.
     vectors: int = 48
-    # Number of vectors that are measured: the best vectors of this search.
+    # Number of the best vectors of this search that are measured.
     # In 3-D the variance ratio is the same for 6 and 24 measured vectors.
     judged: int = 12
 
@@ -129,8 +129,7 @@ class SearchSettings:
     # The variance ratio of strata designs is 0.031 for half or twice as many features.
     features: int = 160
     # Number of exchanges of cells that are tried in a round; the time is proportional to it.
-    # With 2^19, 2^20 and 2^21 exchanges, the variance ratio of strata designs is
-    # 0.035, 0.031 and 0.028.
+    # For strata designs, the ratio is 0.035, 0.031 and 0.028 with 2^19, 2^20 and 2^21 exchanges.
     trials: int = 2**20
     # Maximum number of rounds of exchanges; the time is proportional to it.
     # The variance ratio of strata designs is 0.037, 0.031 and 0.028 for 12, 24 and 48 rounds.
@@ -142,7 +141,7 @@ class SearchSettings:
     # The variance ratio of strata designs is the same for half or twice this fraction.
     least_gain: float = 0.003
     # Whether exchanges also start from the cosets of a digital net.
-    # With 64 points in 4-D, these exchanges end with less variance than those from random sets
+    # With 64 points in 4-D, exchanges from cosets end with less variance than from random sets
     # (tests/improve/test_design.py).
     cosets: bool = True
     # Number of shapes of strata that are compared, starting with the most even shapes.
@@ -155,9 +154,9 @@ class SearchSettings:
     # Settings of point sets that are optimized on the torus
 
     # Number of points in the table from which the spectrum is estimated.
-    # With more points, each gradient takes more time. The ratio was measured at n = 5000
-    # for designs of kind ``points``. It is 0.082 with this number of points, 0.20 with half of it,
-    # and 0.078 with twice this number.
+    # With more points, each gradient takes more time.
+    # For designs of kind ``points`` at n = 5000, the ratio is 0.082 with this number of points.
+    # The ratio is 0.20 with half of this number, and 0.078 with twice this number.
     torus_frequencies: int = 2**14
 
 
