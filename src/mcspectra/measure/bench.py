@@ -272,7 +272,7 @@ def sampler_bench(
                     f"{short_spec(free.spec)}"
                 )
             added |= {step: None} if step else {}
-            # Measure convergence on the tasks at the counts nearest to the requested counts
+            # Measure convergence on the integrands, with allowed counts near the requested counts
             nearest, own_tasks = _nearest(free, asked), [t for t in tasks if t.dims == d]
             numbers, sets = sorted({*nearest.values()}), many
             if isinstance(free, GivenPoints):

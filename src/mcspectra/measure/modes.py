@@ -326,7 +326,7 @@ def covariance_modes(
         Number of passes over the realizations, at least 2. More passes separate close eigenvalues.
     max_evaluations
         Maximum number of evaluations of the integrand.
-        An analysis that takes more raises an error, before it starts if possible.
+        If an analysis needs more evaluations, an error is raised, if possible before it starts.
 
     Returns
     -------

@@ -254,7 +254,7 @@ def technique_terms(
         Number of the largest counts to which rates are fitted, as in `convergence`.
     max_evaluations
         Maximum number of evaluations of the integrand.
-        An analysis that takes more raises an error, before it starts if possible.
+        If an analysis needs more evaluations, an error is raised, if possible before it starts.
 
     Returns
     -------
