@@ -2,7 +2,7 @@
 
 docs/theory.md, "Analysis by axes", derives both methods of this module.
 `anova_variances` uses pick-freeze estimates [Sobol2001]_ with whole point sets.
-The part of the empty set of axes is 0. Its sample is subtracted from all other samples.
+The empty set of axes has the part 0. The sample of this part is subtracted from all others.
 The samples share most of their errors, which cancel. Therefore shares near 1 are precise.
 
 `anova_spectrum` draws frequencies with the probability q(m) = Π_{i∈u} q_1(m_i).
@@ -204,7 +204,7 @@ class Anova(Counted, frozen=True, kw_only=True):
         # Products of deviations, whose means over realizations are covariances: (S, R, channels)
         deviation = estimates - estimates.mean(axis=1, keepdims=True)
         products = deviation * (deviation[0] * (count / (count - 1)))
-        # With two realizations both products are equal, so their spread is not an error
+        # With two realizations the two products are equal, so their spread is not an error
         least = _SETTINGS.least
         per_root = count**-0.5 if count >= least else math.nan
         dims = max(self._group_of_axes(subject.estimator.dims)) + 1
@@ -440,7 +440,7 @@ def anova_variances(
         Number of independent pairs of point sets, at least 2.
     groups
         Group of each axis, numbered from 0 without gaps. By default every axis is a group.
-        Subsets, ``axis`` and ``axes`` refer to these groups.
+        The subsets and the dims ``axis`` and ``axes`` refer to these groups.
         A group may hold the axes of one bounce of a path, for example.
     rng
         Seed (SPEC 7). Realization r uses the points of ``sampler.draw(n, rng=rng, first=r)``.
@@ -454,7 +454,7 @@ def anova_variances(
     -------
     xarray.Dataset
         ``anova_variance(subset)`` is the part c_u of the variance from a subset u of axes.
-        ``anova_share(subset)`` is its share of the variance of the same pairs.
+        ``anova_share(subset)`` is the share of this part in the variance, from the same pairs.
         All shares sum to 1. The shares of single axes are the first-order Sobol' indices.
 
         ``total_variance(axis)`` is the sum of c_u over all subsets u that contain the axis.
@@ -463,8 +463,9 @@ def anova_variances(
         ``higher_order_share`` is the share of this part.
         ``truncation_share(axes)`` is the share of the first axes.
 
-        The effective dimensions are ``effective_dimension_truncation`` and
-        ``effective_dimension_superposition``. The latter is NaN if it exceeds `order`.
+        ``effective_dimension_truncation`` is the number of leading axes that hold 99 %.
+        ``effective_dimension_superposition`` is the size of subsets that hold 99 %.
+        It is NaN if it exceeds `order`.
         ``mean_dimension`` is the mean of |u| weighted by c_u. ``variance`` is the whole variance.
 
         Standard errors of variances have names that end in ``_se``.
@@ -547,8 +548,8 @@ def anova_spectrum(
     Raises
     ------
     NoClosedForm
-        If the coefficients are not exact, the points have a density,
-        or the frequencies are correlated. `anova_variances` has no such requirements.
+        If the coefficients are not exact, the points have a density, or frequencies are correlated.
+        `anova_variances` has no such requirements.
     ParameterError, CountError
         If a value is out of range, or the frequencies would not fit into memory.
 

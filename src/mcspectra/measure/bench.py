@@ -152,10 +152,10 @@ def sampler_bench(
         Numbers of points. Each sampler uses its allowed counts nearest to these numbers.
     dims
         One or several numbers of dims. The integrands are built for all of them.
-        Spectra, pair correlations, quality and speed use the first number.
+        Spectra, pair correlations, quality and speed use only the first of these numbers.
         Projections use all numbers.
     realizations
-        Number of realizations for each variance. Given sets limit it to the number of sets.
+        Number of realizations for each variance. The number of given sets is an upper limit.
     rng
         Seed of the random numbers, an integer.
 
@@ -170,7 +170,7 @@ def sampler_bench(
         ``rank_ci`` holds simultaneous 95 % intervals of all ranks.
 
         The figures of quality and ``points_per_second`` have the dims (sampler, n).
-        ``points_per_second`` is the speed of one thread. It is NaN for points that are read.
+        ``points_per_second`` is the speed of one thread. It is NaN for points from files.
 
         Spectra are computed in 1 to 3 dims. ``power`` has the dims (sampler, m0, …).
         ``radial_power`` and ``anisotropy_db`` have the dims (sampler, radius).
@@ -195,8 +195,8 @@ def sampler_bench(
     Notes
     -----
     Six integrands are Genz's families [Genz1984]_ with his difficulties.
-    The others are a half-space with an oblique border, a ball in up to 3 dims, and Sobol's
-    g-function.
+    The others are a half-space with an oblique border, Sobol's g-function,
+    and a ball in up to 3 dims.
     Genz's families are smooth, have a kink, or have an axis-parallel jump.
     All results except ``points_per_second`` depend only on the samplers and the seed.
     Every sampler has its own stream of random numbers.
@@ -248,7 +248,7 @@ def sampler_bench(
     labels = list(map(short_spec, specs))
     if len(set(labels)) < len(
         labels
-    ):  # Names may be equal, such as the names of files in several folders
+    ):  # Files in several folders may have equal names
         labels = specs
 
     tasks = [task for d in wanted for task in standard_tasks(d)]
@@ -262,7 +262,7 @@ def sampler_bench(
         for d, source in sources.items():
             made_counts = sorted(set(_nearest(source, asked).values()))
             free, step = free_of(source, made_counts)
-            if not step:  # A sampler that is a function may ignore the generator
+            if not step:  # A sampler that is a function may ignore the random generator
                 n = made_counts[-1]
                 if different_realizations(source, n, Stream.from_rng(own), 2) == 1:
                     free, step = randomized(source, made_counts)
@@ -460,7 +460,7 @@ def randomized(source: Sampler, counts: Sequence[int]) -> tuple[Sampler, str]:
 
 
 def making_seconds(source: Sampler, n: int, rng: int) -> float:
-    """Return the best time of a few draws on one thread without the cache, or NaN for files."""
+    """Return the least time of a few draws on one thread without the cache, or NaN for files."""
     if isinstance(source.plain, GivenPoints):
         return math.nan
     stream = Stream.from_rng(rng)

@@ -5,7 +5,7 @@ The variance of its mean over n draws is
 
     Var = ∫ S(ν) |W(ν)|² dν = (1/n) ∫ S(ν) F_n(ν) dν,    F_n(ν) = sin²(πnν) / (n sin²(πν)),
 
-which is the power term with the Fejér kernel F_n of the window W of equal weights.
+This is the power term with the Fejér kernel F_n of the window W of equal weights.
 For a stationary chain the dc and cross terms vanish.
 S comes from an autoregression whose order is chosen by AIC, as in [Thompson2010]_.
 The autocovariances are corrected for the subtracted mean:
@@ -46,7 +46,8 @@ class ChainSettings:
     # Least number of draws of a chain. With fewer draws the autoregression has order 2 at most.
     # In general, the largest order is a quarter of the number of draws.
     least_draws: int = 10
-    # Deviation of the mean chain's power, in standard errors, above which chains are correlated.
+    # Chains are correlated if the power of the mean chain deviates by more than this.
+    # The deviation is in standard errors.
     # A normal law exceeds 5 standard errors with probability 6e-7.
     # A score of 2.5 gives 2 false alarms in 475 cases.
     # A score of 10 misses all of 50 sets of chains that have a common part of 0.3.
@@ -160,8 +161,8 @@ def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
         ``band_low`` and ``band_high`` are the ends of each band in cycles per draw.
         ``error_share`` is the share of each band in the squared error.
         ``draw_share`` is the share of each band in the variance of the draws.
-        ``chain_spectrum`` is the measured mean of S, with ``chain_spectrum_ci``.
-        ``fitted_spectrum`` is the mean of S from the autoregression.
+        ``chain_spectrum`` is the measured mean of S in a band, with ``chain_spectrum_ci``.
+        ``fitted_spectrum`` is the mean of S in a band from the autoregression.
 
         The coordinate ``cause`` has comma-separated names of faults, or none.
         The coordinate ``evidence`` has a sentence on each fault.
@@ -179,7 +180,7 @@ def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
     -----
     S(0) from an autoregression has a smaller error than two alternatives.
     The interval also has a coverage closer to 95 %; see docs/theory.md, "Chains".
-    The initial monotone sequence cannot resolve antithetic or oscillating chains.
+    One of them, the initial monotone sequence, cannot resolve antithetic or oscillating chains.
     The other alternative averages the spectrum over the lowest frequencies.
     The cost is O(n log n).
 
@@ -587,7 +588,7 @@ def _tail_index(z: Array, least: int) -> float:
     likelihood = most * (np.log(-b / k) - k - 1)
     weight = np.exp(likelihood - likelihood.max())
     index = float(np.log1p(-(b @ weight) / weight.sum() * excess).mean())
-    # Shrink the index toward ½, as ten further draws with index ½ would (prior)
+    # The prior shrinks the index toward ½, as ten further draws with index ½ would
     return (most * index + 5) / (most + 10)
 
 

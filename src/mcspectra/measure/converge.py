@@ -399,7 +399,7 @@ def convergence(
         Ascending numbers of points n that every sampler allows.
     realizations
         Number of independent realizations for each n, at least 2.
-        With `relative_error` it is the largest number.
+        With `relative_error` this is the maximum number.
     rng
         Seed (SPEC 7). Each n has its own stream of random numbers.
         All estimators and samplers share this stream (common random numbers).
@@ -422,7 +422,7 @@ def convergence(
         ``mean(n)`` has the standard error ``mean_se(n)``.
 
         ``bias(n)`` and ``mse(n)`` refer to the estimator's integral.
-        The attribute ``integral_source`` names its source.
+        The attribute ``integral_source`` names the source of this integral.
         ``bias_se(n)`` includes the error of the integral.
         For a user's function without a given integral, ``bias`` and ``bias_se`` are NaN.
         In this case ``mse`` is the variance.

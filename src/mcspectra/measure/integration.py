@@ -19,7 +19,7 @@ For lattices, the interval is not changed, because the rates of lattices vary wi
 The interval is the smallest that contains Student's t interval and Hall's transform of it.
 Intervals of `mean_interval` were tested with 300 seeds at 256 calls.
 These intervals contain the integral of x^−½ in 88 % of cases, and Student's t alone in 74 %.
-For the integral of e^(x + y), both kinds contain it in 97 % and 96 % of cases.
+For the integral of e^(x + y), these two fractions are 97 % and 96 %.
 
 If f grows without bound toward a face of the cube, the errors of strata follow another law.
 The quantiles of this law are used if they make the interval wider than Student's t
@@ -36,7 +36,7 @@ The integral of a smooth function would then have ten times the error.
 A few linear scrambles of a net cause most of the variance.
 The many remaining linear scrambles have far smaller errors.
 The *median* of replicates ignores the few bad scrambles.
-For smooth f its error falls faster than any power of n ([Pan2024]_).
+For smooth f, the error of the median falls faster than any power of n ([Pan2024]_).
 An estimate is above the median with probability one half.
 Therefore order statistics bound the median for any distribution.
 Nested scrambles have no such bad sets, so their mean is better.
@@ -97,7 +97,7 @@ class IntegrationSettings:
     """Settings that divide a budget into replicates, and that choose between median and mean.
 
     Numbers in the comments are from 40 runs with 512 and with 4,096 calls on five functions.
-    The functions are smooth in 2 and 4 dims, x^−½, a quarter disk and a kink.
+    The functions are two smooth ones in 2 and 4 dims, x^−½, a quarter disk and a kink.
     """
 
     # Least number of replicates.
@@ -166,8 +166,8 @@ def integrate(
     ----------
     f
         A vectorized function of points (…, d) with values (…).
-        Other choices are an integrand without channels, its spec string,
-        or an estimator of one technique, such as ``Estimator(f, density)``.
+        Other choices are an integrand without channels, and its spec string.
+        An estimator of one technique is also allowed, such as ``Estimator(f, density)``.
     budget
         Maximum number of calls of f, where each point is one call.
     sampler
@@ -177,7 +177,7 @@ def integrate(
     combine
         ``"mean"`` of the replicates, or ``"median"`` for linear scrambles such as ``lms``.
         The median is far better for smooth f in one dim.
-        In two dims it is far better with more than about 2,000 calls.
+        In two dims the median is far better with more than about 2,000 calls.
     vectorized, workers, cache
         Options for slow functions: see `mcspectra.integrands.Calls`.
         An interrupted call continues when it is repeated with the same cache.
@@ -203,8 +203,8 @@ def integrate(
     xarray.Dataset
         ``value`` is the integral, or NaN without an integral.
 
-        ``interval(bound)`` is its 95 % interval over the replicates.
-        For the median it refers to the median of the distribution of replicates.
+        ``interval(bound)`` is the 95 % interval of the value, over the replicates.
+        For a median, the interval is for the median of the distribution of replicates.
         The interval contains this median with probability at least 95 %.
 
         ``calls`` is the number of calls, and ``skipped`` the number of failed calls.
@@ -430,7 +430,7 @@ def _sampled(
 
 
 def _in_one_set(calls: Calls, setup: Setup, stream: Stream, best: Any) -> _Replicates | None:
-    """Return the runs of one set of as many points as possible, or None if replicates are better.
+    """Return the runs of the largest possible set, or None if replicates are better.
 
     Any 2^k points of a scrambled net in base 2 that start at a multiple of 2^k are a scrambled net.
     The points k, k + R, k + 2R, … of a lattice are a shifted lattice.
@@ -510,7 +510,7 @@ def _estimated(sets: _Replicates, law: Law, *, median: bool, linear: bool) -> _E
         interval = -math.inf, math.inf
     elif endless or not isinstance(law, Independent):
         interval = growing_interval(means, growths)
-    # Take the median. If no replicate stands out, f is rough or n is small
+    # Take the median. If no replicate is an outlier, f is rough or n is small
     outer = int((bdtr(np.arange(replicates), replicates, 0.5) < _SIDE).sum()) - 1
     ends = np.sort(means)[[outer, -1 - outer]]
     stand_out = linear and 0.0 < _SETTINGS.stands_out * np.ptp(ends) < np.ptp(interval)

@@ -68,9 +68,8 @@ class ModeSettings:
     # Largest number of elements of one set of vectors: 1 GiB in float64.
     most_numbers: int = 2**27
     # Number of realizations per coefficient below which a note warns of sampling noise.
-    # For pure noise, the largest eigenvalue would be equal to the mean eigenvalue.
-    # With 10 realizations per coefficient, it is (1 + √(1/10))² = 1.73 times the mean
-    # [Marchenko1967]_.
+    # The true eigenvalues of pure noise are equal. With 10 realizations per coefficient,
+    # the largest sample eigenvalue is (1 + √(1/10))² = 1.73 times the mean [Marchenko1967]_.
     many: float = 10.0
     # Variance of a coordinate that counts as rounding, as a fraction of the largest variance.
     # The standard deviation is then 1e-10 of the largest, about a million rounding errors.
@@ -352,8 +351,8 @@ def covariance_modes(
 
     Notes
     -----
-    The time for R realizations of n points and M frequencies is
-    O(passes · R (n + M log M + M modes)). Each thread takes O(M modes) memory.
+    R realizations of n points with M frequencies take O(passes · R (n + M log M + M modes)) time.
+    Each thread takes O(M modes) memory.
 
     Examples
     --------

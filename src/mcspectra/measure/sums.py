@@ -240,7 +240,7 @@ class SpectralSums:
 
 @dataclass(frozen=True)
 class RunningSpread:
-    """Sums over blocks of arrays x of weight w, for the error of their weighted mean.
+    """Sums over blocks, whose arrays x have weights w, for the error of the weighted mean.
 
     All arrays have the same shape and type.
     Deviations are taken about the mean with weights w².

@@ -2,7 +2,7 @@
 
 E_t is the part of an estimate from technique t.
 The variance is the sum of Cov(E_t, E_s) over all pairs of techniques.
-Off the diagonal the covariance is 0 for independent sets.
+Covariances of different techniques are 0 if their point sets are independent.
 Techniques that share points have a covariance (`mcspectra.estimators.base`).
 Each covariance has a dc, a power and a cross term.
 The terms use the spectrum S^t and the integrand f^t of technique t instead of S and f.
@@ -274,7 +274,7 @@ def technique_terms(
 
         ``technique_variance(technique)`` with ``_ci`` is the diagonal of the covariances.
 
-        With a list of n: ``technique_rate`` and ``rate`` have intervals ``_ci``.
+        With a list of n, ``technique_rate`` and ``rate`` have intervals ``_ci``.
         ``bottleneck`` is the technique whose rate is significantly slower than all other rates.
         The 95 % interval of this rate overlaps no other interval. The value −1 means undecided.
         The attribute ``bottleneck`` has the name of this technique.

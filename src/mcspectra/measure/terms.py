@@ -317,17 +317,18 @@ def variance_terms(
         ``captured`` is NaN if the measured variance is rounding noise.
 
         ``energy_share`` is the part of ∫f² within the half width.
-        ``tail_term`` is the variance of the rest for random points.
+        ``tail_term`` is the variance from outside the half width, for random points.
         ``contribution`` and ``power_contribution`` are maps on m0, m1, ….
-        Further variables are ``band_covariance(band, band_other)``,
-        ``truncated_variance(half_width)`` and ``captured_by_half_width(half_width)``.
+        ``band_covariance(band, band_other)`` is the covariance of the estimates of two bands.
+        Results for smaller half widths are ``truncated_variance(half_width)``
+        and ``captured_by_half_width(half_width)``.
         With `cross_matrix` there are ``coefficient_covariance(m, l)`` and ``cross_matrix(m, l)``.
 
         A list of samplers adds a dim sampler, and several channels add a dim channel.
         Several techniques in primary space add a dim technique on maps.
 
         Standard errors ``_se`` come from batch means and need at least 4 realizations.
-        The three terms, ``contribution``, ``band_covariance`` and both matrices have them.
+        The terms, ``contribution``, ``band_covariance`` and both matrices have standard errors.
         The attribute ``batches`` is the number of batches.
         95 % intervals use Student's t. Its degrees of freedom are the number of batches minus one.
         The interval of ``captured`` is logarithmic.
@@ -421,7 +422,7 @@ def _variables(total: TermSums, view: View, partition: Partition) -> Variables:
     variables["band_covariance"] = pairs, sums.band_m2 / degrees
     variables["band_covariance_se"] = pairs, batches.band_covariance.error()
 
-    # Full C_ml and conj(f_m) f_l C_ml. Errors of conjugates are equal and scale with |f_m f_l|
+    # Compute C_ml and conj(f_m) f_l C_ml in full. The errors of the second scale with |f_m f_l|
     if sums.matrix is not None and batches.matrix is not None:
         # Find the position of each coefficient of each technique among the stored coefficients.
         # Also find out whether the stored coefficient is conjugated

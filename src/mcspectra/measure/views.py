@@ -2,7 +2,7 @@
 
 The *domain* view pairs one integrand f with the warped, weighted points of all techniques.
 In *primary* space every technique has its own integrand g_t and the sampler's own points.
-Sums then run over (technique, m).
+Sums then run over all techniques and all frequencies m.
 
 Basis functions are divided into *bands*, which split an estimate into parts:
 A band is a set of functions with the estimate I_a = Σ_{m in a} conj(f_m) S_m.
@@ -44,7 +44,7 @@ class FrequencySettings:
     # Largest number of frequencies of a default half width, 2^17.
     # In 2-D a half width of 128 fits, and one spectrum takes 1 MiB in half storage.
     most_frequencies: int = 2**17
-    # If a smaller fraction of Σ|f_m|² than this lies outside half the width, the width is halved.
+    # The width is halved if less than this fraction of Σ|f_m|² lies outside half the width.
     # The value is about ten roundings of float64.
     rounding: float = 1e-15
     # Number of points that estimate mean squares of weights and of functions.
@@ -83,7 +83,7 @@ class Frequencies:
 
         The basis ``"auto"`` fits the points of the estimator.
         In the domain, the points of a mirrored integrand are folded.
-        In primary space, the points of the estimator are those of the sampler.
+        In primary space, the points of the estimator are the points of the sampler.
         """
         estimator, space, basis = subject.estimator, asked.space, asked.basis
         domain = estimator.domain_integrand
@@ -125,7 +125,7 @@ class Frequencies:
 
     @property
     def size(self) -> int:
-        """Number of coefficients. In primary space it counts those of every technique."""
+        """Number of coefficients. In primary space, all techniques have their own coefficients."""
         techniques = len(self.estimator.counts) if self.space == "primary" else 1
         return self.basis.size * techniques
 
