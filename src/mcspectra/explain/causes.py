@@ -83,8 +83,8 @@ class CauseSettings:
     """Fractions of a budget of evaluations, and thresholds above which causes are reported.
 
     "Values from a to b give the same results" refers to ``python -m benchmarks settings``.
-    With the setting itself and with the values a and b, profiles find the right first cause
-    in all 152 test cases.
+    With the setting itself, profiles find the right first cause in all 152 test cases.
+    With the values a and b, they find it in all cases as well.
     A cause is "wrong" if it is not the right first cause.
     """
 
@@ -92,7 +92,7 @@ class CauseSettings:
     # A variance of 20 normal estimates has a relative standard error of a third.
     # With 40 nets of half the size, one of 152 causes is wrong; 10 nets are also enough.
     nets: int = 20
-    # For more evaluations than this, the number of nets grows as the square root of evaluations.
+    # Above this number of evaluations, the number of nets grows as the square root of evaluations.
     # Nets then have 512 points or more, so a curve has at least ten counts.
     # For such curves, additional nets improve the rate more than additional counts.
     more_from: int = 16384
@@ -126,9 +126,8 @@ class CauseSettings:
     # The largest squared deviation of g from its mean must exceed the variance by this factor.
     # Values from 150 to 600 give the same results.
     climbed: float = 300.0
-    # Smallest and largest allowed size of g.
-    # Within these limits, sums of squares of g are in the range of float64, 1e-308 to 1e308,
-    # for any number of points.
+    # Smallest and largest allowed size of g. Within these limits,
+    # sums of any number of squares of g stay in the range of float64, 1e-308 to 1e308.
     smallest: float = 1e-120
     largest: float = 1e120
     # Least number of dims in which the mean dimension is estimated.
@@ -168,8 +167,7 @@ class CauseSettings:
     # With 0.02 as the second limit, two of 152 causes are wrong.
     few_values: float = 0.05
     very_few_values: float = 0.01
-    # A function with few different values is a step function.
-    # This is the largest number of different values, as a fraction of all evaluations.
+    # Largest number of different values of a step function, as a fraction of all evaluations.
     # Values from 0.025 to 0.1 give the same results.
     few_different: float = 0.05
     # Least number of lines from which a profile concludes that g has no problem.
@@ -218,18 +216,18 @@ class CauseSettings:
     few_sets: int = 8
     # Two numbers of standard errors above which a deviation is not due to chance.
     # The correlation between consecutive sets exceeds the first number with probability 3e-6.
-    # The mean over sets is off by more than the second number with probability 1e-5,
-    # by Student's t with 19 degrees of freedom.
+    # The mean over sets exceeds the second number with probability 1e-5.
+    # This probability is from Student's t with 19 degrees of freedom.
     serial: float = 4.5
     away: float = 6.0
     # Means over sets count as equal if their standard deviation is below this value.
     # Rounding of means is about 1e-16.
     # Means of x along an axis over scrambled nets have the standard deviation 0.29 n^−1.5.
-    # This is above 1e-9 for up to 400,000 points.
+    # This standard deviation is above 1e-9 for up to 400,000 points.
     rounding: float = 1e-9
     # Rounding matters if floating-point numbers differ by more than this fraction of g's spread.
     # Steps of 1 % of the spread change the variance by 1e-5.
-    # The same fraction is the least variance along a line, relative to the largest one.
+    # The same fraction is the least variance along a line, relative to the largest of all lines.
     # Values from 0.005 to 0.02 give the same results.
     coarse: float = 1e-2
     # Two limits of a technique's part of the variance.
@@ -984,7 +982,7 @@ def causes_of(seen: Evidence) -> list[Cause]:
         found = [c for c in found if c.name not in {"interior-jump", "axis-parallel-jump"}]
     if "noisy-function" in names:
         found = [c for c in found if c.name in _SHAPELESS]
-    # A heavy tail follows from unbounded growth, which is reported already
+    # A heavy tail follows from unbounded growth, which is already reported
     if names & {"infinite-variance", "border-growth"}:
         found = [c for c in found if c.name != "heavy-tail"]
     # A tail is explained by many dims, or by a zero region, unless very few values matter

@@ -41,8 +41,8 @@ class PictureSettings:
     near: float = 2.0**-26
     nearer: float = 2.0**-40
     # Fraction of a difference between opposite faces that remains at the smaller distance.
-    # Above this limit, the difference is a jump. The fraction is 1 for a jump,
-    # 2^−14 for a smooth g, and 2^−7 for a square root.
+    # Above this limit, the difference is a jump.
+    # The fraction is 1 for a jump, 2^−14 for a smooth g, and 2^−7 for a square root.
     stays: float = 0.5
     # g has a pole at a face if it grows by this factor from the larger to the smaller distance.
     # The power t^−a grows by more than this for a > 1/14; bounded functions grow less.
@@ -91,7 +91,7 @@ def primary_picture(
         ``face_jump`` (axis[, along]) is the size of the jump from u_axis = 0 to u_axis = 1.
         These jumps are computed at the centers of cells along the other axis.
         At poles the jump is infinite.
-        This jump matters for samplers that wrap around.
+        Jumps between faces matter for samplers that wrap around.
         The following variables have the two kinds ``interior`` and ``boundary``:
         ``primary_jump_length`` is the length of the curves on which g jumps.
         In 1-D it is the number of jumps. ``primary_jump_height`` is the mean height of jumps.

@@ -19,12 +19,12 @@ A function that grows as r^−a toward a set of codimension k leads the climb to
 On rays from the top, the differences g(r) − g(4r) are ∝ r^−a.
 These differences determine a, whatever constant is added to g.
 |g|^(−2/a) is a quadratic form of the distance, and its rank is the codimension k.
-Each face that contains the top adds one to this rank.
+Each face of the cube that contains the top adds one to the rank.
 
 The volume in which |g| > λ is ∝ λ^(−k/a).
 Therefore ∫g² is infinite for a/k ≥ ½, and the integral does not exist for a/k ≥ 1.
 Where several faces meet, g may be a product of powers of the distances to these faces.
-Its tail is that of the largest power at a single face, or that of the mean power of all faces.
+The tail of g follows the largest power at a single face, or the mean power of all faces.
 """
 
 from __future__ import annotations
@@ -188,7 +188,7 @@ class PoleSettings:
     radii: tuple[float, ...] = (2.0**4, 2.0**6, 2.0**8, 2.0**10, 2.0**12)
     # Number of small radii at which g is also evaluated toward each single face.
     # Three radii determine an exponent, whatever constant is added to g.
-    # With 2 radii, four of 152 causes are found wrong; values from 3 to 6 give the same results.
+    # With 2 radii, four of 152 causes are wrong; values from 3 to 6 give the same results.
     near: int = 3
     # The top is not a pole if g rises outward on more than this fraction of the rays.
     # Values from 0.125 to 0.5 give the same results.
@@ -531,7 +531,7 @@ def mean_dimension(g: Function, points: Array, values: Array, rng: np.random.Gen
     """Return the mean dimension Σ_i T_i/Var g, where T_i is the total variance of coordinate i.
 
     T_i is half the mean squared change of g when coordinate i is redrawn.
-    The values of g at the points (k, d) are given, (k,).
+    The values (k,) of g at the points (k, d) are given.
     For each of these points, g is evaluated at d more points.
     """
     k, d = points.shape

@@ -1,7 +1,7 @@
 """Variances of several samplers at all counts, from one array of evaluations.
 
-R scrambled nets of N points are evaluated once. Each net is divided into runs of 2^k successive
-points, starting at multiples of 2^k. Every run is itself a scrambled net.
+R scrambled nets of N points are evaluated once.
+Runs of 2^k successive points that start at multiples of 2^k are scrambled nets themselves.
 Therefore means over runs have the variance of nets of all sizes.
 Different nets have independent points in each stratum.
 Therefore the variance between nets, within strata, is the variance of jittered points.
@@ -62,7 +62,7 @@ class CurveSettings:
     # Number of slabs along an axis that replace the strata of a Latin hypercube.
     # Values from 16 to 64 give the same results.
     # The estimated variance of a Latin hypercube of n > 32 points is an upper bound.
-    # For additive functions it is (n/32)² times the true variance.
+    # For additive functions the estimate is (n/32)² times the true variance.
     slabs: int = 32
     # Largest number of dims in which the variance of jittered points is estimated.
     # Values from 2 to 6 give the same results.

@@ -246,9 +246,7 @@ def sampler_bench(
                 f"The sampler {short_spec(spec)} is listed twice; list each sampler once."
             )
     labels = list(map(short_spec, specs))
-    if len(set(labels)) < len(
-        labels
-    ):  # Files in several folders may have equal names
+    if len(set(labels)) < len(labels):  # Files in several folders may have equal names
         labels = specs
 
     tasks = [task for d in wanted for task in standard_tasks(d)]

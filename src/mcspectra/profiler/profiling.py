@@ -84,7 +84,7 @@ class ProfileSettings:
     # Least budget, in evaluations. Twenty nets of four points take 80 evaluations.
     # The nets get only 40 % of the budget if the given sampler is also measured.
     least_budget: int = 256
-    # Width of the text of a cause in columns, one line of a usual terminal or page.
+    # Width of the text of a cause in columns. One line of a usual terminal or page is as wide.
     width: int = 100
     # Points of each net to which changes are fitted; 20 nets take 1280 evaluations.
     # Half and twice this number were tested in 12 profiles of 8192 evaluations,
@@ -100,7 +100,7 @@ class ProfileSettings:
     least_checked: int = 4
     # Maximum number of counts at which a sampler is measured.
     # With B evaluations, the counts take B/2, B/4, …, B/32 of them.
-    # Three or eight counts gave the same results in these 12 profiles.
+    # Three or eight counts gave the same results in 12 profiles.
     counts: int = 5
     # Least number of sets for a variance. With three, the jackknife has two degrees of freedom.
     least_sets: int = 3
@@ -544,7 +544,7 @@ class _Filled:
 
     @staticmethod
     def of(calls: Calls) -> Any:
-        """Return calls that fill in NaN, or the calls unchanged if they raise errors instead."""
+        """Return calls that replace NaN, or the calls unchanged if failures raise errors."""
         return _Filled(calls) if calls.skips else calls
 
     def __call__(self, x: Array) -> Array:
@@ -829,8 +829,9 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
         return curve.towards(limit, error) if name == _FOLDED and _is_smooth(causes) else curve
     if name not in {NETS, "jittered"} or first not in _EXPONENTS or not math.isfinite(curve.rate):
         return curve
-    # A jump cuts n^(1 − 1/d) of n strata. If the jump is along an axis or g is smooth,
-    # nets have the rate of 1-D, with up to d − 1 factors log n.
+    # A jump cuts n^(1 − 1/d) of n strata.
+    # If the jump is along an axis or g is smooth, nets have the rate of 1-D,
+    # with up to d − 1 factors log n.
     # Assume two thirds of d − 1 as the number of these factors, and one third as its error
     strata = name == "jittered" or first == "interior-jump"
     third = 0.0 if strata else (dims - 1) / (3.0 * math.log(curve.counts[-1]))
@@ -856,11 +857,11 @@ def _is_smooth(causes: Sequence[Cause]) -> bool:
 def _rival(evidence: Evidence, causes: Sequence[Cause]) -> str:
     """Return a sampler that may have less variance than nets for this g, or "".
 
-    The rate of lattices follows from the decay of the Fourier coefficients of g
-    if g agrees on opposite faces of the cube, or if points are folded [Hickernell2002]_.
+    If g agrees on opposite faces of the cube, or if points are folded [Hickernell2002]_,
+    the rate of lattices follows from the decay of the Fourier coefficients of g.
     Lattices may also have less variance than nets if g has kinks, cusps or waves.
-    For smooth g, antithetic pairs about the centers of strata have the rate −1 − 4/d,
-    which is also the rate of cubic stratification of second order.
+    For smooth g, antithetic pairs about the centers of strata have the rate −1 − 4/d.
+    Cubic stratification of second order has the same rate.
     """
     smooth = _is_smooth(causes)
     grows = any(cause.name == "border-growth" for cause in causes)
@@ -939,7 +940,7 @@ class _FoundSampler:
     rate: float
     rate_ci: tuple[float, float]
     steepens: bool = False  # Whether the rate may be steeper at larger counts, without limit
-    sure: bool = False  # Whether it was significantly better in the measurement
+    sure: bool = False  # Whether the sampler was significantly better in the measurement
 
 
 def _is_known(curve: Curve, count: int) -> bool:
@@ -974,8 +975,8 @@ def _samplers(
         candidate = Candidate("sampler", name, change, replace(given, sampler=source))
         curve = curves[name]
         variance, beyond = curve.at(count), count > curve.counts[-1:].sum()
-        # Smooth functions reach their rate only with larger sets. For analytic functions
-        # the variance falls faster than any power of n
+        # Smooth functions reach their rate only with larger sets.
+        # For analytic functions the variance falls faster than any power of n
         steepens = name in _RIVALS and bool(beyond)
         if steepens and not _is_known(curve, count):
             variance = math.nan, math.nan
@@ -1002,7 +1003,7 @@ def _results(
     cost, slope = given.cost, curve.rate if math.isfinite(curve.rate) else -1.0
 
     def needed(gain: float) -> float:
-        """Return the evaluations that the given set-up needs for the variance after the change."""
+        """Return how many evaluations the given set-up needs for the variance after the change."""
         if not (slope < 0.0 and math.isfinite(gain)):
             return math.inf
         return float(cost * points * gain ** (-1.0 / slope))
@@ -1128,7 +1129,7 @@ def _improved(
 ) -> tuple[list[_FoundSampler], list[str], int]:
     """Measure changes of the estimator. Return results, names of tried changes, evaluations.
 
-    A change is measured with nets. The rest of the budget determines their number of points.
+    A change is measured with nets. The rest of the budget determines how many points they have.
     The search ends with the first change that is significantly better.
     A change is compared with `base`, the curve of the best sampler, at equal evaluations.
     The curve of a change gives its variance at the budget.

@@ -3,8 +3,8 @@
 Method
 ------
 Pixels are chosen at random in strata of the image.
-Each pixel is rendered several times with every sampler,
-exactly as in an image (`mcspectra.rendering.rendered`).
+Each pixel is rendered several times with every sampler.
+The renders are the same as in an image (`mcspectra.rendering.rendered`).
 The samplers of this package are padded, with and without the joint dims of the plugin.
 Mitsuba's own samplers are not changed.
 All samplers are measured with two numbers n of samples per pixel.
@@ -15,7 +15,7 @@ The number of samples that a share q of the pixels needs follows from the q-quan
 Samplers are compared by the geometric mean of their variances over the noisier half of the pixels.
 These pixels decide the number of samples; all other pixels reach any target earlier.
 Errors from few renders scatter, which widens their distribution over the pixels.
-The scatter between two halves of the renders is used to correct this.
+The scatter between two halves of the renders is used to correct this widening.
 If the answer is far from the measured numbers of samples, it is checked by further renders.
 Pixels near the quantile are rendered again with a number of samples near the answer.
 """
@@ -98,7 +98,7 @@ class SceneSettings:
     # The second number is the number of renders of each of these pixels
     near: int = 32
     near_renders: int = 16
-    # Fraction of the time that these renders take in total, on average over five scenes
+    # Fraction of the time that all renders with more samples take, on average over five scenes
     nearby: float = 0.2
     # Time in seconds to compile the two kernels of a sampler. It is part of the estimated time
     compilation: float = 2.0
@@ -106,7 +106,7 @@ class SceneSettings:
     most_samples: int = 2**14
     # Ratio of a sampler's variance to the least variance, at the first number of samples.
     # Samplers with a larger ratio are not measured at the second number of samples.
-    # Between the two numbers, the ratio of two variances changes by less than a factor of 2
+    # Between the two numbers of samples, a ratio of variances changes by less than a factor of 2
     dropped: float = 2.0
     # Number of pixels from which the shares of the variance are estimated.
     # The second number is the number of pairs of paths for each pixel
@@ -166,8 +166,8 @@ class SceneProfile:
     target
         Relative error σ / mean that pixels should reach.
     needed, needed_now
-        Numbers of samples per pixel with which half and 95 % of the pixels reach the target:
-        for the recommended sampler, and for the sampler of the scene.
+        Numbers of samples per pixel with which half and 95 % of the pixels reach the target.
+        The sampler of the scene has its own numbers, ``needed_now``.
     missing, missing_ci
         Share of the pixels that miss the target with the present settings of the scene.
     spp
@@ -398,7 +398,7 @@ def _prepared(
     seconds: float,
     rng: RngLike,
 ) -> tuple[_Work, dict[str, str | Mapping[str, Any]], str, int]:
-    """Read a scene. Return the work, all samplers, and the scene's sampler with its samples."""
+    """Read a scene. Return the work, all samplers, the scene's sampler and samples per pixel."""
     limit = as_real("seconds", seconds, least=1.0, most=86_400.0)
     check_channel(channel, ("luminance",))
     request, spec = as_scene(scene), integrator or SCENE_INTEGRATOR
@@ -489,7 +489,7 @@ class _Work:
         pixels = pixels_of(tiles, self.side)
 
         # Render with all samplers at the first number of samples.
-        # At the second number, render only with promising samplers
+        # At the second number of samples, render only with promising samplers
         values: dict[str, dict[int, Array]] = {name: {} for name in candidates}
         notes: list[str] = []
         for k, n in enumerate(counts):
@@ -834,7 +834,7 @@ class _Work:
             found = self._values(plugin, count, pixels[near], settings.near_renders, side=1)
             there = self._logs(found, mean[near])
             own = float(np.median(there))
-            # At the last number of samples, these pixels have errors at the quantile.
+            # At the last measured number of samples, these pixels have errors at the quantile.
             # The error of the quantile is added to the scatter of the new errors
             scatter = 1.2533 * float(np.std(there)) / math.sqrt(len(near))
             slope = bounded((own - level) / math.log(count / n)) if count != n else slope
