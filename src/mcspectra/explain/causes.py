@@ -84,7 +84,7 @@ class CauseSettings:
 
     "Values from a to b give the same results" refers to ``python -m benchmarks settings``.
     With the setting itself, profiles find the right first cause in all 152 test cases.
-    With the values a and b, they find it in all cases as well.
+    Profiles with the values a and b also find it in all cases.
     A cause is "wrong" if it is not the right first cause.
     """
 
@@ -126,8 +126,8 @@ class CauseSettings:
     # The largest squared deviation of g from its mean must exceed the variance by this factor.
     # Values from 150 to 600 give the same results.
     climbed: float = 300.0
-    # Smallest and largest allowed size of g. Within these limits,
-    # sums of any number of squares of g stay in the range of float64, 1e-308 to 1e308.
+    # Smallest and largest allowed size of g.
+    # Sums of squares of such numbers stay in the range of float64, 1e-308 to 1e308.
     smallest: float = 1e-120
     largest: float = 1e120
     # Least number of dims in which the mean dimension is estimated.

@@ -102,8 +102,8 @@ def primary_picture(
     Raises
     ------
     ParameterError
-        If there are more than two dims, if the technique does not exist,
-        or if the number of cells is out of range.
+        If there are more than two dims, or if the technique does not exist.
+        If the number of cells is out of range.
     DensityError
         If p is 0 where f is not.
     """

@@ -119,8 +119,8 @@ def strata_shift_scan(
     Raises
     ------
     CountError, ParameterError
-        If the sampler cannot draw one of the counts, if there are too many offsets,
-        or if counts or offsets are not ascending.
+        If the sampler cannot draw one of the counts, or if there are too many offsets.
+        If counts or offsets are not ascending.
     NoClosedForm
         If ``method="exact"`` and no exact variance is known.
 

@@ -42,8 +42,8 @@ class AnswerSettings:
     # Largest number of evaluations that an answer contains:
     # 10^15 evaluations take 11 days at 10^9 per second.
     many: float = 1e15
-    # Least gain in variance at which an undecided change is mentioned:
-    # a smaller gain is not worth a larger budget.
+    # Least gain in variance at which an undecided change is mentioned.
+    # For a smaller gain, a larger budget is not worthwhile.
     may_gain: float = 2.0
 
 

@@ -102,8 +102,8 @@ class CandidateSettings:
     # A wider edge covers most of the domain; a narrower edge is a jump at the budgets in use.
     widths: tuple[float, ...] = tuple(2.0**-k for k in range(10, 1, -1))
     # Maximum number of realizations for each variance in a scan over widths or over offsets.
-    # The relative standard error of √(2/300) = 8 % is small:
-    # neighboring widths differ by a factor of two.
+    # The relative standard error of √(2/300) = 8 % is small.
+    # The difference between neighboring widths is a factor of two.
     scan_realizations: int = 300
 
 

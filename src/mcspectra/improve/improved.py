@@ -114,8 +114,8 @@ class RegressionSettings:
     # Maximum number of terms of a basis, which limits the cost of an evaluation.
     # Results are the same for 128 and 512.
     most_terms: int = 256
-    # Candidates for two degrees of polynomials: the largest degree in one coordinate,
-    # and the largest total degree of products of two coordinates.
+    # Candidates for two degrees of polynomials. The first is the largest degree in one coordinate.
+    # The second is the largest total degree of products of two coordinates.
     # Candidates range from linear functions to products of degree 8.
     # One candidate is chosen by evaluations that were not used in the fit.
     degrees: tuple[tuple[int, int], ...] = (
@@ -128,8 +128,8 @@ class RegressionSettings:
         (6, 6),
         (8, 8),
     )
-    # Highest degree of Hermite polynomials. Higher degrees have most of their variance in tails:
-    # half of E z⁸ comes from |z| > 2.9, a region of probability 0.004.
+    # Highest degree of Hermite polynomials. Higher degrees have most of their variance in tails.
+    # For example, half of E z⁸ comes from |z| > 2.9, a region of probability 0.004.
     most_normal_degree: int = 3
     # Number of leading directions of z for which separate bases are tried.
     # A basis of few coordinates may have more terms.

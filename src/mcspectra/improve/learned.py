@@ -125,8 +125,8 @@ class LearnSettings:
     # For d dims above this limit, the number of steps is multiplied by 4/d.
     # Longer fits cost more and do not improve the densities.
     most_dims_of_all_steps: int = 4
-    # Least number of sets for the variance of each candidate. With 6 sets for each variance,
-    # the logarithm of a ratio of two variances has a standard error of √(4/5) = 0.9.
+    # Least number of sets for the variance of each candidate.
+    # With 6 sets each, the log of a ratio of two variances has a standard error of √(4/5) = 0.9.
     least_replicates: int = 6
     # Least number of fresh sets for each of the two variances in the check of the result.
     # If a ratio measured with 16 sets is below 1/2.4, the true ratio is below 1 at 95 %.
@@ -412,16 +412,17 @@ def learned_density(
     -------
     Density
         A continuous density with an exact inverse and a continuous warp.
-        The `spec` of the density names its file. The density is ``uniform`` if no candidate halves
-        the variance of uniform points, or if the check does not confirm the gain.
+        The `spec` of the density names its file.
+        If no candidate halves the variance of uniform points, the density is ``uniform``.
+        It is also ``uniform`` if the check does not confirm the gain.
         In this case a `NoGainWarning` is issued.
 
     Raises
     ------
     ParameterError
-        If the kind is unknown, a value is out of range, or the sampler is not random;
-        if f is NaN or infinite at a point, or 0 at all points;
-        or if there are too few evaluations to compare candidates near n.
+        If the kind is unknown, a value is out of range, or the sampler is not random.
+        If f is NaN or infinite at a point, or 0 at all points.
+        If there are too few evaluations to compare candidates near n.
     CountError
         If the sampler has no sets of n points.
     FileFormatError
@@ -436,8 +437,8 @@ def learned_density(
     The best candidate is checked on fresh points, with at least 16 realizations.
     The check must show with 95 % confidence that the variance is less than for uniform points.
     In addition, ∫f²/p must be smaller than ∫f².
-    Many uniform points must have nonzero f, because peaks may be missed otherwise:
-    their effective number (Σ|f|)²/Σf² must be at least 16.
+    The effective number (Σ|f|)²/Σf² of uniform points must be at least 16.
+    With a smaller number, peaks may be missed.
     `mcspectra.improve.learned` describes the method of fitting.
 
     Examples

@@ -96,8 +96,8 @@ class MeasuredPlanSettings:
     least_sets: int = 3
     # The measurement stops if the ratio of the ends of the interval of n is below this value.
     narrow: float = 1.5
-    # Number of sets of n points that is enough for any n:
-    # a variance from 256 sets has a relative standard error of √(2/256) = 9 %.
+    # Number of sets of n points that is enough for any n.
+    # A variance from 256 sets has a relative standard error of √(2/256) = 9 %.
     enough: int = 256
     # Number of counts per octave of the piecewise linear curve that is compared with the error.
     parts: int = 16
@@ -846,8 +846,8 @@ def plan(
     xarray.Dataset
         A dataset. ``planned_n`` is the least count whose RMSE is at most the target.
         If this count is not known, ``planned_n`` is NaN.
-        For nets (such as sobol and pmj02) ``planned_n`` is a power of the net's base,
-        because nets of other counts are unbalanced.
+        For nets (such as sobol and pmj02) ``planned_n`` is a power of the net's base.
+        Nets with other numbers of points are unbalanced.
         For other samplers and known integrands, ``planned_n`` is accurate to 0.4 %.
         With the same seed, a smaller target never has a smaller ``planned_n``.
         ``planned_n_ci(bound)`` is the count for the ends of the 95 % interval of the variance.

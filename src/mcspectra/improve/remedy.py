@@ -1,9 +1,10 @@
 """Remedies: changes that lower an estimator's noise at a budget, measured, ranked and explained.
 
-Every candidate (`mcspectra.improve.candidates`) is run at the same budgets of evaluations
-as the given set-up, and with the same random numbers (`mcspectra.improve.assess`).
-Intervals of all comparisons are simultaneous:
-a remedy is recommended only if its interval excludes the given set-up.
+Every candidate (`mcspectra.improve.candidates`) is compared with the given set-up.
+Both are run at the same budgets of evaluations with the same random numbers
+(`mcspectra.improve.assess`).
+Intervals of all comparisons are simultaneous.
+A remedy is recommended only if its interval excludes the given set-up.
 """
 
 from __future__ import annotations
@@ -47,8 +48,8 @@ class RemedySettings:
     # Number of budgets at which each set-up is measured: B/256, B/64, B/16, B/4 and B.
     # A rate from five budgets leaves three degrees of freedom for the lack of fit.
     steps: int = 5
-    # Ratio of successive budgets. A smaller ratio costs more:
-    # the sum of all budgets is 1/(1 − 1/ratio) = 4/3 times the largest budget.
+    # Ratio of successive budgets. A smaller ratio costs more.
+    # The sum of all budgets is 1/(1 − 1/ratio) = 4/3 times the largest budget.
     # With a larger ratio, only two or three budgets would be large enough for two points.
     ratio: int = 4
     # Expected number of changes of each kind, for estimates of cost and memory before a run.

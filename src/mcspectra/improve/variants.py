@@ -2,8 +2,8 @@
 
 See docs/theory.md, "Mirroring and smoothing". The bias of smoothing does not fall with n.
 Therefore the width with the least mean squared error depends on n.
-The talk on [Singh2019]_ shows six convergence plots of three variants:
-original, mirror-random and mirror-uniform, each with and without a shift of the samples.
+The talk on [Singh2019]_ shows six convergence plots, with and without a shift of the samples.
+The three variants in these plots are original, mirror-random and mirror-uniform.
 """
 
 from __future__ import annotations
@@ -94,8 +94,8 @@ def smoothing_scan(
     Raises
     ------
     CountError, ParameterError
-        If the sampler cannot draw one of the counts, if dims disagree,
-        or if widths are not ascending or impossible.
+        If the sampler cannot draw one of the counts, or if dims disagree.
+        If widths are not ascending, or if a width is impossible.
 
     Examples
     --------
@@ -217,9 +217,9 @@ def mirror_study(
     Raises
     ------
     CountError, ParameterError
-        If a sampler cannot draw one of the counts (``"uniform"`` needs multiples of 2^d);
-        if a mirroring is unknown or listed twice; if the sampler already ends with a shift;
-        or if `exact` is neither True nor False.
+        If a sampler cannot draw one of the counts (``"uniform"`` needs multiples of 2^d).
+        If a mirroring is unknown or listed twice, or if the sampler already ends with a shift.
+        If `exact` is neither True nor False.
 
     Examples
     --------

@@ -195,8 +195,8 @@ def sampler_bench(
     Notes
     -----
     Six integrands are Genz's families [Genz1984]_ with his difficulties.
-    The others are a half-space with an oblique border, Sobol's g-function,
-    and a ball in up to 3 dims.
+    The others are a half-space with an oblique border, and Sobol's g-function.
+    In up to 3 dims, a ball is added.
     Genz's families are smooth, have a kink, or have an axis-parallel jump.
     All results except ``points_per_second`` depend only on the samplers and the seed.
     Every sampler has its own stream of random numbers.

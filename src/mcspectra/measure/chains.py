@@ -8,8 +8,8 @@ The variance of its mean over n draws is
 This is the power term with the Fejér kernel F_n of the window W of equal weights.
 For a stationary chain the dc and cross terms vanish.
 S comes from an autoregression whose order is chosen by AIC, as in [Thompson2010]_.
-The autocovariances are corrected for the subtracted mean:
-if the mean has variance V, subtracting it lowers all autocovariances by V.
+The autocovariances are corrected for the subtracted mean.
+If the mean has variance V, subtracting it lowers all autocovariances by V.
 
 The scatter of the chains' means is a second, independent estimate.
 Both estimates of the error are pooled by their degrees of freedom.
@@ -71,9 +71,9 @@ class ChainSettings:
     # The values were tested on 200 sets of 4 chains of 1,000 normal draws + 5 exp(−t/100).
     # A burn-in is reported for 153 sets (the other 47 are stuck, without an end of the burn-in).
     # Of the 95 % intervals, 93 % contain the mean.
-    # With settled 0.3 and margin 1.5, a burn-in is reported for 76 % of the sets,
-    # and 93 % of the intervals contain the mean.
-    # With settled 0.1 and margin 1.5, these fractions are 90 % and 89 %.
+    # With settled 0.3 and margin 1.5, a burn-in is reported for 76 % of the sets.
+    # With these values, 93 % of the intervals contain the mean.
+    # With settled 0.1 and margin 1.5, the two fractions are 90 % and 89 %.
     settled: float = 0.2
     margin: float = 2.0
     # Significance level of the test whether the last two quarters of a chain differ.

@@ -390,8 +390,8 @@ def convergence(
     ----------
     estimator, sampler
         One estimator and one sampler, or a list of each, without duplicates.
-        Samplers may be spec strings. For plain sampling, an estimator may be an integrand
-        or its spec string, or a vectorized function of points (…, d).
+        Samplers may be spec strings. For plain sampling, an estimator may be an integrand.
+        Its spec string, or a vectorized function of points (…, d), is also allowed.
     dims
         Number of dims of a function, or of a spec without ``dims``.
         The default is the number of dims of the sampler, unless the sampler is a spec.

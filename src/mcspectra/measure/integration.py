@@ -19,7 +19,7 @@ For lattices, the interval is not changed, because the rates of lattices vary wi
 The interval is the smallest that contains Student's t interval and Hall's transform of it.
 Intervals of `mean_interval` were tested with 300 seeds at 256 calls.
 These intervals contain the integral of x^−½ in 88 % of cases, and Student's t alone in 74 %.
-For the integral of e^(x + y), these two fractions are 97 % and 96 %.
+For the integral of e^(x + y), the two fractions of cases are 97 % and 96 %.
 
 If f grows without bound toward a face of the cube, the errors of strata follow another law.
 The quantiles of this law are used if they make the interval wider than Student's t

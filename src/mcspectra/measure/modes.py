@@ -68,8 +68,8 @@ class ModeSettings:
     # Largest number of elements of one set of vectors: 1 GiB in float64.
     most_numbers: int = 2**27
     # Number of realizations per coefficient below which a note warns of sampling noise.
-    # The true eigenvalues of pure noise are equal. With 10 realizations per coefficient,
-    # the largest sample eigenvalue is (1 + √(1/10))² = 1.73 times the mean [Marchenko1967]_.
+    # The true eigenvalues of pure noise are equal. The largest eigenvalue of a sample is larger:
+    # (1 + √(1/10))² = 1.73 times the mean for 10 realizations per coefficient [Marchenko1967]_.
     many: float = 10.0
     # Variance of a coordinate that counts as rounding, as a fraction of the largest variance.
     # The standard deviation is then 1e-10 of the largest, about a million rounding errors.
@@ -237,7 +237,7 @@ class Modes(Counted, frozen=True, kw_only=True):
         patterns = patterns.reshape(modes, techniques, *basis.shape)
         trace, size = float(diagonal.sum()), coordinates.size
         # Largest sample eigenvalue of a flat spectrum of the same trace [Marchenko1967]_.
-        # With D varying coordinates and R realizations, it tends to λ (1 + √(D/(R − 1)))²
+        # For D varying coordinates and R realizations, this tends to λ (1 + √(D/(R − 1)))²
         least = _SETTINGS.rounding * diagonal.max(initial=0.0)
         varying = int(np.count_nonzero(diagonal > least))
         level = trace / varying if varying else 0.0

@@ -248,8 +248,8 @@ def technique_terms(
         With a list, each n has the same random numbers as in `convergence`.
     space
         ``"domain"`` or ``"primary"`` as in `variance_terms`.
-        The default is the domain, if there is one. In primary space the dc terms are 0:
-        the points of every technique have equal weights.
+        The default is the domain, if there is one. In primary space the dc terms are 0,
+        because the points of every technique have equal weights.
     fit_last
         Number of the largest counts to which rates are fitted, as in `convergence`.
     max_evaluations

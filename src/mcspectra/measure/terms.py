@@ -295,8 +295,8 @@ def variance_terms(
         The default is the domain view, if there is a domain.
     bands
         One of the partitions ``"radial"``, ``"dyadic"``, ``"anova"`` and ``"wedge"``.
-        Another choice is an array with an integer label ≥ 0 for every basis function:
-        see `mcspectra.measure.views.make_bands`.
+        Another choice is an array with an integer label ≥ 0 for every basis function.
+        The function `mcspectra.measure.views.make_bands` describes these choices.
     cross_matrix
         Whether to return C_ml and conj(f_m) f_l C_ml in full, for at most 4096 frequencies.
     engine, eps
@@ -320,8 +320,8 @@ def variance_terms(
         ``tail_term`` is the variance from outside the half width, for random points.
         ``contribution`` and ``power_contribution`` are maps on m0, m1, ….
         ``band_covariance(band, band_other)`` is the covariance of the estimates of two bands.
-        Results for smaller half widths are ``truncated_variance(half_width)``
-        and ``captured_by_half_width(half_width)``.
+        ``truncated_variance(half_width)`` is the predicted variance for each smaller half width.
+        ``captured_by_half_width(half_width)`` is this variance divided by the measured variance.
         With `cross_matrix` there are ``coefficient_covariance(m, l)`` and ``cross_matrix(m, l)``.
 
         A list of samplers adds a dim sampler, and several channels add a dim channel.

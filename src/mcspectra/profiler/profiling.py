@@ -87,12 +87,12 @@ class ProfileSettings:
     # Width of the text of a cause in columns. One line of a usual terminal or page is as wide.
     width: int = 100
     # Points of each net to which changes are fitted; 20 nets take 1280 evaluations.
-    # Half and twice this number were tested in 12 profiles of 8192 evaluations,
-    # with six functions and two seeds. The advice was the same.
+    # Half and twice this number were tested in 12 profiles of 8192 evaluations.
+    # The profiles were of six functions, with two seeds. The advice was the same.
     # The RMSE after one of the fitted changes differed by a factor of 2.4.
     fitted_points: int = 64
     # Largest ratio of effective draws to all draws at which dependence of draws is a cause.
-    # The upper end of the interval of this ratio must not exceed this limit either.
+    # The upper end of the interval of the ratio must be below this limit as well.
     # At this ratio, standard errors are 20 % larger than for independent draws.
     dependent: float = 0.7
     # Least number of points of each net with which a change of the estimator is measured.
@@ -131,8 +131,8 @@ class ProfileSettings:
     # The RMSE after one of the changes differed by a factor of up to 1.9 between these values.
     few_points: int = 16
     steepest_rate: float = -2.0
-    # Number of standard errors by which a change must lower the log variance at the budget,
-    # if g grows at the border or has a heavy tail.
+    # Number of standard errors by which a change must lower the log variance at the budget.
+    # The number is used if g grows at the border or has a heavy tail.
     # The number was tested in 112 profiles with 4096 evaluations each.
     # The profiles were of seven such functions, with two samplers and eight seeds.
     # With 1, none of 88 recommended changes had a larger variance than the given set-up.
@@ -169,8 +169,8 @@ _GAINED = {
     "axis-parallel-jump",
 }
 _JUMPS = {"interior-jump", "axis-parallel-jump"}
-# Exponent e for each cause. In theory, variances fall as n^(−1 − e/d) with strata;
-# with nets, they fall as n^(−1 − e)
+# Exponent e for each cause.
+# In theory, variances fall as n^(−1 − e/d) with strata, and as n^(−1 − e) with nets
 _EXPONENTS = {"interior-jump": 1.0, "axis-parallel-jump": 1.0, "none": 2.0}
 
 
@@ -426,8 +426,8 @@ def profile(
     ----------
     f
         A vectorized function of points (…, d) to values (…), an integrand, an estimator, or a spec.
-        Three functions (f, pdf, sample) on the unit cube are also allowed:
-        points are drawn by sample(u) and weighted by 1/pdf.
+        Three functions (f, pdf, sample) on the unit cube are also allowed.
+        Points are then drawn by sample(u) and weighted by 1/pdf.
         Draws of Markov chains or independent estimates are only analyzed, as in `chain_error`.
         A scene is a Mitsuba XML file or a scene's dictionary; see `profile_scene`.
         For scenes, `target` and `rng` are used; `profile_scene` has further parameters.
@@ -702,7 +702,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     usable = {name: c for name, c in curves.items() if name == reference or name != given.spec}
     found, changed = list[_FoundSampler](), list[str]()
     if all(c.name != "infinite-variance" or c.kinds for c in causes):  # The integral exists
-        # Find the sampler of least variance, and a change of the estimator that answers a cause
+        # Find the sampler of least variance, and a change of the estimator that removes a cause
         if len(usable[reference].counts) > 0:  # Without counts, the variance is zero
             found = _samplers(Setup(estimator, given), usable, reference, points)
         trusted = [each for name, each in usable.items() if name not in _RIVALS]
@@ -830,8 +830,8 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
     if name not in {NETS, "jittered"} or first not in _EXPONENTS or not math.isfinite(curve.rate):
         return curve
     # A jump cuts n^(1 − 1/d) of n strata.
-    # If the jump is along an axis or g is smooth, nets have the rate of 1-D,
-    # with up to d − 1 factors log n.
+    # If the jump is along an axis or g is smooth, nets have the rate of 1-D.
+    # The variance then has up to d − 1 factors log n.
     # Assume two thirds of d − 1 as the number of these factors, and one third as its error
     strata = name == "jittered" or first == "interior-jump"
     third = 0.0 if strata else (dims - 1) / (3.0 * math.log(curve.counts[-1]))
@@ -857,8 +857,9 @@ def _is_smooth(causes: Sequence[Cause]) -> bool:
 def _rival(evidence: Evidence, causes: Sequence[Cause]) -> str:
     """Return a sampler that may have less variance than nets for this g, or "".
 
-    If g agrees on opposite faces of the cube, or if points are folded [Hickernell2002]_,
-    the rate of lattices follows from the decay of the Fourier coefficients of g.
+    The rate of lattices follows from the decay of the Fourier coefficients of g.
+    This holds if g agrees on opposite faces of the cube, or if points are folded
+    [Hickernell2002]_.
     Lattices may also have less variance than nets if g has kinks, cusps or waves.
     For smooth g, antithetic pairs about the centers of strata have the rate −1 − 4/d.
     Cubic stratification of second order has the same rate.
@@ -1073,7 +1074,7 @@ def _results(
 def _offers(
     evidence: Evidence, causes: Sequence[Cause], budget: int, stream: Stream
 ) -> list[Candidate]:
-    """Return changes of the estimator that answer its causes, fitted to its values at nets."""
+    """Return changes of the estimator that remove causes, fitted to values of g at nets."""
     estimator = evidence.estimator
     kinds: list[Any] = list(
         dict.fromkeys(k for cause in causes for k in cause.kinds if k in CHANGES)

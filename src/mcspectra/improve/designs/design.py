@@ -61,8 +61,8 @@ class DesignSettings:
     # A region of volume 1e-3 is missed by 8192 points with probability 3e-4.
     cache_points: int = 2**13
     cache_members: int = 256
-    # Samplers with which designs and certificates are compared by default:
-    # the usual samplers with the least variance.
+    # Samplers with which designs and certificates are compared by default.
+    # These are the usual samplers with the least variance.
     # Folded lattices have less variance than others for smooth integrands.
     rivals: tuple[str, ...] = (
         "sobol | owen",
@@ -80,8 +80,8 @@ class DesignSettings:
     # The second setting is the number of realizations of each group of members.
     # The third setting is the maximum number of evaluations of each sampler.
     # The integrands of a group share realizations.
-    # 20 groups of 32 realizations have 620 degrees of freedom:
-    # a variance then has a relative standard error of 6 %.
+    # 20 groups of 32 realizations have 620 degrees of freedom.
+    # A variance then has a relative standard error of 6 %.
     check_members: int = 2000
     check_realizations: int = 32
     check_evaluations: int = 2**24
@@ -142,8 +142,8 @@ def design(
     ----------
     kind
         Kind of the result, which says what the search chooses.
-        ``"lattice"``: the generating vector. In 2-D all vectors are tried;
-        in more dims the vector is built axis by axis.
+        ``"lattice"``: the generating vector. In 2-D all vectors are tried.
+        In more dims the vector is built axis by axis.
         ``"polynomial-lattice"`` and ``"digital-net"``: generator matrices.
         ``"owen"``: 64 Owen scramblings of Sobol' points, which keep the quality parameter t.
         ``"strata"``: the shape of strata, and combinations of points of different strata.
@@ -195,8 +195,8 @@ def design(
     CountError
         If samplers of this kind do not exist with n points.
     ParameterError
-        If the kind is unknown; if an option does not belong to the kind (density or sampler);
-        if the objective is empty, constant or unreadable; or if dims are out of range.
+        If the kind is unknown, or if an option does not belong to the kind (density or sampler).
+        If the objective is empty, constant or unreadable, or if dims are out of range.
     DomainError
         If values of an integrand are not finite.
     FileFormatError
@@ -330,8 +330,8 @@ def certificate(
         Number of dims. The default is the number of dims of the sampler.
     rivals
         Samplers that are compared with the design.
-        By default these are the nets sobol | owen, pmj02 and pmj02-blue-noise,
-        and shifted lattices (Korobov, rank-1 and Fibonacci), also folded.
+        The default samplers are the nets sobol | owen, pmj02 and pmj02-blue-noise.
+        Shifted lattices (Korobov, rank-1 and Fibonacci) are also included, with and without folds.
         Of these, only samplers with sets of n points in these dims are used.
     members
         Number of random members, which are divided into 20 groups.
@@ -354,8 +354,8 @@ def certificate(
     Raises
     ------
     ParameterError
-        If there is no rival, if all variances of the best rival are zero,
-        or if an argument of `design` is wrong.
+        If there is no rival, or if all variances of the best rival are zero.
+        Wrong arguments raise the same errors as in `design`.
     """
     groups = _SETTINGS.groups
     given = as_sampler(sampler, dims)

@@ -43,8 +43,8 @@ Values: TypeAlias = Callable[[Array], Array]
 class ObjectiveSettings:
     """Settings of classes of integrands."""
 
-    # Maximum number of dims of a class. The searches use tables of 2^18 values;
-    # in 8-D such a table has about 2^2 values along each axis.
+    # Maximum number of dims of a class. The searches use tables of 2^18 values.
+    # In 8-D such a table has about 2^2 values along each axis.
     most_dims: int = 8
     # Maximum numbers of waves of a spectrum and of eigenvectors of a covariance.
     # The waves or eigenvectors with the largest power are kept.
@@ -103,8 +103,8 @@ def as_objective(given: object, dims: int | None = None) -> Objective:
     Raises
     ------
     ParameterError
-        If the objective cannot be read, is empty or contains only constant members;
-        or if the number of dims is not between 1 and 8.
+        If the objective cannot be read, is empty or contains only constant members.
+        If the number of dims is not between 1 and 8.
     DomainError
         If values are not finite.
     """

@@ -56,8 +56,8 @@ class SearchSettings:
     """Settings of the searches.
 
     Larger numbers make searches longer. Comments give variance ratios.
-    A ratio is the mean variance of designs with another value of a setting,
-    divided by the mean variance of ``sobol | owen``.
+    A ratio is a mean variance of designs, with another value of a setting.
+    The mean variance is divided by the mean variance of ``sobol | owen``.
     Unless stated otherwise, ratios are measured with about 64 points in 2-D.
     The integrands are 400 fresh members of the class ``gaussians``.
     """
@@ -565,8 +565,8 @@ def _cosets(
     if len(np.unique(codes)) < n:
         return None
 
-    # Cells of a coset have the same remainder after elimination by a basis of the net:
-    # for each vector of the basis, clear its leading bit in all codes
+    # Cells of a coset have the same remainder after elimination by a basis of the net.
+    # For each vector of the basis, clear its leading bit in all codes
     rest, left = np.arange(sides.prod()), codes
     while left.max() > 0:
         vector = left.max()
