@@ -226,7 +226,7 @@ def best_alignment(
         ``improvement`` is 1 if the interval ``variance_ratio_ci`` is below 1.
         It is −1 if this interval is above 1, and 0 otherwise.
         The attribute ``best`` names the candidate with the least predicted variance.
-        If a candidate has no prediction, ``best`` has the least measured variance.
+        If a candidate has no prediction, ``best`` is chosen by the measured variance.
         The attribute ``improved`` is yes, no or undecided for the best candidate.
 
     Raises

@@ -77,8 +77,8 @@ def blindness(
     Parameters
     ----------
     measured
-        Arrays (estimator, sampler, n, channel) by name: ``realizations``, ``variance``,
-        ``relative_se`` of the variance, ``tail_index``, ``bias`` and ``bias_se``.
+        Arrays (estimator, sampler, n, channel) by name. Among the names are ``realizations``,
+        ``variance`` with ``relative_se``, ``tail_index``, and ``bias`` with ``bias_se``.
         ``largest_share`` is the largest share of one square in the variance.
         ``resolved`` states whether the variance is resolved; ``floor`` is its rounding error.
 

@@ -460,7 +460,7 @@ def _in_one_set(calls: Calls, setup: Setup, stream: Stream, best: Any) -> _Repli
     if not (lattice or net) or count**rate <= calls.budget * least ** (rate - 1.0):
         return None
     replicates = min(widths, key=lambda r: widths[r])
-    if lattice:  # Choose a lattice whose runs, every R-th point, are good lattices
+    if lattice:  # A run has every R-th point of the lattice: choose a lattice with good runs
         source = nested_lattices(source, count, replicates, at_once=True)
     x = source.draw_stream(count, stream, 0, 1)[0]
     values = calls(x)

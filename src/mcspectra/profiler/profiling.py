@@ -716,7 +716,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         found = sure + found + [each for each in made if not each.sure]
     curve = curves.get(given.spec, curves[NETS])
     # The interval is known if the mean does not depend on a few values.
-    # It is also known if growth at the border was found
+    # The interval is also known if growth at the border was found
     names = {cause.name for cause in causes}
     infinite = "infinite-variance" in names
     no_integral = any(
@@ -1096,7 +1096,7 @@ def _offers(
         if cause.name == "infinite-variance":
             index = cause.evidence.get("exponent", cause.evidence.get("tail_index", 0.0))
             offers = [offer for offer in offers if offer.finite_below > index]
-    # Try the removal of a jump first: it gains more with nets than with random points.
+    # Try the removal of a jump first: the gain is larger with nets than with random points.
     # A jump on planes normal to an axis is removed by means along this axis
     shape = _shape(causes)
     first = {"interior-jump": "preintegrated", "axis-parallel-jump": "preintegrated along axis"}

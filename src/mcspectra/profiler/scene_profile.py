@@ -551,7 +551,7 @@ class _Work:
         tiles, renders, speed = self.planned(candidates, most, given)
         tracer, film = self.rendered.tracer, self.rendered.film
         wide = (self.side + 2 * film.margin) ** 2
-        # Count the samples of the comparison at both numbers, and of the confirmation
+        # Count the samples of the comparison and of the confirmation
         samples = (
             wide
             * len(tiles)
