@@ -1,7 +1,7 @@
 """Remedies: changes that lower an estimator's noise at a budget, measured, ranked and explained.
 
 Every candidate (`mcspectra.improve.candidates`) is compared with the given set-up.
-Both are run at the same budgets of evaluations with the same random numbers
+Candidates and given set-up have the same budgets of evaluations and the same random numbers
 (`mcspectra.improve.assess`).
 Intervals of all comparisons are simultaneous.
 A remedy is recommended only if its interval excludes the given set-up.

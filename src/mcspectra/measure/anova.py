@@ -463,9 +463,10 @@ def anova_variances(
         ``higher_order_share`` is the share of this part.
         ``truncation_share(axes)`` is the share of the first axes.
 
-        ``effective_dimension_truncation`` is the number of leading axes that hold 99 %.
-        ``effective_dimension_superposition`` is the size of subsets that hold 99 %.
-        It is NaN if it exceeds `order`.
+        Effective dimensions refer to 99 % of the variance.
+        ``effective_dimension_truncation`` is the number of leading axes that hold this share.
+        ``effective_dimension_superposition`` is the largest size of the subsets that hold it.
+        The latter is NaN if it exceeds `order`.
         ``mean_dimension`` is the mean of |u| weighted by c_u. ``variance`` is the whole variance.
 
         Standard errors of variances have names that end in ``_se``.

@@ -418,7 +418,7 @@ def _prepared(
 @final
 @dataclass(frozen=True)
 class ScenePlan:
-    """What a profile of a scene would render, and the estimated time in seconds."""
+    """The planned renders of a profile of a scene, and the estimated time in seconds."""
 
     scene: str
     size: tuple[int, int]

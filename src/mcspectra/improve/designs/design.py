@@ -141,7 +141,7 @@ def design(
     Parameters
     ----------
     kind
-        Kind of the result, which says what the search chooses.
+        Kind of the result. For each kind, this list gives the quantities that are searched.
         ``"lattice"``: the generating vector. In 2-D all vectors are tried.
         In more dims the vector is built axis by axis.
         ``"polynomial-lattice"`` and ``"digital-net"``: generator matrices.
