@@ -82,16 +82,17 @@ Name: TypeAlias = Literal[
 class CauseSettings:
     """Fractions of a budget of evaluations, and thresholds above which causes are reported.
 
-    "Values from a to b give the same results" refers to ``python -m benchmarks settings``:
-    with the values a and b, profiles find the right first cause in all 152 test cases,
-    as they do with the setting itself. A cause is "wrong" if it is not the right first cause.
+    "Values from a to b give the same results" refers to ``python -m benchmarks settings``.
+    With the setting itself, profiles find the right first cause in all 152 test cases.
+    Profiles with the values a and b also find it in all cases.
+    A cause is "wrong" if it is not the right first cause.
     """
 
     # Least number of scrambled nets.
     # A variance of 20 normal estimates has a relative standard error of a third.
     # With 40 nets of half the size, one of 152 causes is wrong; 10 nets are also enough.
     nets: int = 20
-    # For more evaluations than this, the number of nets grows as the square root of evaluations.
+    # Above this number of evaluations, the number of nets grows as the square root of evaluations.
     # Nets then have 512 points or more, so a curve has at least ten counts.
     # For such curves, additional nets improve the rate more than additional counts.
     more_from: int = 16384
@@ -102,8 +103,8 @@ class CauseSettings:
     # Values from 0.075 to 0.15 give the same results.
     # With 0.3 nets have fewer evaluations, and one of 152 causes is wrong.
     check_share: float = 0.15
-    # Fraction of the budget that is spent on the given sampler,
-    # if nets cannot estimate its variance. The nets then get 40 % of the budget.
+    # Fraction of the budget for the given sampler, if nets cannot estimate its variance.
+    # The nets then get 40 % of the budget.
     # Values from 0.125 to 0.5 give the same results.
     given_share: float = 0.25
     # Largest fraction of the lines' evaluations that is spent on the search for a pole.
@@ -118,15 +119,15 @@ class CauseSettings:
     # A function that is random at half of all points is detected with probability 1 − 2^−8 = 0.996.
     again: int = 8
     # Two values at a point are equal if their relative difference is below this number.
-    # Rounding is smaller, both for sums of 1e6 terms in float64
-    # and for sums of a few terms in float32, in any order.
+    # Rounding is smaller for sums of 1e6 terms in float64, in any order.
+    # It is also smaller for sums of a few terms in float32.
     same_value: float = 1e-6
-    # In many dims, a pole is searched for only if the largest squared deviation of g from its mean
-    # exceeds the variance of g by more than this factor.
+    # In many dims, a pole is searched for only if g has an outlier.
+    # The largest squared deviation of g from its mean must exceed the variance by this factor.
     # Values from 150 to 600 give the same results.
     climbed: float = 300.0
-    # Smallest and largest allowed size of g. Within these limits, the sum of squares of g
-    # is in the range 1e-308 to 1e308 of float64 for any number of points.
+    # Smallest and largest allowed size of g.
+    # Sums of squares of such numbers stay in the range of float64, 1e-308 to 1e308.
     smallest: float = 1e-120
     largest: float = 1e120
     # Least number of dims in which the mean dimension is estimated.
@@ -144,16 +145,15 @@ class CauseSettings:
     # Error of the order of a pole inside the cube if the pole is found by lines only.
     # Values from 0.04 to 0.16 give the same results.
     bend_error: float = 0.08
-    # Tail index above which the integral does not exist. In theory the limit is 1;
-    # a pole of order 1 is measured as 0.95 or more.
+    # Tail index above which the integral does not exist. In theory the limit is 1.
+    # For a pole of order 1, the measured index is 0.95 or more.
     # This value only affects the sentence and the remedies.
     no_integral: float = 0.95
     # Exponent of growth at the border above which growth is a main cause.
     # Slower growth is listed after all other causes. With 0.04, two of 152 causes are wrong.
     # Values from 0.08 to 0.16 give the same results.
     grows: float = 0.08
-    # A tail is heavy if few values hold most of the variance
-    # and the kurtosis of g is above this limit.
+    # Kurtosis of g above which a tail is heavy, if few values hold most of the variance.
     # The kurtosis is 3 for normal, 9 for exponential, and 114 for lognormal values with σ = 1.
     # Values from 15 to 60 give the same results.
     heavy_kurtosis: float = 30.0
@@ -167,8 +167,7 @@ class CauseSettings:
     # With 0.02 as the second limit, two of 152 causes are wrong.
     few_values: float = 0.05
     very_few_values: float = 0.01
-    # A function with few different values is a step function.
-    # This is the largest number of different values, as a fraction of all evaluations.
+    # Largest number of different values of a step function, as a fraction of all evaluations.
     # Values from 0.025 to 0.1 give the same results.
     few_different: float = 0.05
     # Least number of lines from which a profile concludes that g has no problem.
@@ -217,17 +216,18 @@ class CauseSettings:
     few_sets: int = 8
     # Two numbers of standard errors above which a deviation is not due to chance.
     # The correlation between consecutive sets exceeds the first number with probability 3e-6.
-    # The mean over sets is off by more than the second number with probability 1e-5
-    # (Student's t with 19 degrees of freedom).
+    # The mean over sets exceeds the second number with probability 1e-5.
+    # This probability is from Student's t with 19 degrees of freedom.
     serial: float = 4.5
     away: float = 6.0
     # Means over sets count as equal if their standard deviation is below this value.
-    # Rounding of means is about 1e-16. For a scrambled net, the mean of x along an axis
-    # has the standard deviation 0.29 n^−1.5, above 1e-9 for up to 400,000 points.
+    # Rounding of means is about 1e-16.
+    # Means of x along an axis over scrambled nets have the standard deviation 0.29 n^−1.5.
+    # This standard deviation is above 1e-9 for up to 400,000 points.
     rounding: float = 1e-9
     # Rounding matters if floating-point numbers differ by more than this fraction of g's spread.
     # Steps of 1 % of the spread change the variance by 1e-5.
-    # The same fraction is the least variance along a line, relative to the largest one.
+    # The same fraction is the least variance along a line, relative to the largest of all lines.
     # Values from 0.005 to 0.02 give the same results.
     coarse: float = 1e-2
     # Two limits of a technique's part of the variance.
@@ -237,8 +237,8 @@ class CauseSettings:
     # Values from 0.25 to 1 for the second limit give the same results.
     dominant: float = 0.8
     largest_part: float = 0.5
-    # With 95 % confidence, a technique has a slower rate if the rates differ by this number
-    # of standard errors.
+    # A technique has a slower rate if the rates differ by this number of standard errors.
+    # Two standard errors give a confidence of 95 %.
     slower: float = 2.0
     # Settings of lines, of the search for poles, and of curves of variance
     lines: LineSettings = LINE_SETTINGS
@@ -896,8 +896,8 @@ def _high_dimension(seen: Evidence) -> Cause | None:
 def _limited(seen: Evidence, limit: float) -> str:
     """Compare the theoretical rate of stratified points with measured rates, in a sentence.
 
-    The theoretical rate holds for large n. If the measured rate is significantly steeper,
-    it holds at the measured counts, so the sentence gives both rates.
+    The theoretical rate holds for large n, and the measured rate at the measured counts.
+    If the measured rate is significantly steeper, the sentence gives both rates.
     """
     curves = [seen.curves[name] for name in (NETS, "jittered") if name in seen.curves]
     steepest = min((c for c in curves if c.rate_ci[1] < limit), key=lambda c: c.rate, default=None)
@@ -982,7 +982,7 @@ def causes_of(seen: Evidence) -> list[Cause]:
         found = [c for c in found if c.name not in {"interior-jump", "axis-parallel-jump"}]
     if "noisy-function" in names:
         found = [c for c in found if c.name in _SHAPELESS]
-    # A heavy tail follows from unbounded growth, which is reported already
+    # A heavy tail follows from unbounded growth, which is already reported
     if names & {"infinite-variance", "border-growth"}:
         found = [c for c in found if c.name != "heavy-tail"]
     # A tail is explained by many dims, or by a zero region, unless very few values matter

@@ -28,17 +28,17 @@ class DiagnosisSettings:
     # Number of evaluations of g in the search for causes.
     # With fewer evaluations, `python -m benchmarks battery` does not detect all causes.
     evaluations: int = 8192
-    # Two limits of the odd part of g, as fractions of the variance of g. Above the first limit,
-    # the odd part is the reason for a gain, because all other variance is below 10 %.
+    # Two limits of the odd part of g, as fractions of the variance of g.
+    # Above the first limit, the odd part is the reason for a gain: other variance is below 10 %.
     # Above the second limit, the odd part is one of several reasons: it explains at least a tenth.
     mostly: float = 0.9
     partly: float = 0.1
-    # Maximum number of dims in which the odd part is measured,
-    # because all 2^d reflections of each point are evaluated.
+    # Maximum number of dims in which the odd part is measured.
+    # All 2^d reflections of each point are evaluated.
     odd_dims: int = 4
     # Number of points at which the odd part is measured.
     # With this number the odd part has an error of about 1 % of the variance.
-    # This is enough for the limits `mostly` and `partly`.
+    # This precision is enough for the limits `mostly` and `partly`.
     odd_points: int = 2**12
 
 
@@ -53,8 +53,7 @@ class Diagnosis:
     unseen: str = ""  # why causes could not be found
     unbounded: bool = False  # whether ∫1/p diverges
     slow: str = ""  # name of the technique with most of the variance, if any
-    # Fraction of the variance of g that the mean over all reflections removes;
-    # None if it is not known
+    # Fraction of the variance of g that the mean over all reflections removes, or None
     odd: float | None = None
 
     @property

@@ -34,14 +34,15 @@ KINDS = ("interior", "boundary")
 class PictureSettings:
     """Settings that detect jumps between opposite faces and densities that reach zero."""
 
-    # Distances from a face at which g is evaluated. 2^−26 is the square root of float64's spacing,
-    # a compromise between the rounding of u and the change of a smooth g.
+    # Distances from a face at which g is evaluated.
+    # 2^−26 is the square root of float64's spacing below 1.
+    # It is a compromise between the rounding of u and the change of a smooth g.
     # 2^−40 is 2^14 times closer, and still exact next to 1.
     near: float = 2.0**-26
     nearer: float = 2.0**-40
     # Fraction of a difference between opposite faces that remains at the smaller distance.
-    # Above this limit, the difference is a jump. The fraction is 1 for a jump,
-    # 2^−14 for a smooth g, and 2^−7 for a square root.
+    # Above this limit, the difference is a jump.
+    # The fraction is 1 for a jump, 2^−14 for a smooth g, and 2^−7 for a square root.
     stays: float = 0.5
     # g has a pole at a face if it grows by this factor from the larger to the smaller distance.
     # The power t^−a grows by more than this for a > 1/14; bounded functions grow less.
@@ -50,8 +51,8 @@ class PictureSettings:
     # Between the two distances, a smooth g changes by about 1e-8 of its range.
     negligible: float = 1e-7
     # Number of grid points along each axis for the search of zeros of a density.
-    # The 64 steps include all multiples of 1/64,
-    # where textures and piecewise densities have their zeros.
+    # The 64 steps include all multiples of 1/64.
+    # Zeros of textures and of piecewise densities are often at such multiples.
     probes: int = 65
     # A density counts as zero below this fraction of its largest value on the grid:
     # 1/p is then 1e9 times its least value.
@@ -85,14 +86,15 @@ def primary_picture(
     -------
     xarray.Dataset
         A dataset. ``primary_value`` (u0, u1[, channel]) is g at the centers of cells.
-        ``primary_jump`` (axis, u0, u1) is the size of the jump to the next cell along each axis,
-        and 0 where g is continuous.
+        ``primary_jump`` (axis, u0, u1) is the size of the jump to the next cell along each axis.
+        The size is 0 where g is continuous.
         ``face_jump`` (axis[, along]) is the size of the jump from u_axis = 0 to u_axis = 1.
-        It is computed at the centers of cells along the other axis. At poles the jump is infinite.
-        This jump matters for samplers that wrap around.
+        These jumps are computed at the centers of cells along the other axis.
+        At poles the jump is infinite.
+        Jumps between faces matter for samplers that wrap around.
         The following variables have the two kinds ``interior`` and ``boundary``:
-        ``primary_jump_length`` is the length of the curves on which g jumps (in 1-D their number),
-        and ``primary_jump_height`` is the mean height of the jumps.
+        ``primary_jump_length`` is the length of the curves on which g jumps.
+        In 1-D it is the number of jumps. ``primary_jump_height`` is the mean height of jumps.
         If g is unbounded, the height is infinite and ``primary_pole`` is 1.
         ``reciprocal_unbounded`` is 1 if 1/p is unbounded because p reaches 0 on a grid.
         Several channels are combined: jumps are Euclidean lengths over channels.
@@ -100,8 +102,8 @@ def primary_picture(
     Raises
     ------
     ParameterError
-        If there are more than two dims, if the technique does not exist,
-        or if the number of cells is out of range.
+        If there are more than two dims, or if the technique does not exist.
+        If the number of cells is out of range.
     DensityError
         If p is 0 where f is not.
     """

@@ -9,21 +9,22 @@ The second difference stays constant at a jump, and it grows at a pole.
 Steps shrink faster toward the ends of lines along the axes.
 There the slope of log |g| is the exponent with which g grows at the border.
 
-Another search moves uphill to poles: a climb. It starts at the largest or the smallest known value,
-and it moves in random directions in which |g| grows.
+Another search, called a climb, moves uphill to poles.
+A climb starts at the largest or the smallest known value of g.
+It moves in random directions in which |g| grows.
 If |g| grows in none of the tried directions, the step is halved.
 The ellipsoid of directions adapts to the moves ([Hansen2001]_).
 The climb ends early if the function is bounded.
 A function that grows as r^−a toward a set of codimension k leads the climb to that set.
 On rays from the top, the differences g(r) − g(4r) are ∝ r^−a.
 These differences determine a, whatever constant is added to g.
-|g|^(−2/a) is a quadratic form of the distance, and its rank is k.
-Each face that contains the top contributes one to the rank.
+|g|^(−2/a) is a quadratic form of the distance, and its rank is the codimension k.
+Each face of the cube that contains the top adds one to the rank.
 
-The volume in which |g| > λ is ∝ λ^(−k/a). Therefore ∫g² is infinite for a/k ≥ ½,
-and the integral does not exist for a/k ≥ 1.
+The volume in which |g| > λ is ∝ λ^(−k/a).
+Therefore ∫g² is infinite for a/k ≥ ½, and the integral does not exist for a/k ≥ 1.
 Where several faces meet, g may be a product of powers of the distances to these faces.
-Its tail is that of the largest power at a single face, or that of the mean power of all faces.
+The tail of g follows the largest power at a single face, or the mean power of all faces.
 """
 
 from __future__ import annotations
@@ -69,7 +70,7 @@ class LineSettings:
     # Features that 16 steps can find are much farther apart than the last step.
     # With 6 halvings 29 of 152 causes are wrong; values from 12 to 24 give the same results.
     halvings: int = 12
-    # Number of the last halvings whose second differences give the exponent.
+    # Number of the last halvings. The exponent is computed from their second differences.
     # Values from 3 to 6 give the same results; with 12 two of 152 causes are wrong.
     late: int = 6
     # Exponent below which the roughest place is a pole.
@@ -95,8 +96,9 @@ class LineSettings:
     # With 0.8, 14 of 152 causes are wrong.
     # With 3.2, smooth functions count as kinks, and 36 causes are wrong.
     kink: float = 1.6
-    # Smallest height of a jump, as a fraction of the spread of g. A smaller jump does not matter
-    # at any count of a profile, as a jump of 1e-4 of the spread has 1e-8 of the variance.
+    # Smallest height of a jump, as a fraction of the spread of g.
+    # A jump of 1e-4 of the spread has 1e-8 of the variance.
+    # Such a jump does not matter at any number of points of a profile.
     # Values from 5e-5 to 2e-4 give the same results.
     least_jump: float = 1e-4
     # Second differences below this fraction of the spread of g count as rounding.
@@ -114,17 +116,17 @@ class LineSettings:
     # With 1.3 logarithmic growth is missed, and six of 152 causes are wrong.
     goes_on: float = 0.65
     # Largest distance of the parallel line that tests whether a jump is normal to the axis.
-    # On it, an edge with a slope of 1 is moved by at least 0.0025,
-    # which is a hundred times the last step of the halvings.
+    # If the edge has a slope of 1, its place on the parallel line differs by at least 0.0025.
+    # This distance is a hundred times the last step of the halvings.
     # Values from 0.0025 to 0.01 give the same results.
     aside: float = 0.005
-    # Number of groups of axes; a displacement moves the roughest place along one group.
-    # A chord is moved off an edge that is normal to an axis only if the group contains this axis.
+    # Number of groups of axes. A displacement of a chord is along the axes of one group.
+    # If an edge is normal to an axis, only the group with this axis moves a chord off the edge.
     # An edge that is oblique to two axes seems normal to an axis with probability 1/3.
     # With more axes this probability is smaller.
     groups: int = 3
     # Distances from both ends at which g is evaluated on a line along an axis.
-    # Between the last two distances, which have the ratio 2^10, even t^−0.08 grows by 1.7 times.
+    # The last two distances have the ratio 2^10. Between them, even t^−0.08 grows 1.7 times.
     # 2^−40 is still exact next to 1. Half and twice these distances give the same results.
     ends: tuple[float, ...] = (2.0**-4, 2.0**-12, 2.0**-20, 2.0**-30, 2.0**-40)
     # Distance from an end of a line at which g must be computable.
@@ -152,13 +154,14 @@ class PoleSettings:
     """Settings of the uphill search for a pole, and of measurements at the pole.
 
     The search is called a climb. It takes steps to places with larger values of |g|.
-    Its last place is called the top.
+    The last place of a climb is called its top.
 
     The counts of wrong cases come from ``python -m benchmarks settings``.
     """
 
-    # Maximum number of halvings of the step of a climb. The first step is the distance between
-    # neighboring points. After all halvings, the largest of the `radii` is 1/16 of the first step.
+    # Maximum number of halvings of the step of a climb.
+    # The first step is the distance between neighboring points.
+    # After all halvings, the largest of the `radii` is 1/16 of the first step.
     # With 8 halvings 30 of 152 causes and 10 of 18 poles are wrong.
     # Values from 16 to 32 give the same results.
     halvings: int = 16
@@ -185,21 +188,21 @@ class PoleSettings:
     radii: tuple[float, ...] = (2.0**4, 2.0**6, 2.0**8, 2.0**10, 2.0**12)
     # Number of small radii at which g is also evaluated toward each single face.
     # Three radii determine an exponent, whatever constant is added to g.
-    # With 2 radii, four of 152 causes are found wrong; values from 3 to 6 give the same results.
+    # With 2 radii, four of 152 causes are wrong; values from 3 to 6 give the same results.
     near: int = 3
     # The top is not a pole if g rises outward on more than this fraction of the rays.
     # Values from 0.125 to 0.5 give the same results.
     rising: float = 0.25
     # Distance from all other faces at which growth toward one face is measured.
-    # The distance is in units of the last step. It equals half of the first step,
-    # and is 2^7 times as large as the third of the radii.
+    # The distance is in units of the last step.
+    # It equals half of the first step, and 2^7 times the third of the radii.
     # Values from 2^14 to 2^16 give the same results.
     away: float = 2.0**15
     # If the exponent is above this value, the function grows toward one face alone.
     # Values from 0.025 to 0.1 give the same results.
     alone: float = 0.05
-    # The codimension is the number of eigenvalues of the quadratic form
-    # that are above this fraction of the largest eigenvalue.
+    # Fraction of the largest eigenvalue of the quadratic form.
+    # The codimension is the number of eigenvalues above this fraction.
     # Values from 0.002 to 0.008 give the same results.
     rank: float = 0.004
     # A move is accepted if the height grows by more than this factor.
@@ -207,6 +210,7 @@ class PoleSettings:
     # With 2, few moves are accepted, and 15 of 18 poles are missed.
     better: float = 1.005
     # Number of the largest heights that are compared before a climb.
+    # The height at a point is the distance of g from the median of its known values.
     # Values from 8 to 32 give the same results.
     compared: int = 16
     # A climb starts only if the largest and the last of these heights differ by this fraction.
@@ -423,8 +427,8 @@ def lines_of(
 
     # Halve the steps around the largest second difference.
     # Near an end, second differences are used only if g does not grow toward this end.
-    # Every second line uses the largest fourth difference instead,
-    # which shows a kink even if g is steep elsewhere
+    # Every second line uses the largest fourth difference instead.
+    # A fourth difference shows a kink even if g is steep elsewhere
     wide = np.full((2, len(axis)), np.nan)
     wide[:, straight] = np.where(grows, np.nan, outer[..., 1])
     t = np.column_stack([np.full(len(axis), gaps[1]), t, np.full(len(axis), 1.0 - gaps[1])])
@@ -453,8 +457,8 @@ def lines_of(
     size = np.where(size > floor, size, np.maximum(size[first, rows], 1e-300))
     slope = -np.polyfit(np.arange(settings.late + 1), np.log2(size), 1)[0]
     exponent = np.where(rough, slope, 2.0)
-    # At a steep end there is neither a jump nor a kink:
-    # bounded functions of normal quantiles have steep ends
+    # At a steep end there is neither a jump nor a kink.
+    # For example, bounded functions of normal quantiles have steep ends
     edge = np.abs(window[:, 1] - 0.5) > 0.5 - 4.0 * gaps[1]
     exponent[edge & (exponent >= settings.pole)] = 2.0
 
@@ -527,7 +531,7 @@ def mean_dimension(g: Function, points: Array, values: Array, rng: np.random.Gen
     """Return the mean dimension Σ_i T_i/Var g, where T_i is the total variance of coordinate i.
 
     T_i is half the mean squared change of g when coordinate i is redrawn.
-    The values of g at the points (k, d) are given, (k,).
+    The values (k,) of g at the points (k, d) are given.
     For each of these points, g is evaluated at d more points.
     """
     k, d = points.shape
@@ -693,7 +697,7 @@ def _measured(
     table[first, second] = table[second, first] = size
     own = np.diag(table)
     form = 0.5 * (table - own[:, None] - own) + 1.5 * np.diag(own)
-    # A face counts for the codimension unless the pole extends from this face inward
+    # A face adds one to the codimension unless the pole extends from the face into the cube
     side &= own > settings.rank * own.max()
     free = np.linalg.eigvalsh(form[np.ix_(~side, ~side)])
     rank = int(side.sum() + (free > settings.rank * own.max()).sum())

@@ -1,20 +1,20 @@
 """Variances of several samplers at all counts, from one array of evaluations.
 
-R scrambled nets of N points are evaluated once. In each net, a run of 2^k successive points
-that starts at a multiple of 2^k is itself a scrambled net.
+R scrambled nets of N points are evaluated once.
+Runs of 2^k successive points that start at multiples of 2^k are scrambled nets themselves.
 Therefore means over runs have the variance of nets of all sizes.
 Different nets have independent points in each stratum.
 Therefore the variance between nets, within strata, is the variance of jittered points.
-In the same way, slabs of an axis give the variance of Latin hypercubes,
-and the whole cube gives the variance of random points.
+In the same way, slabs of an axis give the variance of Latin hypercubes.
+The whole cube gives the variance of random points.
 Products of values from the same net are omitted, because these values are correlated.
 
 Errors come from a jackknife over the nets, which includes the correlation between counts.
 In the model of the rate, the rate is constant over the last octaves of n.
 Over earlier octaves the rate drifts by a random walk.
 Several step sizes of this walk are averaged, weighted by the likelihood of the curve.
-All counts of a straight curve contribute to its rate,
-but the rate of a bent curve depends on the last counts only.
+If the curve is straight, all counts contribute to its rate.
+If the curve is bent, its rate depends on the last counts only.
 """
 
 from __future__ import annotations
@@ -56,28 +56,28 @@ class CurveSettings:
 
     "The same results" refers to ``python -m benchmarks settings``, as in `CauseSettings`.
     Numbers for rates come from ``python -m benchmarks settings --rates``.
-    It repeats five functions with known rates 50 times each.
+    This benchmark repeats each of five functions with known rates 50 times.
     """
 
     # Number of slabs along an axis that replace the strata of a Latin hypercube.
     # Values from 16 to 64 give the same results.
-    # For additive functions and n > 32 points, the estimated variance of a Latin hypercube
-    # is an upper bound, (n/32)² times the true variance.
+    # The estimated variance of a Latin hypercube of n > 32 points is an upper bound.
+    # For additive functions the estimate is (n/32)² times the true variance.
     slabs: int = 32
     # Largest number of dims in which the variance of jittered points is estimated.
     # Values from 2 to 6 give the same results.
     # 8,192 evaluations allow nets of at most 256 points, which have 4 cells along each of 4 axes.
     # The curve in 4 dims has only three counts.
     jittered_dims: int = 3
-    # Number of last octaves over which the rate is assumed to be constant. With 2 octaves,
-    # intervals of rates are 1.4 times as wide and contain the rate equally often.
+    # Number of last octaves over which the rate is assumed to be constant.
+    # With 2 octaves, intervals of rates are 1.4 times as wide and contain the rate equally often.
     # With 6 octaves, intervals contain the true rate in 63 % instead of 93 % of cases.
     octaves: int = 3
     # Candidate standard deviations of the drift of the rate in an octave, weighted by likelihood.
     # The value 0.05 is for straight curves.
     # With the value 0.4, a rate changes by 1 to 3 in a few octaves, the usual range.
-    # With half of all values, intervals contain the true rate in 94 % of cases;
-    # with double values, or with the value 0.2 alone, intervals contain it in 92 % of cases.
+    # If all values are halved, intervals contain the true rate in 94 % of cases.
+    # If all values are doubled, or with 0.2 alone, intervals contain it in 92 % of cases.
     drifts: tuple[float, ...] = (0.05, 0.1, 0.2, 0.4)
     # If a rate is not known, −1 is used with this standard error.
     # Rates from −2 to 0 are within two standard errors.
@@ -105,7 +105,7 @@ class Curve:
         Arrays (N,). The standard error belongs to the logarithm of the variance.
     rate, rate_se
         Slope over the last octaves, and its standard error.
-        Both are NaN if there is no fit, for example because the variance is zero.
+        Slope and error are NaN if there is no fit, for example because the variance is zero.
     degrees
         Degrees of freedom of the errors.
     drift
@@ -114,8 +114,8 @@ class Curve:
     vanishes
         Smallest count at which all sets gave equal estimates.
     level, scatter
-        Logarithm of the ratio of the fitted line to the variance at the last count,
-        and standard deviation of log variances about the fitted line.
+        `level` is the logarithm of the ratio of the fitted line to the variance at the last count.
+        `scatter` is the standard deviation of log variances about the fitted line.
         A curve that is not a straight line is extrapolated with these two numbers.
     bend
         Expected change of the slope beyond the measured counts, and its standard error.

@@ -1,9 +1,9 @@
 """Alignment of strata with edges: variance for each offset of strata, and the best offset.
 
-A stratum that an edge cuts into shares s and 1 − s has the variance s(1 − s) of the jump.
+If an edge with a jump cuts a stratum into shares s and 1 − s, its variance is s(1 − s) · jump².
 A stratum whose border is the edge has no variance.
 A fixed offset moves all strata on the torus (``strata-shift``).
-If the positions of the edges are known, `aligned-strata` bends the strata to them.
+If the positions of the edges are known, `aligned-strata` bends the strata to the edges.
 """
 
 from __future__ import annotations
@@ -50,21 +50,21 @@ class AlignmentSettings:
     most_offsets: int = 4096
     # Default number of offsets along each axis in 1, 2 and more dims.
     # A scan has 16 offsets in 1-D, 64 in 2-D and 4^d in d dims.
-    # Half or twice as many offsets give the same variance within 0.1 % for disks and steps
-    # in 1-D and 2-D, unless the edge can be aligned almost exactly.
+    # Half and twice as many offsets were tested for disks and steps in 1-D and 2-D.
+    # The variance changes by at most 0.1 %, unless the edge can be aligned almost exactly.
     usual_offsets: tuple[int, int, int] = (16, 8, 4)
-    # Rounding of an exact variance, as a fraction of I²/n.
-    # An exact variance is a difference of means of g² and squared means, each rounded to 1.1e-16.
-    # The factor 100 allows for rounding in the sums of these means.
+    # Rounding error of an exact variance, as a fraction of I²/n.
+    # An exact variance is a difference of two sums: means of g², and squared means of g.
+    # Each term is rounded to 1.1e-16. The factor 100 allows for rounding in the sums.
     exact_rounding: float = 1e-14
     # Relative standard error that the fit of a rate assumes for exact variances.
-    # All counts have this error and therefore equal weights, whatever the value is.
+    # Every count has this error. Therefore all counts have equal weights in the fit.
     # Rates and their intervals agree to 9 digits for values from 1e-9 to 1e-3.
     exact_se: float = 1e-6
     # Number of times that the pattern search halves its step.
     # The last step is 1/256 of the spacing of the scan.
-    # For 11 points and disks in 1-D, 16 halvings lower the variance by 0.02 %,
-    # and 4 halvings raise the variance by 0.3 %.
+    # For 11 points and disks in 1-D, 16 halvings lower the variance by 0.02 %.
+    # For the same points and disks, 4 halvings raise the variance by 0.3 %.
     halvings: int = 8
 
 
@@ -96,36 +96,37 @@ def strata_shift_scan(
         The default is the sampler's number of dims, unless the sampler is given as a spec.
     offsets
         Offsets along each axis, as fractions of the side n^(-1/d) of a stratum.
-        A list contains ascending numbers in [0, 1), and a number asks for equally spaced offsets.
+        Either a list of ascending numbers in [0, 1), or the number of equally spaced offsets.
         The default is 16 in 1-D, 8 in 2-D and 4 in more dims. A scan has at most 4096 offsets.
         The side depends on n, and so does the position of an offset in the domain.
     method
         ``"exact"`` computes exact variances (`mcspectra.exact_variance`);
         ``"measured"`` measures variances with the same random numbers for all offsets.
-        ``"auto"`` computes exact variances if they are known and f is not a user's function,
-        because exact variances need many calls of f. The attribute ``method`` names the choice.
+        ``"auto"`` computes exact variances if they are known and f is not a user's function.
+        Exact variances need many calls of f. The attribute ``method`` names the choice.
     realizations, rng, workers
         Options of measured variances; see `mcspectra.convergence`.
 
     Returns
     -------
     xarray.Dataset
-        A dataset with ``variance`` and ``variance_ci`` for each n, on the dims offset0, offset1, …;
-        ``rate`` and ``rate_ci`` for each offset; and a dim channel if f has several channels.
+        A dataset. ``variance`` and ``variance_ci`` have the dims offset0, offset1, … and n.
+        ``rate`` and ``rate_ci`` have the dims offset0, offset1, … only.
+        If f has several channels, there is a dim channel.
         Intervals of exact variances have width 0.
-        Intervals of the rates of exact variances show how well log variance follows a line.
+        If variances are exact, the interval of a rate shows how well log variance follows a line.
 
     Raises
     ------
     CountError, ParameterError
-        If the sampler cannot draw one of the counts, if there are too many offsets,
-        or if counts or offsets are not ascending.
+        If the sampler cannot draw one of the counts, or if there are too many offsets.
+        If counts or offsets are not ascending.
     NoClosedForm
         If ``method="exact"`` and no exact variance is known.
 
     Notes
     -----
-    Fixed offsets of strata: [Ramamoorthi2012]_.
+    Fixed offsets of strata are described in [Ramamoorthi2012]_.
 
     Examples
     --------
@@ -206,8 +207,8 @@ def best_alignment(
         The default is the sampler's number of dims, unless the sampler is given as a spec.
     edges
         Positions of known edges; see `aligned`.
-        With edges, strata whose borders lie at the edges are tested as well.
-        This requires an estimator without a density, and n = s^d points.
+        If edges are given, strata whose borders lie at the edges are also tested.
+        Edges require an estimator without a density, and n = s^d points.
     offsets, method
         Same as in `mcspectra.improve.strata_shift_scan`.
         A pattern search, which halves its step 8 times, refines the best offset of the scan.
@@ -220,12 +221,12 @@ def best_alignment(
         A dataset on the dim candidate, which is ``"unshifted"``, ``"offset"`` or ``"aligned"``.
         The candidate ``"aligned"`` exists only if `edges` are given.
         ``strata_offset(candidate, axis)`` is the offset of each candidate.
-        ``predicted_variance`` and ``measured_variance`` have sums over channels.
+        ``predicted_variance`` and ``measured_variance`` are sums over channels.
         ``variance_ratio`` is the ratio of the measured variance to that of the first candidate.
-        ``improvement`` depends on the interval ``variance_ratio_ci``:
-        1 if the interval is below 1, −1 if the interval is above 1, and 0 otherwise.
-        The attribute ``best`` names the candidate with the least predicted variance,
-        or with the least measured variance if a candidate has no prediction.
+        ``improvement`` is 1 if the interval ``variance_ratio_ci`` is below 1.
+        It is −1 if this interval is above 1, and 0 otherwise.
+        The attribute ``best`` names the candidate with the least predicted variance.
+        If a candidate has no prediction, ``best`` is chosen by the measured variance.
         The attribute ``improved`` is yes, no or undecided for the best candidate.
 
     Raises
@@ -329,15 +330,15 @@ def best_alignment(
 def aligned(
     estimator: AbstractEstimator | Integrand | str, edges: Any, n: int, *, dims: int | None = None
 ) -> Estimator:
-    """Return an estimator without a density, with n = s^d strata that have borders at edges.
+    """Return an estimator without a density, whose n = s^d strata have borders at edges.
 
     Parameters
     ----------
     estimator
         An estimator without a density, or an integrand.
     edges
-        Positions of the edges, as in the density ``aligned-strata``:
-        one list in 1-D, else one list for each dim.
+        Positions of the edges, as one list in 1-D, else one list for each dim.
+        The density ``aligned-strata`` has the same argument.
     n
         Number of points that the estimator will use; a power s^d of an integer s.
 
@@ -371,7 +372,7 @@ class _Offsets:
     sampler: Sampler
     # Whether variances are exact; otherwise, all offsets are measured with the same realizations
     exact: bool
-    # Number of realizations, random numbers and number of threads of measured variances
+    # For measured variances: number of realizations, random numbers, and number of threads
     realizations: int
     stream: Stream
     workers: int
@@ -399,8 +400,8 @@ class _Offsets:
         try:
             if exact:
                 # Raise an error if no closed form is known.
-                # Edges at multiples of the side cut strata if the offset is about half a side;
-                # strata that are cut may have no closed form
+                # If edges are multiples of the side, an offset of about half a side cuts strata.
+                # Strata that are cut may have no closed form
                 for probe, n in itertools.product((0.0, 0.4375), counts):
                     found.at([probe] * estimator.dims, n)
         except NoClosedForm:

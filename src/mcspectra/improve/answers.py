@@ -1,9 +1,9 @@
 """The answer to "what should I use?": candidates, results of candidates, and advice.
 
-A *candidate* is a changed estimator or sampler. Its *result* is a comparison with
-the given set-up: both errors at a budget of evaluations.
-An *answer* names the best candidate. It names the given set-up if no candidate is better
-and significantly different.
+A *candidate* is a changed estimator or sampler.
+The *result* of a candidate compares its error with the error of the given set-up, at a budget.
+An *answer* names the best candidate.
+If no candidate is significantly better, the answer names the given set-up.
 `mcspectra.profile`, `mcspectra.remedies`, and studies of pixels and paths print an `Answer`.
 """
 
@@ -42,15 +42,15 @@ class AnswerSettings:
     # Largest number of evaluations that an answer contains:
     # 10^15 evaluations take 11 days at 10^9 per second.
     many: float = 1e15
-    # Least gain in variance at which an undecided change is mentioned:
-    # a smaller gain is not worth a larger budget.
+    # Least gain in variance at which an undecided change is mentioned.
+    # For a smaller gain, a larger budget is not worthwhile.
     may_gain: float = 2.0
 
 
 _SETTINGS = AnswerSettings()
 
 Verdict = Literal["given", "better", "worse", "undecided"]
-"""Result of a comparison with the given set-up, as decided by the interval."""
+"""Result of a comparison with the given set-up, by the interval of the gain."""
 
 
 @final
@@ -63,22 +63,21 @@ class Candidate:
     kind
         Kind of the change: one of `mcspectra.improve.candidates.KINDS`, or ``"given"``.
     name, change
-        A short label that is unique among the compared candidates,
-        and an imperative that describes the change.
+        A short unique label of the candidate, and an imperative that describes the change.
     setup
         The estimator and the sampler after the change.
     biased
         Whether the candidate estimates another integral.
-        In that case its error is measured about the integral of the given estimator.
+        The error of such a candidate is measured about the integral of the given estimator.
     pilot
         Number of evaluations, in addition to the budget, that the search for the change took.
-        A pilot within the budget is counted in the set-up instead (`Setup.overhead`).
+        If the budget includes a pilot, `Setup.overhead` counts its evaluations instead.
     effort
         Cost of an evaluation divided by its cost in the given set-up; paths can differ in length.
     ratio
         Expected variance divided by that of the given estimator at equal cost, NaN if unknown.
     finite_below
-        If g grows as t^−a at the border, largest exponent a with a finite variance.
+        If g grows as t^−a at the border, the largest exponent a for which the variance is finite.
     note
         A sentence that is appended to the reason in the report.
     """
@@ -117,7 +116,7 @@ class CandidateResult:
     rmse, rmse_ci
         Root mean square error of an estimate, and its 95 % interval.
         The interval includes the error of extrapolation beyond the measured counts.
-        All are NaN if the error cannot be determined.
+        RMSE and interval are NaN if the error cannot be determined.
     gain, gain_ci
         Ratio of the variances before and after the change, and the interval of this ratio.
         The intervals of all candidates are simultaneous, at 95 %.
@@ -181,7 +180,7 @@ class Answer:
     given
         The given set-up, with which all candidates are compared.
     best
-        The first result that is better than the given set-up, or `given`.
+        The first result that is better than the given set-up. If no result is better, `given`.
     runner_up
         The second best, or the undecided candidate with the least RMSE, or None.
     causes

@@ -2,8 +2,8 @@
 
 Each realization of a candidate is compared with the same realization of the given set-up.
 The comparison uses influence functions (docs/theory.md, "Intervals of variances, and stopping").
-If all estimates are equal, either the estimator has no variance,
-or all estimates have missed a rare event.
+All estimates may be equal because the estimator has no variance.
+They may also be equal because all of them have missed a rare event.
 If equal estimates differ from the integral, the error is unknown (NaN), not 0.
 """
 
@@ -45,12 +45,13 @@ __all__ = [
 class AssessSettings:
     """Settings of the comparison of candidates."""
 
-    # Weight of the prior that estimates are normal (Var(ψ) = 2), as a number of realizations.
-    # The prior is used in fits of rates, not in comparisons. With 100 normal realizations
-    # the prior reduces the scatter of standard errors from 12 to 10 %.
+    # Weight of the prior for normal estimates (Var(ψ) = 2), as a number of realizations.
+    # The prior is used in fits of rates, not in comparisons.
+    # With 100 normal realizations, it reduces the scatter of standard errors from 12 to 10 %.
     # For any weight from 0 to 40, intervals contain the truth in 93 to 95 % of cases.
     prior: int = 20
-    # Equal estimates count as exact within this number of standard errors of the given mean.
+    # Largest allowed deviation of equal estimates from the given mean, in standard errors.
+    # With a smaller deviation, equal estimates count as exact.
     # A normal mean is beyond 4 standard errors with probability 6e-5.
     sigmas: float = 4.0
 
@@ -69,8 +70,8 @@ class Errors:
     influence: Array  # influence functions ψ of the realizations, (N, R)
     noise: Array  # Value of v below which the estimates differ by rounding only, (N,)
     blind: Array  # Whether the estimates are all equal, but differ from the integral, (N,)
-    # Number of evaluations before the first point.
-    # The fit of the rate excludes these evaluations, because their number does not grow
+    # Number of evaluations before the first point, for example of a pilot.
+    # The rate is fitted without these evaluations, because their number does not grow with n
     overhead: int = 0
 
     @staticmethod
@@ -83,13 +84,13 @@ class Errors:
         tolerance: float = 1e-9,
         overhead: int = 0,
     ) -> Errors:
-        """Compute errors of estimates (R, C) of the integral (C,); one array (R, C) for each cost.
+        """Compute errors from estimates (R, C), one array for each cost. The integral is (C,).
 
-        Errors are relative to the integral if `biased`, else to the mean of the estimates.
+        If `biased` is true, errors are taken about the integral, else about the mean estimate.
         `tolerance` is the relative tolerance of the integral.
         """
-        # Compute mean squared errors about the integral or the mean,
-        # and the influence of each realization on its error, (R,)
+        # Compute mean squared errors about the integral or the mean, (N,).
+        # Also compute the influence of each realization on these errors, (R,)
         parts = []
         for values in estimates:
             count = len(values)
@@ -161,10 +162,10 @@ class Errors:
         return fit_rate(self.cost - self.overhead, self.error, self.relative_se, self.noise)
 
     def at(self, budget: float, *, carry: bool = True) -> tuple[float, Array]:
-        """Return log v extrapolated along the rate to a cost of `budget`, and influences (R,).
+        """Return log v at the cost `budget`, extrapolated along the rate, and influences (R,).
 
-        After a pilot the last error is not extrapolated,
-        because nets often have only half of the points that the budget allows.
+        After a pilot the last error is not extrapolated.
+        Nets often have only half of the points that the budget allows.
         """
         last = len(self.cost) - 1
         if not self.used[last]:
@@ -231,7 +232,7 @@ def estimates_of(
 
 
 def _standard_error(influence: Array, prior: int = _SETTINGS.prior) -> float:
-    """Return the root mean square divided by √R, with a prior of normal estimates."""
+    """Return the standard error of a mean of R influences; their prior variance is 2."""
     count = len(influence)
     square = (np.square(influence).sum() + 2.0 * prior) / (count + prior)
     return math.sqrt(square / count)
@@ -240,7 +241,7 @@ def _standard_error(influence: Array, prior: int = _SETTINGS.prior) -> float:
 @final
 @dataclass(frozen=True)
 class MeasuredCandidate:
-    """A candidate with its errors as texts and numbers; this form is stored in reductions.
+    """A candidate in a form that can be stored: its errors as texts and numbers.
 
     Attributes
     ----------
@@ -337,7 +338,7 @@ def assessed(measured: Sequence[MeasuredCandidate], budget: int) -> list[Assesse
     slope = reference.rate()[0]
 
     def needed(log_ratio: float) -> float:
-        """Return the evaluations with which the given set-up reaches the error of the change."""
+        """Return how many evaluations the given set-up needs for the error of the change."""
         if not slope < 0.0 or math.isnan(log_ratio):
             return math.nan
         return budget * math.exp(min(log_ratio / slope, 700.0))

@@ -105,23 +105,24 @@ class CandidateSettings:
     # Maximum number of dims in which edges are smoothed by means over boxes.
     # In more dims, means take too many evaluations; smoothing by the distance takes only one.
     most_boxed_dims: int = 2
-    # A pilot takes the budget B divided by this number. With an eighth, evaluations remain for
-    # estimates at the two largest budgets of `mcspectra.remedies`, B/4 and B, which give a rate.
+    # A pilot takes the budget B divided by this number.
+    # After a pilot of B/8, evaluations remain at the two largest budgets of `mcspectra.remedies`.
+    # These two budgets, B/4 and B, give a rate.
     pilot_divisor: int = 8
-    # Least number of points of a pilot. Each half of the pilot has 32 points,
-    # 4 for each of 8 coefficients of a regression (`RegressionSettings.evaluations_per_term`).
+    # Least number of points of a pilot. Each half of the pilot has 32 points.
+    # A regression takes 4 points for each of 8 terms (`RegressionSettings.evaluations_per_term`).
     least_pilot: int = 64
     # Maximum number of points of a pilot.
-    # With 2048, 4096 and 8192 points, regressions of an Asian option in 16-D
-    # leave 1.08, 0.93 and 0.89 % of the variance.
+    # Regressions of an Asian option in 16-D were tested with 2048, 4096 and 8192 points.
+    # The variance that remains is 1.08, 0.93 and 0.89 %.
     # The variances of fitted densities differ by 3 % (`benchmarks improvements`).
     most_pilot: int = 4096
     # Widths of smoothed edges that are scanned, in units of the domain: octaves from 2^-10 to 1/4.
     # A wider edge covers most of the domain; a narrower edge is a jump at the budgets in use.
     widths: tuple[float, ...] = tuple(2.0**-k for k in range(10, 1, -1))
     # Maximum number of realizations for each variance in a scan over widths or over offsets.
-    # The relative standard error of √(2/300) = 8 % is small:
-    # neighboring widths differ by a factor of two.
+    # The relative standard error of √(2/300) = 8 % is small.
+    # The difference between neighboring widths is a factor of two.
     scan_realizations: int = 300
 
 
@@ -166,10 +167,10 @@ Kind: TypeAlias = Literal[
 
 
 def candidates_of(given: Setup, kinds: Sequence[Kind], budget: Budget) -> _Candidates:
-    """Yield each candidate of the given kinds once, and ``name: reason`` of other changes.
+    """Yield each candidate of the given kinds once. For other changes, yield ``name: reason``.
 
     If a kind raises an error, the reason is the message of the error.
-    A mirrored estimator is changed inside and mirrored again.
+    If the estimator is mirrored, its inner estimator is changed, and the result is mirrored again.
     """
     seen = {Candidate("given", "given", "", given).key}
     for kind in kinds:
@@ -207,7 +208,7 @@ def _candidate(
     *,
     biased: bool = False,
 ) -> Candidate | str:
-    """Return a candidate with the result of `make`, or the reason why there is none."""
+    """Return a candidate with the result of `make`, or the reason why there is no candidate."""
     try:
         made = make()
     except McspectraError as error:
@@ -379,7 +380,7 @@ def change_warp(given: Setup, budget: Budget) -> _Candidates:  # noqa: ARG001
         raise ParameterError(f"{estimator.spec} has no single density to replace.")
 
     # List the same pdf with other warps, a pdf without jumps, and a pdf that is bounded below
-    plain: Any = density  # The parameters read below exist for some densities only
+    plain: Any = density  # Only some densities have the parameters that are read below
     others = [dataclasses.replace(plain, warp=w) for w in density.warps if w != plain.warp]
     if isinstance(density, EnvironmentDensity) and density.interpolation == "constant":
         others.append(dataclasses.replace(density, interpolation="bilinear", warp="marginal"))
@@ -467,7 +468,8 @@ def improve(kind: Kind, given: Setup, budget: Budget) -> _Candidates:
     if not found:
         raise ParameterError(f"{len(seen.points)} evaluations show no gain from it.")
     yield from found
-    # Combine with the best sampler for the remaining variance, unless that sampler is in use
+    # Combine the change with the best sampler for the remaining variance.
+    # Skip this if the given sampler is already the best one
     nets = make_sampler(NETS, given.estimator.dims)
     if nets.spec != given.sampler.spec:
         for alone in found:

@@ -1,20 +1,20 @@
 """Changes of estimators by evaluations of g: densities, control variates, rotations, smoothing.
 
-All changes apply to the primary-space integrand g on the unit cube,
-so they can be used with any estimator of one technique.
+All changes apply to the primary-space integrand g on the unit cube.
+Therefore every change can be used with any estimator of one technique.
 The changes of these kinds keep the integral, whatever the evaluations of g are:
 
-* *fitted*: g(T(u))/q(T(u)) with uniform u. The density q consists of splines (`learned`),
-  or it is a normal density of z = Φ⁻¹(u).
-  The normal density is moved and stretched to the moments of |g|;
-* *order*: the same with an orthogonal matrix and q = 1. The first directions of z are those
-  along which g varies most ([Liu2023]_), since the first coordinates of nets are the best;
+* *fitted*: g(T(u))/q(T(u)) with uniform u. The density q consists of splines (`learned`).
+ Another choice of q is a normal density of z = Φ⁻¹(u) with the moments of |g|;
+* *order*: the same with q = 1, where T rotates z by an orthogonal matrix.
+  After the rotation, g varies most along the first coordinates of z ([Liu2023]_).
+  This helps because the first coordinates of nets are the best;
 * *regression*: g minus fitted polynomials of mean 0;
 * *preintegrated*: means along the first direction, in which g jumps or leaves 0 at one point.
   The mean has three parts: one on each side of this point, and one over a bracket around it.
     Each part of the mean is sampled at one or two points.
-  The bracket depends on the other coordinates only,
-  so the sum over the parts has the expectation of g.
+  The bracket depends on the other coordinates only.
+  Therefore the expectation of the sum over the three parts is the expectation of g.
 
 `Cubic` needs no pilot: it subtracts polynomials from g.
 These polynomials go through the values of g at the centers of cells.
@@ -116,8 +116,8 @@ class RegressionSettings:
     # Maximum number of terms of a basis, which limits the cost of an evaluation.
     # Results are the same for 128 and 512.
     most_terms: int = 256
-    # Candidate degrees of polynomials: the largest degree in one coordinate,
-    # and the largest total degree of products of two coordinates.
+    # Candidates for two degrees of polynomials. The first is the largest degree in one coordinate.
+    # The second is the largest total degree of products of two coordinates.
     # Candidates range from linear functions to products of degree 8.
     # One candidate is chosen by evaluations that were not used in the fit.
     degrees: tuple[tuple[int, int], ...] = (
@@ -130,11 +130,11 @@ class RegressionSettings:
         (6, 6),
         (8, 8),
     )
-    # Highest degree of Hermite polynomials. Higher degrees have most of their variance in tails:
-    # half of E z⁸ comes from |z| > 2.9, a region of probability 0.004.
+    # Highest degree of Hermite polynomials. Higher degrees have most of their variance in tails.
+    # For example, half of E z⁸ comes from |z| > 2.9, a region of probability 0.004.
     most_normal_degree: int = 3
-    # Number of leading directions of z for which separate bases are tried,
-    # because a basis of few coordinates may have more terms.
+    # Number of leading directions of z for which separate bases are tried.
+    # A basis of few coordinates may have more terms.
     # With one direction, the remaining variance of a ridge is 1.6 times as large.
     # With four, the remaining variance of an Asian option in 16-D is 1.1 times as large.
     turned: int = 2
@@ -172,7 +172,7 @@ class Evaluations:
 
     @cached_property
     def halves(self) -> tuple[Evaluations, Evaluations]:
-        """Two halves, the evaluations with odd and with even numbers: neighbors are separated."""
+        """Evaluations with odd and with even numbers. Neighbors are in different halves."""
         odd = np.arange(len(self.points)) % 2 == 1
         return self.part(odd), self.part(~odd)
 
@@ -274,7 +274,7 @@ class _Warped(_Changed):
     def finite_below(self) -> float:
         if not isinstance(self.density, _Normal):
             return 0.5
-        # Along the largest spread s of its normal density, q grows as t^−(1 − 1/s²)
+        # Along the direction of the largest standard deviation s, q grows as t^−(1 − 1/s²)
         return 1.0 - 0.5 / float(np.linalg.norm(self.density.matrix, 2) ** 2)
 
     def _at(self, u: Array) -> Array:
@@ -334,7 +334,7 @@ class _Basis:
 
     @staticmethod
     def of(dims: int, normal: bool, alone: int, together: int) -> _Basis:
-        """Return degrees: up to `alone` for one coordinate, up to `together` for two in total."""
+        """Make terms up to degree `alone` in one coordinate, and up to `together` in two."""
         terms = [(i, i, a, 0) for i in range(dims) for a in range(1, alone + 1)]
         terms += [
             (i, j, a, b)
@@ -531,7 +531,9 @@ class Periodized(_Changed):
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Preintegrated(_Changed):
-    """Integrand with means of g along an axis, on both sides of a jump or of an end of zeros.
+    """Integrand that replaces g by its mean along one axis.
+
+    The mean is sampled separately on both sides of the point where g jumps or leaves 0.
 
     Attributes
     ----------
@@ -635,11 +637,12 @@ def _splines(seen: Evaluations, setting: tuple[int, int, float], settings: Chang
 
 
 def _normal(seen: Evaluations, stretch: str, least_spread: float) -> _Map:
-    """Fit the normal density with the mean and the variances, or covariance, of z under |g|."""
+    """Fit a normal density to |g| in z: the mean, and either the variances or the covariance."""
     z, weights = seen.normal, seen.weights
     d, effective = z.shape[1], 1.0 / float((weights**2).sum())
     mean = weights @ z
-    # Shrink the means toward 0 and the variances toward 1, as for z, if points are few
+    # If points are few, shrink the means toward 0 and the variances toward 1.
+    # These are the moments of z for uniform points
     size = float(mean @ mean)
     mean = mean * max(0.0, 1.0 - d / (effective * size)) if size > 0.0 else mean
     covariance = np.eye(d)
@@ -758,8 +761,8 @@ def improvements(
 ) -> Iterator[Candidate]:
     """Yield changed estimators with the same integral, without new evaluations of g.
 
-    Expected ratios of variances hold for random points. For *order*, variances are compared
-    without their main effects, because nets remove main effects.
+    Expected ratios of variances hold for random points.
+    For *order*, main effects are excluded from the compared variances, because nets remove them.
     All ratios are computed from evaluations that were not used in the fit.
 
     Parameters
@@ -771,7 +774,7 @@ def improvements(
     kinds
         Kinds of change, some of `CHANGES`.
     charged
-        Number of evaluations charged to each change as its pilot; 0 if they were needed anyway.
+        Number of evaluations that count as the pilot of each change; 0 if they were needed anyway.
     settings
         Settings of the changes.
 
@@ -813,7 +816,7 @@ def evaluated(
     sizes = [count // rounds] * (rounds - 1) + [count - (rounds - 1) * (count // rounds)]
 
     def follow(points: Array, values: Array, pdf: Array) -> _Map | None:
-        """Fit a density, or return None as long as half of the evaluations may be all zero.
+        """Fit a density, or return None if all values of one half of the evaluations are zero.
 
         None means that the next points are uniform.
         """

@@ -9,16 +9,16 @@ Without the smoothness term, the sum is the relative entropy of |f| and p, up to
 Both integrals of the relative entropy are estimated from the *same* points.
 If |f| belongs to the family, the minimum is |f| itself for any number of points.
 A fit by the mean of log p alone would follow the random density of the points.
-As in P-splines [Eilers1996]_, the smoothness penalty depends on
-second differences of the logarithms of the splines' weights.
+The smoothness penalty uses second differences of log spline weights, as in P-splines
+[Eilers1996]_.
 
 A candidate is defined by numbers of cells and parts, and by the weight of the penalty.
 Candidates are compared by the variance of f/p with points of the sampler itself.
 Only evaluations that were not used in the fit are compared.
 The integral ∫f²/p alone does not measure the roughness of f/p.
 This roughness causes the variance that nets and strata do not remove.
-The best candidate is checked on fresh points. The result is the uniform density
-unless the best candidate has less variance than uniform points.
+The best candidate is checked on fresh points.
+If it has no less variance than uniform points, the result is the uniform density.
 """
 
 from __future__ import annotations
@@ -62,11 +62,14 @@ __all__ = ["LEARNED", "LearnSettings", "fit_splines", "in_rounds", "learned_dens
 class LearnSettings:
     """Settings of fits of splines, and of the choice between fitted densities."""
 
-    # Candidates of the two kinds, from smooth to fine. Each has three numbers: cells of each axis;
-    # parts of a mixture, or 0 for a flow; weight of the smoothness penalty.
+    # Candidates of the two kinds, from smooth to fine.
+    # The first number of each candidate is the number of cells along each axis.
+    # The second number is the number of parts of a mixture, or 0 for a flow.
+    # The third number is the weight of the smoothness penalty.
     # The first candidate is also fitted in each round, to place the points of the next round.
-    # Evaluations that were not used in any fit choose one candidate. Without any one of them,
-    # the variance of a peak in 2-D and of two bells in 3-D changes by −30 to +6 %.
+    # Evaluations that were not used in any fit choose one candidate.
+    # If one candidate is left out, the variances of two test functions change by −30 to +6 %.
+    # The test functions have a peak in 2-D and two bells in 3-D.
     mixture: tuple[tuple[int, int, float], ...] = (
         (12, 4, 1e-3),
         (8, 4, 1e-1),
@@ -81,26 +84,26 @@ class LearnSettings:
     )
     # Maximum number of dims of a learned density. The fit of a flow in 24-D takes 9 s.
     most_dims: int = 24
-    # Least allowed number of evaluations. Of 256, one half is for the fit.
+    # Least allowed number of evaluations. Half of these 256 evaluations are for the fit.
     # A quarter is for the choice of one of five candidates: six sets of two points for each.
     # Another quarter is for the check of the result on fresh points.
     least_evaluations: int = 256
-    # Least number of evaluations by default: `most_fitted` for the fit,
-    # `most_fitted` for the choice of a candidate, and `most_fitted` for the check.
+    # Least number of evaluations by default.
+    # The fit, the choice of a candidate and the check take `most_fitted` evaluations each.
     usual_evaluations: int = 3 * 2**13
     # Default number of evaluations for each of the n points, in addition to `most_fitted`.
     # The choice takes half of the 16 n: each of five candidates has six sets of n/4 points.
     # The check takes half of the 16 n: 16 sets of n/4 points of the result, and 16 uniform sets.
     evaluations_per_point: int = 16
     # Ratio of n to the smallest number of points at which candidates may be compared.
-    # At n/16, the ratios of variances of nets are already close to the ratios at n.
+    # With n/16 points, nets give nearly the same ratios of variances as with n points.
     # With fewer points, nets do not resolve the splines.
     fewest_divisor: int = 16
-    # Maximum number of evaluations in a fit. With 2048 instead of 4096,
-    # the variances of the peak in 2-D and the bells in 3-D change by −21 to +12 %.
+    # Maximum number of evaluations in a fit.
+    # With 2048 instead of 4096 evaluations, the variances of these tests change by −21 to +12 %.
     most_fitted: int = 2**13
-    # Number of points in a block of the sums of a fit. All machines compute the same bits,
-    # because BLAS does not use threads for products of blocks of 128 points.
+    # Number of points in a block of the sums of a fit. All machines then compute the same bits:
+    # BLAS does not use threads for products of blocks of 128 points.
     block: int = 128
     # Number of bins of the marginal distributions of |f|, by which the knots are placed.
     # Half or twice as many bins change the variances by 1 % at most.
@@ -119,11 +122,11 @@ class LearnSettings:
     # For values from 2e-10 to 2e-8, the variances are the same to three digits.
     gain: float = 2e-9
     # Maximum number of dims in which a flow is fitted with all `steps`.
-    # For d dims above this limit, the number of steps is multiplied by 4/d,
-    # because longer fits cost more and do not improve the densities.
+    # For d dims above this limit, the number of steps is multiplied by 4/d.
+    # Longer fits cost more and do not improve the densities.
     most_dims_of_all_steps: int = 4
-    # Least number of sets for the variance of each candidate. With 6 sets for each variance,
-    # the logarithm of a ratio of two variances has a standard error of √(4/5) = 0.9.
+    # Least number of sets for the variance of each candidate.
+    # With 6 sets each, the log of a ratio of two variances has a standard error of √(4/5) = 0.9.
     least_replicates: int = 6
     # Least number of fresh sets for each of the two variances in the check of the result.
     # If a ratio measured with 16 sets is below 1/2.4, the true ratio is below 1 at 95 %.
@@ -135,12 +138,12 @@ class LearnSettings:
     # Weight that is added to every spline at the start of a fit, so that logarithms are finite.
     # For values from 1e-8 to 1e-4, the variances differ by 0.3 % at most.
     least_weight: float = 1e-6
-    # A density is kept only if its variance is at most this fraction of that of uniform points.
+    # A density is kept only if it lowers the variance of uniform points at least to this fraction.
     # Smaller gains are within the errors of six sets, and uniform points are always safe.
     most_ratio: float = 0.5
     # Least number of evaluations for each weight of a flow.
-    # With fewer evaluations, weights would follow the noise of the points, as in regressions
-    # (`evaluations_per_term` of `mcspectra.improve.improved.RegressionSettings`).
+    # With fewer evaluations, weights would follow the noise of the points.
+    # Regressions have a similar limit (`mcspectra.improve.improved.RegressionSettings`).
     # In 2-D and 3-D, results are the same for 2 and 8.
     evaluations_per_gate: int = 4
 
@@ -170,7 +173,7 @@ def fit_splines(
         Points (N, d); values (N, channels), not all 0; and the density of the points, (N,).
     setting
         Number of cells along each axis, number of parts, and weight of the smoothness penalty.
-        The parts are those of a mixture; 0 stands for a flow.
+        A mixture has at least one part. The number 0 stands for a flow.
     defensive
         Share δ of the uniform density.
     generator
@@ -236,7 +239,7 @@ class _Seen:
     """The function that a fit minimizes; points are processed in blocks."""
 
     basis: list[Array]  # values of the splines of each axis at the points, (blocks, M, size)
-    rho: Array  # arrays ρ and w (blocks, size); each sum is 1
+    rho: Array  # weights ρ and w of the points, (blocks, size); the sum of each is 1
     weight: Array
     uniform: Array  # logarithms of the spline weights of the uniform density, (d, M)
     defensive: float
@@ -286,7 +289,10 @@ class _Seen:
         shape, before = (*start.shape, features.shape[1]), np.tri(len(start), k=-1, dtype=bool)
 
         def loss_of(followed: Array) -> tuple[Array, Callable[[Array], tuple[float, Array]]]:
-            """Return a mask of used coefficients, and the loss, for dependences of axes (d, d)."""
+            """Return a mask of the coefficients in use, and the loss.
+
+            The matrix (d, d) states for each axis on which other axes it depends.
+            """
             columns = np.insert(np.repeat(followed, DEGREE, axis=1), 0, True, axis=1)
             used = np.broadcast_to(columns[:, None], shape)
             seen = [features[:, c] for c in columns]
@@ -380,8 +386,8 @@ def learned_density(
     Parameters
     ----------
     f
-        An integrand with one or more channels, a spec,
-        or a function that maps points (k, d) to values (k,).
+        An integrand with one or more channels, or a spec.
+        Another choice is a function that maps points (k, d) to values (k,).
     kind
         ``"mixture"`` is a mixture of products of splines.
         In a ``"spline-flow"``, the spline weights of a coordinate depend on earlier coordinates.
@@ -391,8 +397,9 @@ def learned_density(
         Number of dims, up to 24. It is needed if neither f nor the sampler has a number of dims.
     evaluations
         Maximum number of evaluations of f, at least 256.
-        Half of them are for the fit, but at most 8192. The others are divided into two halves:
-        one half chooses between candidates, and the other half checks the result.
+        Half of the evaluations are for the fit, but at most 8192.
+        Of the remaining evaluations, one half chooses between candidates.
+        The other half checks the chosen density.
         The default is 16 n + 8192, and at least 24576.
     defensive
         Lower bound δ of the density, between 0 and 1. Then |f|/p is at most |f|/δ.
@@ -405,15 +412,17 @@ def learned_density(
     -------
     Density
         A continuous density with an exact inverse and a continuous warp.
-        Its `spec` names the file. If no candidate halves the variance of uniform points,
-        or if the check does not confirm the gain, it is ``uniform``, with a `NoGainWarning`.
+        The `spec` of the density names its file.
+        If no candidate halves the variance of uniform points, the density is ``uniform``.
+        It is also ``uniform`` if the check does not confirm the gain.
+        In this case a `NoGainWarning` is issued.
 
     Raises
     ------
     ParameterError
-        If the kind is unknown, a value is out of range, or the sampler is not random;
-        if f is NaN or infinite at a point, or 0 at all points;
-        or if there are too few evaluations to compare candidates near n.
+        If the kind is unknown, a value is out of range, or the sampler is not random.
+        If f is NaN or infinite at a point, or 0 at all points.
+        If there are too few evaluations to compare candidates near n.
     CountError
         If the sampler has no sets of n points.
     FileFormatError
@@ -425,10 +434,11 @@ def learned_density(
     The variance of f/p is compared for at least six realizations of the sampler.
     Each realization has n points if the evaluations allow it.
     Otherwise it has at least n/16 points, and by default usually n/4.
-    The best candidate is checked on fresh points. At least 16 realizations must show,
-    with 95 % confidence, that it has less variance than uniform points.
-    In addition, ∫f²/p must be smaller than ∫f². The effective number of uniform points,
-    (Σ|f|)²/Σf², must be at least 16, because peaks may be missed otherwise.
+    The best candidate is checked on fresh points, with at least 16 realizations.
+    The check must show with 95 % confidence that the variance is less than for uniform points.
+    In addition, ∫f²/p must be smaller than ∫f².
+    The effective number (Σ|f|)²/Σf² of uniform points must be at least 16.
+    With a smaller number, peaks may be missed.
     `mcspectra.improve.learned` describes the method of fitting.
 
     Examples
@@ -609,7 +619,7 @@ def in_rounds(
     """Return points (N, d) that follow a function better in each round, with values and densities.
 
     Before each round except the first, `follow` fits a density to all evaluations.
-    It returns an object with `sample` and `pdf`, or None for uniform points.
+    `follow` returns an object with `sample` and `pdf`, or None for uniform points.
     All points together are one sample of the mixture of all densities.
     """
     points, values = np.empty((0, dims)), np.empty((0, 1))

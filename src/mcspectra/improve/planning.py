@@ -7,8 +7,8 @@ Scrambled nets give the variance of several samplers at once (`mcspectra.explain
 Other samplers draw their own sets.
 A measurement has stages. Each stage doubles the evaluations, and none is repeated.
 The measurement ends at the first stage whose interval of n is narrow enough.
-A smaller error never takes fewer points: every search uses the error in comparisons only,
-and no stage returns an n that an earlier stage excluded.
+A smaller error never takes fewer points. Every search uses the error in comparisons only.
+No stage returns an n that an earlier stage excluded.
 """
 
 from __future__ import annotations
@@ -57,18 +57,18 @@ class PlanSettings:
     # For larger n the curve is extrapolated by its rate.
     # `predict` also searches for the asymptotic rate up to this count.
     octaves: int = 16
-    # The predicted curve extends below the target variance by this factor,
-    # so that the upper ends of intervals also reach the target.
+    # The predicted curve extends below the target variance by this factor.
+    # Then the upper ends of intervals also reach the target.
     margin: float = 4.0
     # Largest planned number of points. Larger numbers do not fit into a 64-bit integer.
     most: int = 2**62
     # Resolution of the search for n: the next power of two is divided by this number.
-    # Up to n = 256 the least count is found; above, eight predictions find n within 0.4 %.
+    # Up to n = 256 the least count is found. For larger n, eight predictions find n within 0.4 %.
     steps: int = 256
     # The answer contains the interval of n if the ratio of its ends is larger than this.
     wide: float = 1.25
     # If an estimator has several techniques, the sampler must have sets for all of them.
-    # This is the number of consecutive counts that are tried until such sets exist.
+    # Number of consecutive counts that are tried until such sets exist.
     tries: int = 256
 
 
@@ -90,14 +90,14 @@ class MeasuredPlanSettings:
     # With 2, sets have half as many points, and rates of functions with jumps become uncertain.
     doubling: int = 3
     # Least number of points in each set of the first stage.
-    # With 8 points, parts of a set give variances at smaller counts, and therefore a rate.
+    # With 8 points, parts of a set give variances at smaller counts, and these give a rate.
     least: int = 8
-    # Least number of sets for a variance, same as in `profile`; for samplers with few stored sets.
+    # Least number of sets for a variance, as in `profile`. Samplers with few stored sets need it.
     least_sets: int = 3
     # The measurement stops if the ratio of the ends of the interval of n is below this value.
     narrow: float = 1.5
-    # Number of sets of n points that is enough for any n:
-    # a variance from 256 sets has a relative standard error of √(2/256) = 9 %.
+    # Number of sets of n points that is enough for any n.
+    # A variance from 256 sets has a relative standard error of √(2/256) = 9 %.
     enough: int = 256
     # Number of counts per octave of the piecewise linear curve that is compared with the error.
     parts: int = 16
@@ -385,8 +385,7 @@ def _least(
     # Bisect between the last count that misses the target and the first count that reaches it.
     # Several octaves can be between these counts, because the curve need not be monotone.
     # Searches for two targets take the same steps while both are reached or both are missed.
-    # When one target is reached and the other is missed,
-    # only the search for the smaller target continues toward larger n.
+    # If only the larger target is reached, the search for the smaller one continues to larger n.
     # Nets are balanced only at powers of their base
     if not before or _base(estimator.law(sampler, counts[first])):
         return best
@@ -455,11 +454,10 @@ class _Stage:
     means
         Estimates from the largest sets, (R, channels).
     points, values
-        Points (N, d) of a single technique, or None if there are several techniques;
-        and values (N, channels) of the technique with the largest variance.
+        Points (N, d) of a single technique, or None if there are several techniques.
+        The values (N, channels) belong to the technique with the largest variance.
     largest
-        Number of points in all sets of the largest size:
-        R times the number of points of one set.
+        Number R · n of points in all R sets of the largest size n.
     evaluations
         Number of evaluations of this stage and all earlier stages together.
     """
@@ -555,7 +553,10 @@ class _Nets:
 
 @dataclass
 class _Own:
-    """Stages of sets of a sampler at powers of a base; each stage adds sets and counts."""
+    """Stages of the sets of a sampler, with counts that are powers of a base.
+
+    Each stage adds larger counts, or further sets at the same counts.
+    """
 
     estimator: AbstractEstimator
     sampler: Sampler
@@ -618,7 +619,7 @@ def _in_stages(source: _Nets | _Own, sampler: Sampler, target: Array) -> _Found:
     estimator, least, best = source.estimator, 0.0, None
     for stage in source.stages():
         curves = stage.curves.get(sampler.spec)
-        if curves is None:  # No variance is known: its error is too large
+        if curves is None:  # The variance is not known, because its error is too large
             continue
         curve = _Ladder.of(curves)
         note, _ = doubt(stage.points, stage.values) or ("", False)
@@ -728,7 +729,7 @@ class _Ladder:
 
 
 def _crossing(x: Array, off: Array) -> float:
-    """Return the first x at which a piecewise linear curve (x, off) is at most 0, or infinity."""
+    """Return the first x at which the piecewise linear curve of `off` reaches 0, or infinity."""
     reached = np.flatnonzero(off <= 0.0)
     if not len(reached):
         return math.inf
@@ -761,7 +762,7 @@ def _count_from(estimator: AbstractEstimator, sampler: Sampler, n: float) -> flo
 
 
 def _measured_count_from(estimator: AbstractEstimator, sampler: Sampler, n: float) -> float:
-    """Apply `_count_from`; lattices take powers of two, as other counts vary in quality."""
+    """Apply `_count_from`. For lattices, take powers of two: other counts vary in quality."""
     leaf = leaf_of(estimator.law(sampler, sampler.nearest_count(1)))
     if not (isinstance(leaf, Fixed) and leaf.even):
         return _count_from(estimator, sampler, n)
@@ -836,28 +837,30 @@ def plan(
         Number of threads; all processors by default. It has no effect on results.
     max_evaluations
         Maximum number of evaluations of a function or of a costly integrand.
-        All samplers share these evaluations; the default is 2^18. A plan starts with 4,096
-        and doubles this number until the ends of the interval of n differ by a factor below 1.5.
+        All samplers share these evaluations; the default is 2^18.
+        A plan starts with 4,096 evaluations, and doubles this number in each stage.
+        The plan ends when the ends of the interval of n differ by a factor below 1.5.
 
     Returns
     -------
     xarray.Dataset
-        A dataset. ``planned_n`` is the least count whose RMSE is at most the target,
-        or NaN if it is not known.
-        For nets (such as sobol and pmj02) it is a power of their base,
-        because nets of other counts are unbalanced.
-        For other samplers of known integrands, it is accurate to 0.4 %.
+        A dataset. ``planned_n`` is the least count whose RMSE is at most the target.
+        If this count is not known, ``planned_n`` is NaN.
+        For nets (such as sobol and pmj02) ``planned_n`` is a power of the net's base.
+        Nets with other numbers of points are unbalanced.
+        For other samplers and known integrands, ``planned_n`` is accurate to 0.4 %.
         With the same seed, a smaller target never has a smaller ``planned_n``.
         ``planned_n_ci(bound)`` is the count for the ends of the 95 % interval of the variance.
-        If the values do not bound the variance, the upper end is infinite,
-        and the attribute ``note`` gives the reason. ``planned_error`` is the RMSE at ``planned_n``.
+        If the values do not bound the variance, the upper end is infinite.
+        The attribute ``note`` gives the reason.
+        ``planned_error`` is the RMSE at ``planned_n``.
         ``target_variance`` is the square of the target.
         ``predicted_variance(n)`` with ``predicted_variance_ci(n, bound)`` is the curve of variance.
         The counts of this curve are allowed powers of two.
         The curve ends at a quarter of the target variance or at 2^16 points.
         For larger n it is extrapolated by the last slope, which ``how`` reports.
         The coordinates ``method`` and ``how`` are the same as in `predict`.
-        For measurements they are ``"measured"`` and the number of evaluations.
+        For measurements, ``method`` is ``"measured"`` and ``how`` is the number of evaluations.
         If there is a single sampler, ``method`` and ``how`` are attributes of the dataset.
         A list of samplers adds the dim sampler.
         The attribute ``answer`` is a sentence.

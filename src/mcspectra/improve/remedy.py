@@ -1,9 +1,10 @@
 """Remedies: changes that lower an estimator's noise at a budget, measured, ranked and explained.
 
-Every candidate (`mcspectra.improve.candidates`) is run at the same budgets of evaluations
-and with the same random numbers as the given set-up (`mcspectra.improve.assess`).
-Intervals of all comparisons are simultaneous:
-a remedy is recommended only if its interval excludes the given set-up.
+Every candidate (`mcspectra.improve.candidates`) is compared with the given set-up.
+Candidates and given set-up have the same budgets of evaluations and the same random numbers
+(`mcspectra.improve.assess`).
+Intervals of all comparisons are simultaneous.
+A remedy is recommended only if its interval excludes the given set-up.
 """
 
 from __future__ import annotations
@@ -47,8 +48,8 @@ class RemedySettings:
     # Number of budgets at which each set-up is measured: B/256, B/64, B/16, B/4 and B.
     # A rate from five budgets leaves three degrees of freedom for the lack of fit.
     steps: int = 5
-    # Ratio of successive budgets. A smaller ratio costs more:
-    # the sum of all budgets is 1/(1 − 1/ratio) = 4/3 times the largest budget.
+    # Ratio of successive budgets. A smaller ratio costs more.
+    # The sum of all budgets is 1/(1 − 1/ratio) = 4/3 times the largest budget.
     # With a larger ratio, only two or three budgets would be large enough for two points.
     ratio: int = 4
     # Expected number of changes of each kind, for estimates of cost and memory before a run.
@@ -59,7 +60,7 @@ class RemedySettings:
     # The margin allows for values that cancel to 1e-6 of their size.
     exact_tolerance: float = 1e-9
     # The same limit for an integral by quadrature or by many points.
-    # It is larger, because the estimated error of such an integral can be too small.
+    # This limit is larger, because the estimated error of such an integral can be too small.
     # Equal estimates that miss a rare event differ from the integral by far more than this.
     quadrature_tolerance: float = 1e-3
     # Differences up to this number of standard errors of such an integral are also allowed.
@@ -151,7 +152,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
         start = Candidate("given", "as given", "leave everything as it is", given)
         unknown = np.isnan(given.estimator.known_integral()[0]).any()
         search = Budget(self.budget, self.realizations, stream.child(_SEARCH))
-        # Divide the evaluations equally among the kinds, after those of the given set-up
+        # Divide the evaluations that the given set-up leaves equally among the kinds
         limit = self.max_evaluations
         first = self._evaluations(given)
         share = None if limit is None else max(1, (limit - first) // len(self._kinds))
@@ -218,7 +219,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
         for step, n in _affordable(setup, self.budget).items():
             try:
                 estimator = setup.at(n)
-            except McspectraError:  # Too few strata for the edges
+            except McspectraError:  # The edges need more strata
                 continue
             cost.append(n * setup.cost + setup.overhead)
             own = stream.child(step)
@@ -263,8 +264,8 @@ def remedies(
 ) -> xr.Dataset:
     """Try changes of an estimator and its sampler at equal cost, rank and explain the results.
 
-    All changes together evaluate a user's function 10 to 25 times budget · realizations times.
-    With a budget of 1,000 and the default realizations, these are about 20 million evaluations.
+    All changes together take 10 to 25 · budget · realizations evaluations of a user's function.
+    With a budget of 1,000 and the default realizations, this is about 20 million evaluations.
 
     Parameters
     ----------
@@ -293,22 +294,22 @@ def remedies(
     Returns
     -------
     xarray.Dataset
-        A dataset. The dim ``remedy`` lists changes by name, with the least variance first;
-        the given set-up is ``"as given"``.
-        Variables on ``remedy``: ``error`` with ``error_ci`` is the variance at the budget,
-        or the mean squared error of a biased change, summed over channels.
-        ``error_ratio`` with ``error_ratio_ci`` is the ratio to the error of the given set-up.
+        A dataset. The dim ``remedy`` lists changes by name, with the least variance first.
+        The name of the given set-up is ``"as given"``.
+        ``error`` with ``error_ci`` is the variance at the budget, summed over channels.
+        For a biased change, ``error`` is the mean squared error.
+        ``error_ratio`` with ``error_ratio_ci`` is the error relative to the given set-up.
         ``rate`` with ``rate_ci`` is the rate of the variance.
-        ``rate_difference`` with ``rate_difference_ci`` is this rate minus that of the given set-up.
+        ``rate_difference`` with ``rate_difference_ci`` is the change of the rate by the remedy.
         Intervals of ratios and of differences are simultaneous, at 95 %.
         ``rank_by_rate`` is the rank of the rate.
-        The coordinates of a remedy are its ``kind``, ``change`` (an imperative) and ``reason``,
-        and the verdicts on its error, ``verdict``, and on its rate, ``rate_verdict``.
+        The coordinates of a remedy are its ``kind``, ``change`` (an imperative) and ``reason``.
+        Two further coordinates are ``verdict`` for the error, and ``rate_verdict`` for the rate.
         A verdict is better, worse, undecided or given.
-        Variables on (remedy, step): ``cost`` and ``error_at_cost``.
-        Attributes: ``diagnosis`` and ``answer`` are sentences,
-        ``best`` contains the numbers of the answer as JSON,
-        and ``not_tried`` lists changes that could not be tried, with reasons.
+        ``cost`` and ``error_at_cost`` have the dims remedy and step.
+        Four attributes describe the result. ``diagnosis`` and ``answer`` are sentences.
+        ``best`` contains the numbers of the answer as JSON.
+        ``not_tried`` lists changes that could not be tried, with reasons.
 
     Raises
     ------
@@ -321,18 +322,18 @@ def remedies(
     These kinds change the estimator after the pilot, and keep its integral.
     The pilot takes an eighth of the budget, but at most 4096 evaluations.
 
-    If no count of points costs exactly the budget, the largest count below it is measured,
-    and the error is extrapolated to the budget along the fitted rate.
+    If no count of points costs exactly the budget, the largest count below it is measured.
+    The error is then extrapolated to the budget along the fitted rate.
     The interval includes the uncertainty of the slope.
     Errors are not extrapolated for changes with a pilot.
 
-    A user's function is evaluated at most 4/3 · budget · realizations times for each set-up,
-    and 7/3 · budget · realizations times for the given set-up with its diagnosis.
-    Searches for offsets of strata and for widths of smooth edges take more evaluations,
-    so these changes are not tried for a user's function.
+    A user's function is evaluated at most 4/3 · budget · realizations times for each set-up.
+    The given set-up and its diagnosis take at most 7/3 · budget · realizations evaluations.
+    Searches for offsets of strata and for widths of smooth edges take more evaluations.
+    These changes are therefore not tried for a user's function.
 
     A change is biased if it smooths, or if its sampler is not randomized.
-    Its error is taken about the integral of the given estimator.
+    The error of a biased change is taken about the integral of the given estimator.
     If ∫f is unknown, biased changes are not tried.
     A change to another integral has no rate, since its error converges to the square of the bias.
     All evaluations count, including those in pilots of heuristics and in means over boxes.

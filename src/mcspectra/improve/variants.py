@@ -1,9 +1,9 @@
 """Convergence of variants of a set-up on the same random numbers: smoothed edges and mirroring.
 
-See docs/theory.md, "Mirroring and smoothing". The bias of smoothing does not fall with n,
-so the width with the least mean squared error depends on n.
-The talk on [Singh2019]_ shows six convergence plots, with and without a shift of the samples:
-original, mirror-random and mirror-uniform.
+See docs/theory.md, "Mirroring and smoothing". The bias of smoothing does not fall with n.
+Therefore the width with the least mean squared error depends on n.
+The talk on [Singh2019]_ shows six convergence plots, with and without a shift of the samples.
+The three variants in these plots are original, mirror-random and mirror-uniform.
 """
 
 from __future__ import annotations
@@ -81,21 +81,21 @@ def smoothing_scan(
     Returns
     -------
     xarray.Dataset
-        A dataset. ``variance(width, n)`` with ``variance_ci`` is the variance,
-        and ``rate(width)`` with ``rate_ci`` is its rate.
+        A dataset. ``variance(width, n)`` with ``variance_ci`` is the variance.
+        ``rate(width)`` with ``rate_ci`` is the rate of this variance.
         ``smoothing_bias(width)`` is the change of the integral.
         ``bias_squared(width)`` is the square of the change of the integral.
-        Its interval ``bias_squared_ci`` is computed from the errors of the integrals.
+        The interval ``bias_squared_ci`` is computed from the errors of both integrals.
         ``mse(width, n)`` with ``mse_ci`` is the mean squared error, bias² + variance.
-        ``best_width(n)`` is the width with the least mse. ``best_width_range(n, bound)`` is
-        the range of widths whose mse may be as small, as judged by the intervals.
+        ``best_width(n)`` is the width with the least mse.
+        ``best_width_range(n, bound)`` is the range of widths that may be best within the intervals.
         Several channels add a dim channel; the best width minimizes the sum over channels.
 
     Raises
     ------
     CountError, ParameterError
-        If the sampler cannot draw one of the counts, if widths are not ascending or impossible,
-        or if dims disagree.
+        If the sampler cannot draw one of the counts, or if dims disagree.
+        If widths are not ascending, or if a width is impossible.
 
     Examples
     --------
@@ -127,7 +127,7 @@ def smoothing_scan(
 
     # Compute the bias ∫ f_δ − ∫ f, (W[, channels]).
     # The errors of the two integrals give an interval of the squared bias
-    kept = [g is f or isinstance(g, BoxSmoothed) for g in functions]  # Boxes keep ∫f
+    kept = [g is f or isinstance(g, BoxSmoothed) for g in functions]  # Means over boxes keep ∫f
     pairs = list(zip(functions, kept, strict=True))
     accuracy = [0.0 if k else integral_accuracy(f)[1] + integral_accuracy(g)[1] for g, k in pairs]
     none = np.zeros(f.channels or ())
@@ -192,8 +192,7 @@ def mirror_study(
     ----------
     estimator, sampler, counts
         Same as in `mcspectra.convergence`. The sampler must not end with a shift.
-        The number n counts evaluations of the integrand,
-        so that variances at one n are at equal cost.
+        The number n counts evaluations of the integrand, so the same n means the same cost.
     dims
         Number of dims; needed if the estimator is a function or a spec without dims.
         The default is the sampler's number of dims, unless the sampler is given as a spec.
@@ -202,25 +201,25 @@ def mirror_study(
         The six plots of the slides do not include ``"integrand"``.
     exact
         Whether exact variances are also returned. Exact variances are fast in 1-D.
-        In 2-D, they can take minutes for each count of a shifted set.
+        In 2-D, exact variances can take minutes for each count of a shifted set.
     realizations, rng, max_evaluations, workers
         Same as in `mcspectra.convergence`. All curves use the same random numbers.
 
     Returns
     -------
     xarray.Dataset
-        A dataset with ``variance``, ``variance_ci``, ``mean`` and ``mean_se``;
-        with `exact` also ``exact_variance``, which is NaN where it is not known.
-        Dims are mirroring, homogenized (True with ``shift``) and n.
+        A dataset with ``variance``, ``variance_ci``, ``mean`` and ``mean_se``.
+        If `exact` is true, it also has ``exact_variance``, with NaN for unknown values.
+        The dims are mirroring, homogenized (True with ``shift``) and n.
         ``rate`` and ``rate_ci`` have the first two dims only.
         A dim channel is added if f has several channels.
 
     Raises
     ------
     CountError, ParameterError
-        If a sampler cannot draw one of the counts (``"uniform"`` needs multiples of 2^d);
-        if a mirroring is unknown or listed twice; if the sampler already ends with a shift;
-        or if `exact` is neither True nor False.
+        If a sampler cannot draw one of the counts (``"uniform"`` needs multiples of 2^d).
+        If a mirroring is unknown or listed twice, or if the sampler already ends with a shift.
+        If `exact` is neither True nor False.
 
     Examples
     --------

@@ -6,7 +6,7 @@ Index j is for real numbers: a real coefficient has one, and a complex coefficie
 `double[h]` is 2 for a coefficient that also stands for −m, else 1.
 All sums over h with conj(f_h) S_h are real because the full spectrum is Hermitian.
 
-Coefficients are processed in tiles that stay in the first cache during a loop over realizations.
+Coefficients are processed in tiles, which stay in the first-level cache for all realizations.
 Tiles change neither the terms of the sums nor their order.
 Tiles are slices, because Numba vectorizes loops that begin at 0.
 Numba does not vectorize loops with a variable start, whose sign it cannot infer.
@@ -27,7 +27,7 @@ __all__ = [
 
 # Number of coefficients of a tile, a constant of the compiled kernels.
 # The size of a tile has no effect on the sums.
-# The arrays of a tile take 512 · 56 bytes = 28 KiB, which fits into a first cache of 32 KiB.
+# The arrays of a tile take 512 · 56 bytes = 28 KiB. A first-level cache often has 32 KiB.
 # These arrays are the complex spectrum and coefficient, the weight and two labels.
 _TILE = 512
 
@@ -45,8 +45,8 @@ def band_estimates(
 ) -> None:
     """Compute Σ_{h in a} double[h] Re(conj(f_ch) S_rh) for two partitions of h, and Σ_r S_rh.
 
-    The inputs are s (R, H) and f (C, H), both complex or both real; double (H,);
-    and the integers band and shell (H,).
+    The inputs are s (R, H) and f (C, H), which are both complex or both real.
+    Further inputs are double (H,), and the integers band and shell (H,).
     The outputs are bands (R, C, A), shells (R, C, K+1) and total (H,). They must be zero initially.
     """
     for low in range(0, s.shape[1], _TILE):
@@ -67,7 +67,7 @@ def band_estimates(
 
 @kernel
 def accumulate(s: Array, mean: Array, estimate: Array, squares: Array, cov: Array) -> None:
-    """Add second moments of a block about its own means, for every real number in the same way.
+    """Add second moments of a block about its own means. All real numbers are treated alike.
 
     The inputs are s (R, J), mean (J,), and estimate (R, C) without its mean.
     Σ_r (S − S̄)² is added to squares (J,), and Σ_r (S − S̄)(I − Ī) to cov (C, J).

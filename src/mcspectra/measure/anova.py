@@ -2,7 +2,7 @@
 
 docs/theory.md, "Analysis by axes", derives both methods of this module.
 `anova_variances` uses pick-freeze estimates [Sobol2001]_ with whole point sets.
-The part of the empty set of axes is 0. Its sample is subtracted from all other samples.
+The empty set of axes has the part 0. The sample of this part is subtracted from all others.
 The samples share most of their errors, which cancel. Therefore shares near 1 are precise.
 
 `anova_spectrum` draws frequencies with the probability q(m) = Π_{i∈u} q_1(m_i).
@@ -204,7 +204,7 @@ class Anova(Counted, frozen=True, kw_only=True):
         # Products of deviations, whose means over realizations are covariances: (S, R, channels)
         deviation = estimates - estimates.mean(axis=1, keepdims=True)
         products = deviation * (deviation[0] * (count / (count - 1)))
-        # With two realizations both products are equal, so their spread is not an error
+        # With two realizations the two products are equal, so their spread is not an error
         least = _SETTINGS.least
         per_root = count**-0.5 if count >= least else math.nan
         dims = max(self._group_of_axes(subject.estimator.dims)) + 1
@@ -328,7 +328,7 @@ class AnovaSpectrum(Analysis, frozen=True, kw_only=True):
     ] = 64
 
     def need(self, subject: Subject) -> Need:
-        """Check exact coefficients, uniform points and uncorrelated frequencies."""
+        """Check that coefficients are exact, points uniform and frequencies uncorrelated."""
         estimator, sampler = subject.estimator, subject.sampler
         estimator.check_sampler(sampler, self.n)
         plain = isinstance(estimator, Estimator) and estimator.density is None
@@ -440,7 +440,7 @@ def anova_variances(
         Number of independent pairs of point sets, at least 2.
     groups
         Group of each axis, numbered from 0 without gaps. By default every axis is a group.
-        Subsets, ``axis`` and ``axes`` refer to these groups.
+        The subsets and the dims ``axis`` and ``axes`` refer to these groups.
         A group may hold the axes of one bounce of a path, for example.
     rng
         Seed (SPEC 7). Realization r uses the points of ``sampler.draw(n, rng=rng, first=r)``.
@@ -448,23 +448,25 @@ def anova_variances(
         Number of threads. The default is all processors. It has no effect on results.
     max_evaluations
         Maximum number of evaluations of the integrand.
-        An analysis that takes more raises an error, before it starts if possible.
+        If an analysis needs more evaluations, an error is raised, if possible before it starts.
 
     Returns
     -------
     xarray.Dataset
         ``anova_variance(subset)`` is the part c_u of the variance from a subset u of axes.
-        ``anova_share(subset)`` is its share of the variance of the same pairs.
+        ``anova_share(subset)`` is the share of this part in the variance, from the same pairs.
         All shares sum to 1. The shares of single axes are the first-order Sobol' indices.
 
         ``total_variance(axis)`` is the sum of c_u over all subsets u that contain the axis.
         ``total_share(axis)`` is the total Sobol' index.
-        ``higher_order_variance`` is the part of subsets with more than `order` axes,
-        and ``higher_order_share`` is its share.
+        ``higher_order_variance`` is the part of subsets with more than `order` axes.
+        ``higher_order_share`` is the share of this part.
         ``truncation_share(axes)`` is the share of the first axes.
 
-        The effective dimensions are ``effective_dimension_truncation`` and
-        ``effective_dimension_superposition``. The latter is NaN if it exceeds `order`.
+        Effective dimensions refer to 99 % of the variance.
+        ``effective_dimension_truncation`` is the number of leading axes that hold this share.
+        ``effective_dimension_superposition`` is the largest size of the subsets that hold it.
+        The latter is NaN if it exceeds `order`.
         ``mean_dimension`` is the mean of |u| weighted by c_u. ``variance`` is the whole variance.
 
         Standard errors of variances have names that end in ``_se``.
@@ -539,16 +541,16 @@ def anova_spectrum(
     Returns
     -------
     xarray.Dataset
-        ``anova_variance`` c_u and ``anova_variance_se`` on dim subset, as in `anova_variances`.
-        The error is the standard error of the mean of 16 independent batches.
+        ``anova_variance(subset)`` is c_u, and ``anova_variance_se(subset)`` is its standard error.
+        This error comes from the mean of 16 independent batches.
         Each batch has its own frequencies and sets.
         The attribute ``power`` reports whether ⟨|S_m|²⟩ is exact.
 
     Raises
     ------
     NoClosedForm
-        If the coefficients are not exact, the points have a density,
-        or the frequencies are correlated. `anova_variances` has no such requirements.
+        If the coefficients are not exact, the points have a density, or frequencies are correlated.
+        `anova_variances` has no such requirements.
     ParameterError, CountError
         If a value is out of range, or the frequencies would not fit into memory.
 

@@ -102,7 +102,7 @@ class BenchSettings:
 _SETTINGS = BenchSettings()
 _LEVEL = 0.95  # Level of the simultaneous intervals of ranks
 
-# Genz's difficulty of each family, which is the sum of a_i over the dims
+# Genz's difficulty of each family: the sum of its coefficients a_i over the dims
 _GENZ = {
     "oscillatory": 9.0,
     "product-peak": 7.25,
@@ -115,7 +115,7 @@ _KINDS = {"continuous": "kink", "discontinuous": "jump"}
 
 
 class Task(NamedTuple):
-    """A standard integrand: its difficulty (``smooth``, ``kink``, ``jump``), spec and dims."""
+    """A standard integrand: its kind (``smooth``, ``kink`` or ``jump``), spec and dims."""
 
     kind: str
     spec: str
@@ -144,40 +144,40 @@ def sampler_bench(
         Samplers, spec strings or arrays of points, as in `as_sampler`.
         A spec string gives one sampler for each number in `dims`.
         Sampler objects and arrays are used only in the number of dims that they have.
-        Sets that are always the same are randomized before variances are measured:
-        digital nets by owen, other sets by shift.
+        Sets that are always the same are randomized before variances are measured.
+        Digital nets are randomized by owen, and other sets by shift.
         Given sets are also randomized if there are fewer than 16 sets with the same count.
         Points of files are recognized as nets in base 2, 3 or 5.
     counts
         Numbers of points. Each sampler uses its allowed counts nearest to these numbers.
     dims
         One or several numbers of dims. The integrands are built for all of them.
-        Spectra, pair correlations, quality and speed use the first number.
+        Spectra, pair correlations, quality and speed use only the first of these numbers.
         Projections use all numbers.
     realizations
-        Number of realizations for each variance. Given sets limit it to the number of sets.
+        Number of realizations for each variance. The number of given sets is an upper limit.
     rng
         Seed of the random numbers, an integer.
 
     Returns
     -------
     xarray.Dataset
-        On the dims (sampler, integrand, n): ``mean``, ``variance``, ``variance_ci``.
-        ``points_made`` is the allowed count of the sampler that was used for n.
+        ``mean``, ``variance`` and ``variance_ci`` have the dims (sampler, integrand, n).
+        ``points_made`` is the number of points that the sampler used for n: an allowed count.
 
-        On (sampler, integrand): ``rate``, ``rate_ci`` and ``rank``.
+        ``rate``, ``rate_ci`` and ``rank`` have the dims (sampler, integrand).
         Samplers are ranked by n · variance at the largest n.
         ``rank_ci`` holds simultaneous 95 % intervals of all ranks.
 
-        On (sampler, n): the figures of quality, and ``points_per_second``.
-        ``points_per_second`` is the speed of one thread. It is NaN for points that are read.
+        The figures of quality and ``points_per_second`` have the dims (sampler, n).
+        ``points_per_second`` is the speed of one thread. It is NaN for points from files.
 
-        Spectra in 1 to 3 dims are on (sampler, m0, …) and (sampler, radius).
-        The spectra are ``power``, ``radial_power`` and ``anisotropy_db``.
+        Spectra are computed in 1 to 3 dims. ``power`` has the dims (sampler, m0, …).
+        ``radial_power`` and ``anisotropy_db`` have the dims (sampler, radius).
 
-        On (sampler, r): ``pair_correlation`` and ``pair_correlation_ci``.
+        ``pair_correlation`` and ``pair_correlation_ci`` have the dims (sampler, r).
 
-        On (sampler, point, axis): ``points``, one set in the sampler's largest number of dims.
+        ``points`` (sampler, point, axis) is one set in the sampler's largest number of dims.
         ``pictured_n`` is the number of points of the spectra and pair correlations.
         ``spectrum_sets``, ``pair_sets`` and ``quality_sets`` are the numbers of averaged sets.
 
@@ -194,8 +194,9 @@ def sampler_bench(
 
     Notes
     -----
-    The integrands are Genz's six families [Genz1984]_ with his difficulties,
-    a half-space with an oblique border, a ball in up to 3 dims and Sobol's g-function.
+    Six integrands are Genz's families [Genz1984]_ with his difficulties.
+    The others are a half-space with an oblique border, and Sobol's g-function.
+    In up to 3 dims, a ball is added.
     Genz's families are smooth, have a kink, or have an axis-parallel jump.
     All results except ``points_per_second`` depend only on the samplers and the seed.
     Every sampler has its own stream of random numbers.
@@ -245,9 +246,7 @@ def sampler_bench(
                 f"The sampler {short_spec(spec)} is listed twice; list each sampler once."
             )
     labels = list(map(short_spec, specs))
-    if len(set(labels)) < len(
-        labels
-    ):  # Names may be equal, such as the names of files in several folders
+    if len(set(labels)) < len(labels):  # Files in several folders may have equal names
         labels = specs
 
     tasks = [task for d in wanted for task in standard_tasks(d)]
@@ -261,7 +260,7 @@ def sampler_bench(
         for d, source in sources.items():
             made_counts = sorted(set(_nearest(source, asked).values()))
             free, step = free_of(source, made_counts)
-            if not step:  # A sampler that is a function may ignore the generator
+            if not step:  # A sampler that is a function may ignore the random generator
                 n = made_counts[-1]
                 if different_realizations(source, n, Stream.from_rng(own), 2) == 1:
                     free, step = randomized(source, made_counts)
@@ -271,7 +270,7 @@ def sampler_bench(
                     f"{short_spec(free.spec)}"
                 )
             added |= {step: None} if step else {}
-            # Measure convergence on the tasks at the counts nearest to the requested counts
+            # Measure convergence on the integrands, with allowed counts near the requested counts
             nearest, own_tasks = _nearest(free, asked), [t for t in tasks if t.dims == d]
             numbers, sets = sorted({*nearest.values()}), many
             if isinstance(free, GivenPoints):
@@ -343,7 +342,7 @@ def ranks(variance: Array, variance_ci: Array, n: Array) -> tuple[Array, Array]:
     -------
     tuple
         Ranks (sampler, task), where rank 1 has the least variance.
-        Their 95 % intervals have the shape (sampler, task, 2).
+        The 95 % intervals of ranks have the shape (sampler, task, 2).
         The lower end of an interval is one more than the number of significantly better samplers.
         The test compares independent estimates of log variance.
         The test uses the Bonferroni correction over all pairs of samplers on all tasks.
@@ -459,7 +458,7 @@ def randomized(source: Sampler, counts: Sequence[int]) -> tuple[Sampler, str]:
 
 
 def making_seconds(source: Sampler, n: int, rng: int) -> float:
-    """Return the best time of a few draws on one thread without the cache, or NaN for files."""
+    """Return the least time of a few draws on one thread without the cache, or NaN for files."""
     if isinstance(source.plain, GivenPoints):
         return math.nan
     stream = Stream.from_rng(rng)

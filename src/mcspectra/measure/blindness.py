@@ -1,8 +1,8 @@
 """Detect estimates that missed the source of their variance, and explain each in a sentence.
 
-Three kinds of estimates give no upper bound of the variance:
-estimates without spread, estimates whose mean differs from the integral,
-and estimates of which a single one causes most of the variance.
+Three kinds of estimates give no upper bound of the variance. The estimates may have no spread.
+The mean of the estimates may differ from the integral.
+A single estimate may cause most of the variance.
 `blindness` detects these estimates by the known integral, by ∫g² and by poles.
 """
 
@@ -39,7 +39,7 @@ class BlindnessSettings:
     # Share of one square in Σ (estimate − mean)² above which the tail is not resolved.
     # For 1,000 exponential numbers, the median share of the largest square is 4 %.
     # This share exceeds 17 % in one of a thousand samples.
-    # For normal numbers, both shares are 1.2 % and 2.4 %.
+    # For normal numbers, these two shares are 1.2 % and 2.4 %.
     large_share: float = 0.2
     # Probability that the largest square of a few normal estimates exceeds its limit.
     # Fewer estimates have a larger limit for this square.
@@ -77,8 +77,8 @@ def blindness(
     Parameters
     ----------
     measured
-        Arrays (estimator, sampler, n, channel) by name: ``realizations``, ``variance``,
-        ``relative_se`` of the variance, ``tail_index``, ``bias`` and ``bias_se``.
+        Arrays (estimator, sampler, n, channel) by name. Among the names are ``realizations``,
+        ``variance`` with ``relative_se``, ``tail_index``, and ``bias`` with ``bias_se``.
         ``largest_share`` is the largest share of one square in the variance.
         ``resolved`` states whether the variance is resolved; ``floor`` is its rounding error.
 

@@ -5,11 +5,11 @@ The variance of its mean over n draws is
 
     Var = ∫ S(ν) |W(ν)|² dν = (1/n) ∫ S(ν) F_n(ν) dν,    F_n(ν) = sin²(πnν) / (n sin²(πν)),
 
-which is the power term with the Fejér kernel F_n of the window W of equal weights.
+This is the power term with the Fejér kernel F_n of the window W of equal weights.
 For a stationary chain the dc and cross terms vanish.
 S comes from an autoregression whose order is chosen by AIC, as in [Thompson2010]_.
-The autocovariances are corrected for the subtracted mean:
-if the mean has variance V, subtracting it lowers all autocovariances by V.
+The autocovariances are corrected for the subtracted mean.
+If the mean has variance V, subtracting it lowers all autocovariances by V.
 
 The scatter of the chains' means is a second, independent estimate.
 Both estimates of the error are pooled by their degrees of freedom.
@@ -43,10 +43,11 @@ class ChainSettings:
     Comments give numbers of cases from ``python -m benchmarks settings --chains``.
     """
 
-    # Least number of draws of a chain. With fewer draws the autoregression has order 2 at most,
-    # because the largest order is a quarter of the draws.
+    # Least number of draws of a chain. With fewer draws the autoregression has order 2 at most.
+    # In general, the largest order is a quarter of the number of draws.
     least_draws: int = 10
-    # Deviation of the mean chain's power, in standard errors, above which chains are correlated.
+    # Chains are correlated if the power of the mean chain deviates by more than this.
+    # The deviation is in standard errors.
     # A normal law exceeds 5 standard errors with probability 6e-7.
     # A score of 2.5 gives 2 false alarms in 475 cases.
     # A score of 10 misses all of 50 sets of chains that have a common part of 0.3.
@@ -65,13 +66,14 @@ class ChainSettings:
     # Smaller fractions have too few draws for a normal law. Larger ones would reach the last half.
     starts: tuple[float, ...] = (0.05, 0.1, 0.2)
     # `settled` is the p-value above which the draws after a burn-in count as stationary.
-    # `margin` is the factor by which the burn-in is then lengthened:
-    # at its end the mean may still have a bias of one standard error.
+    # `margin` is the factor by which the burn-in is then lengthened.
+    # At the end of the burn-in, the mean may still have a bias of one standard error.
     # The values were tested on 200 sets of 4 chains of 1,000 normal draws + 5 exp(−t/100).
     # A burn-in is reported for 153 sets (the other 47 are stuck, without an end of the burn-in).
     # Of the 95 % intervals, 93 % contain the mean.
-    # With settled 0.3 and margin 1.5, 76 % are reported and 93 % of intervals contain the mean.
-    # With settled 0.1 and margin 1.5, these fractions are 90 % and 89 %.
+    # With settled 0.3 and margin 1.5, a burn-in is reported for 76 % of the sets.
+    # With these values, 93 % of the intervals contain the mean.
+    # With settled 0.1 and margin 1.5, the two fractions are 90 % and 89 %.
     settled: float = 0.2
     margin: float = 2.0
     # Significance level of the test whether the last two quarters of a chain differ.
@@ -89,8 +91,8 @@ class ChainSettings:
     # Number of different values above which repeated draws are a fault.
     # Discrete quantities, such as counts and flags, have few different values and repeat them.
     values: int = 20
-    # Draws lie on two levels if more than this share of the variance lies between two groups:
-    # the draws above and below the mean.
+    # Draws lie on two levels if more than this share of the variance lies between two groups.
+    # One group has the draws above the mean, and the other group the draws below.
     # This share of the variance is 0.64 for a normal law, 0.75 for a uniform law, 1 for two values.
     # With 0.7, 22 of 50 random walks are reported as levels.
     # With 0.95, levels that are 8 standard deviations apart are missed.
@@ -142,7 +144,7 @@ def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
     weights
         Importance weights or multiplicities of the draws, (n,) or (chain, draw), not negative.
         By default the weights are equal.
-        The error is that of the ratio estimate Σwx/Σw, linearized.
+        The error is the linearized error of the ratio estimate Σwx/Σw.
 
     Returns
     -------
@@ -159,8 +161,8 @@ def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
         ``band_low`` and ``band_high`` are the ends of each band in cycles per draw.
         ``error_share`` is the share of each band in the squared error.
         ``draw_share`` is the share of each band in the variance of the draws.
-        ``chain_spectrum`` is the measured mean of S, with ``chain_spectrum_ci``.
-        ``fitted_spectrum`` is the mean of S from the autoregression.
+        ``chain_spectrum`` is the measured mean of S in a band, with ``chain_spectrum_ci``.
+        ``fitted_spectrum`` is the mean of S in a band from the autoregression.
 
         The coordinate ``cause`` has comma-separated names of faults, or none.
         The coordinate ``evidence`` has a sentence on each fault.
@@ -176,9 +178,9 @@ def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
 
     Notes
     -----
-    S(0) from an autoregression has a smaller error than two alternatives,
-    and its interval has a coverage closer to 95 %; see docs/theory.md, "Chains".
-    The initial monotone sequence cannot resolve antithetic or oscillating chains.
+    S(0) from an autoregression has a smaller error than two alternatives.
+    The interval also has a coverage closer to 95 %; see docs/theory.md, "Chains".
+    One of them, the initial monotone sequence, cannot resolve antithetic or oscillating chains.
     The other alternative averages the spectrum over the lowest frequencies.
     The cost is O(n log n).
 
@@ -307,7 +309,7 @@ class _ChainFit:
     spectrum: Array  # spectral density S at the frequencies
     error: Array  # parts of the variance at the frequencies
     power: Array  # periodogram at the frequencies
-    frequency: Array  # j / length cycles per draw, from 0 to ½
+    frequency: Array  # frequencies j / length in cycles per draw, from 0 to ½
 
 
 def _fitted(z: Array) -> _ChainFit:
@@ -350,7 +352,7 @@ def _fitted(z: Array) -> _ChainFit:
         variance = float(error.sum())
 
     # Compute the error of log S(0) by the delta method.
-    # The covariance of the coefficients contains Γ⁻¹.
+    # The covariance of the coefficients contains the inverse of the autocovariance matrix.
     # AIC chooses up to two unnecessary orders.
     # The error therefore includes one more coefficient, even if this coefficient is 0
     order = len(chosen) + 1
@@ -407,7 +409,7 @@ def _burn_in(z: Array, settings: ChainSettings) -> int:
     fit = _fitted(last)
 
     def chance(start: int, stop: int, first: int = half) -> float:
-        """Return the probability that two parts of stationary draws differ as much."""
+        """Return the probability that two parts of stationary draws differ at least as much."""
         spread = fit.at_zero * (1.0 / (stop - start) + 1.0 / (n - first)) / chains
         away = float(mean[start:stop].mean() - mean[first:].mean())
         return float(f.sf(away**2 / spread, 1, fit.degrees))
@@ -586,7 +588,7 @@ def _tail_index(z: Array, least: int) -> float:
     likelihood = most * (np.log(-b / k) - k - 1)
     weight = np.exp(likelihood - likelihood.max())
     index = float(np.log1p(-(b @ weight) / weight.sum() * excess).mean())
-    # Shrink the index toward ½, as ten further draws with index ½ would (prior)
+    # The prior shrinks the index toward ½, as ten further draws with index ½ would
     return (most * index + 5) / (most + 10)
 
 

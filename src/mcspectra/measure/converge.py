@@ -10,8 +10,9 @@ A skewed sample tends to reach the accuracy first when its kurtosis is underesti
 Estimates without any spread do not prove that the variance is 0.
 After 10,000 equal estimates the error is NaN, and the precision is not reached.
 
-Estimates may miss the source of the variance. The interval then has no finite upper end,
-and the rate has no interval. The attribute ``note`` explains why
+Estimates may miss the source of the variance.
+In this case the interval has no finite upper end, and the rate has no interval.
+The attribute ``note`` explains why
 (`mcspectra.measure.blindness`).
 """
 
@@ -96,8 +97,7 @@ class StageSettings:
     step: float = 1.25
     leap: float = 4.0
     # Number of realizations without spread after which the search ends.
-    # If an event has probability 3e-4 per realization,
-    # it occurs in 10,000 realizations with probability 95 %.
+    # An event of probability 3e-4 occurs in 10,000 realizations with probability 95 %.
     blank: int = 10_000
     # The usual length of a block is divided by this number, so that threads share small analyses.
     # For example, a thousand realizations of a thousand points are two blocks for two threads.
@@ -292,8 +292,8 @@ class Convergence(Counted, frozen=True, kw_only=True):
     def _cells(self, subject: Subject, stream: Stream) -> list[MomentsCell]:
         """Return one cell of work for each group of estimators, each sampler and each count.
 
-        Estimators of one technique without their own `draw` share realizations,
-        because they use the sampler's points.
+        Estimators of one technique without their own `draw` share the sampler's points.
+        Therefore they also share realizations.
         If a precision is requested, each estimator takes as many realizations as it needs.
         """
         estimators = tuple(subject.estimators)
@@ -390,8 +390,8 @@ def convergence(
     ----------
     estimator, sampler
         One estimator and one sampler, or a list of each, without duplicates.
-        Samplers may be spec strings. For plain sampling an estimator may be an integrand,
-        its spec string, or a vectorized function of points (…, d).
+        Samplers may be spec strings. For plain sampling, an estimator may be an integrand.
+        Its spec string, or a vectorized function of points (…, d), is also allowed.
     dims
         Number of dims of a function, or of a spec without ``dims``.
         The default is the number of dims of the sampler, unless the sampler is a spec.
@@ -399,10 +399,10 @@ def convergence(
         Ascending numbers of points n that every sampler allows.
     realizations
         Number of independent realizations for each n, at least 2.
-        With `relative_error` it is the largest number.
+        With `relative_error` this is the maximum number.
     rng
         Seed (SPEC 7). Each n has its own stream of random numbers.
-        All estimators and samplers share it (common random numbers).
+        All estimators and samplers share this stream (common random numbers).
     relative_error
         Relative standard error of the variance at which the search for each count stops.
         By default all realizations are used. See also `realizations_needed`.
@@ -413,21 +413,22 @@ def convergence(
         Number of threads. The default is all processors. It has no effect on results.
     max_evaluations
         Maximum number of evaluations of the integrand.
-        An analysis that takes more raises an error, before it starts if possible.
+        If an analysis needs more evaluations, an error is raised, if possible before it starts.
 
     Returns
     -------
     xarray.Dataset
-        ``variance(n)``, ``variance_ci(n, bound)``, ``mean(n)`` and ``mean_se(n)``.
+        ``variance(n)`` has the interval ``variance_ci(n, bound)``.
+        ``mean(n)`` has the standard error ``mean_se(n)``.
 
         ``bias(n)`` and ``mse(n)`` refer to the estimator's integral.
-        The attribute ``integral_source`` names its source.
+        The attribute ``integral_source`` names the source of this integral.
         ``bias_se(n)`` includes the error of the integral.
-        For a user's function without a given integral ``bias`` and ``bias_se`` are NaN,
-        and ``mse`` is the variance.
+        For a user's function without a given integral, ``bias`` and ``bias_se`` are NaN.
+        In this case ``mse`` is the variance.
 
         ``realizations_used(n)`` is the number of realizations.
-        With `relative_error`, ``reached(n)`` is 1 if the error was reached.
+        With `relative_error`, ``reached(n)`` is 1 if this error was reached.
         ``reached`` is 0 if `realizations` was reached first, or there was no spread.
 
         ``rate`` has the interval ``rate_ci(bound)``.
@@ -500,7 +501,7 @@ def realizations_needed(
         Number of threads. The default is all processors. It has no effect on results.
     max_evaluations
         Maximum number of evaluations of the integrand.
-        An analysis that takes more raises an error, before it starts if possible.
+        If an analysis needs more evaluations, an error is raised, if possible before it starts.
 
     Returns
     -------
@@ -509,8 +510,8 @@ def realizations_needed(
         ``reached`` is 1 if the last stage confirmed the error.
         ``reached`` is 0 if the maximum was reached first, or the estimates had no spread.
         ``variance`` has the interval ``variance_ci`` and the error ``variance_relative_se``.
-        This error is NaN without spread. It is infinite if tails are not resolved,
-        which the attribute ``note`` reports.
+        This error is NaN without spread, and infinite if tails are not resolved.
+        The attribute ``note`` reports tails that are not resolved.
         ``skewness`` and ``kurtosis`` describe the estimates; they are 0 and 3 for normal estimates.
         ``mean`` has the standard error ``mean_se``. Several channels add a dim channel.
 

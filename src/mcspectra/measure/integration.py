@@ -10,25 +10,25 @@ A quarter of the budget measures θ with eight replicates.
 These replicates are prefixes of randomized sequences. Later sets start with the same points.
 
 With the profile of f, θ is known. All points then form one net or lattice.
-Its R runs of n points are nets or lattices themselves, and take the place of replicates.
+R runs of n points of this set are nets or lattices themselves, and take the place of replicates.
 The value has the error of the largest possible set, because the errors of the runs cancel.
 The interval of independent replicates is therefore too wide, by the factor R^{(θ−1)/2}.
-For nets it is divided by the root of this factor.
-For lattices it is not changed, because their rates vary with n.
+For nets, the interval is divided by the root of this factor.
+For lattices, the interval is not changed, because the rates of lattices vary with n.
 
 The interval is the smallest that contains Student's t interval and Hall's transform of it.
 Intervals of `mean_interval` were tested with 300 seeds at 256 calls.
-They contain the integral of x^−½ in 88 % of cases, and Student's t alone in 74 %.
-For the integral of e^(x + y), both kinds contain it in 97 % and 96 % of cases.
+These intervals contain the integral of x^−½ in 88 % of cases, and Student's t alone in 74 %.
+For the integral of e^(x + y), the two fractions of cases are 97 % and 96 %.
 
 If f grows without bound toward a face of the cube, the errors of strata follow another law.
-The quantiles of this law replace those of Student's t if the interval is then wider
+The quantiles of this law are used if they make the interval wider than Student's t
 (`estimators/tails.py`).
 
 Both intervals are accurate for a large number R of replicates, and R is at least eight.
 Replicates may all miss an event whose probability in one replicate is below 1/R.
 An interval from replicates that missed an event is too short [Owen2025]_.
-An example of an event is a point between a cell border of a net and a jump next to it.
+A rare event is, for example, a point between a cell border of a net and a nearby jump of f.
 Intervals that hold for any bounded function would need n = Θ(N^{1/(θ+1)}) [Jain2026]_.
 Such intervals would spend most of the budget on replicates.
 The integral of a smooth function would then have ten times the error.
@@ -36,9 +36,9 @@ The integral of a smooth function would then have ten times the error.
 A few linear scrambles of a net cause most of the variance.
 The many remaining linear scrambles have far smaller errors.
 The *median* of replicates ignores the few bad scrambles.
-For smooth f its error falls faster than any power of n ([Pan2024]_).
-Order statistics bound the median for any distribution,
-because half of the estimates are above the median.
+For smooth f, the error of the median falls faster than any power of n ([Pan2024]_).
+An estimate is above the median with probability one half.
+Therefore order statistics bound the median for any distribution.
 Nested scrambles have no such bad sets, so their mean is better.
 """
 
@@ -97,7 +97,7 @@ class IntegrationSettings:
     """Settings that divide a budget into replicates, and that choose between median and mean.
 
     Numbers in the comments are from 40 runs with 512 and with 4,096 calls on five functions.
-    The functions are smooth in 2 and 4 dims, x^−½, a quarter disk and a kink.
+    The functions are two smooth ones in 2 and 4 dims, x^−½, a quarter disk and a kink.
     """
 
     # Least number of replicates.
@@ -166,8 +166,8 @@ def integrate(
     ----------
     f
         A vectorized function of points (…, d) with values (…).
-        Other choices are an integrand without channels, its spec string,
-        or an estimator of one technique, such as ``Estimator(f, density)``.
+        Other choices are an integrand without channels, and its spec string.
+        An estimator of one technique is also allowed, such as ``Estimator(f, density)``.
     budget
         Maximum number of calls of f, where each point is one call.
     sampler
@@ -177,7 +177,7 @@ def integrate(
     combine
         ``"mean"`` of the replicates, or ``"median"`` for linear scrambles such as ``lms``.
         The median is far better for smooth f in one dim.
-        In two dims it is far better with more than about 2,000 calls.
+        In two dims the median is far better with more than about 2,000 calls.
     vectorized, workers, cache
         Options for slow functions: see `mcspectra.integrands.Calls`.
         An interrupted call continues when it is repeated with the same cache.
@@ -203,13 +203,13 @@ def integrate(
     xarray.Dataset
         ``value`` is the integral, or NaN without an integral.
 
-        ``interval(bound)`` is its 95 % interval over the replicates.
-        For the median it refers to the median of the distribution of replicates.
+        ``interval(bound)`` is the 95 % interval of the value, over the replicates.
+        For a median, the interval is for the median of the distribution of replicates.
         The interval contains this median with probability at least 95 %.
 
         ``calls`` is the number of calls, and ``skipped`` the number of failed calls.
         There are ``replicates`` replicates of ``n`` points each.
-        ``rate`` is the rate of the variance that divides the budget, NaN if not measured.
+        ``rate`` is the rate of the variance by which the budget is divided, NaN if not measured.
 
         The interval is infinite in three cases, and the attribute ``note`` gives the reason.
         All replicates may be equal, or a few values may hold most of the variance.
@@ -390,7 +390,7 @@ def _sampled(
             first = known.values[:few]
         else:
             first = calls(source.draw_stream(pilot, stream, 0, few))
-        # Fit θ of a variance ∝ n^-θ. Use the largest value if a prefix has no variance
+        # Fit θ of a variance ∝ n^-θ. If a prefix has no variance, use the largest θ
         prefixes = first.shape[1] >> np.arange(_SETTINGS.levels)
         known_first = _filled(first)
         means = np.stack([known_first[:, :n].mean(axis=1) for n in prefixes])
@@ -430,10 +430,10 @@ def _sampled(
 
 
 def _in_one_set(calls: Calls, setup: Setup, stream: Stream, best: Any) -> _Replicates | None:
-    """Return the runs of one set of as many points as possible, or None if replicates are better.
+    """Return the runs of the largest possible set, or None if replicates are better.
 
-    Any 2^k points of a scrambled net in base 2 that start at a multiple of 2^k are a scrambled net,
-    and every R-th point of a lattice is a lattice.
+    Any 2^k points of a scrambled net in base 2 that start at a multiple of 2^k are a scrambled net.
+    The points k, k + R, k + 2R, … of a lattice are a shifted lattice.
     """
     source, least = setup.sampler, _SETTINGS.least
     count = affordable_count(setup, calls.budget)
@@ -456,11 +456,11 @@ def _in_one_set(calls: Calls, setup: Setup, stream: Stream, best: Any) -> _Repli
         counts = (least << k for k in range((count // least).bit_length() - 1))
         counts = (r for r in counts if r <= _SETTINGS.most_runs)
         widths = {r: student_t(r) * r ** (0.25 * (surely - 1.0)) for r in counts}
-    # Independent sets use more of the budget, if it is no power of two
+    # If the budget is not a power of two, independent sets use more of it
     if not (lattice or net) or count**rate <= calls.budget * least ** (rate - 1.0):
         return None
     replicates = min(widths, key=lambda r: widths[r])
-    if lattice:  # Choose a lattice whose runs, every R-th point, are good lattices
+    if lattice:  # A run has every R-th point of the lattice: choose a lattice with good runs
         source = nested_lattices(source, count, replicates, at_once=True)
     x = source.draw_stream(count, stream, 0, 1)[0]
     values = calls(x)
@@ -510,7 +510,7 @@ def _estimated(sets: _Replicates, law: Law, *, median: bool, linear: bool) -> _E
         interval = -math.inf, math.inf
     elif endless or not isinstance(law, Independent):
         interval = growing_interval(means, growths)
-    # Take the median. If no replicate stands out, f is rough or n is small
+    # Take the median. If no replicate is an outlier, f is rough or n is small
     outer = int((bdtr(np.arange(replicates), replicates, 0.5) < _SIDE).sum()) - 1
     ends = np.sort(means)[[outer, -1 - outer]]
     stand_out = linear and 0.0 < _SETTINGS.stands_out * np.ptp(ends) < np.ptp(interval)
@@ -573,8 +573,7 @@ def _with_profile(
     low, high = profile.interval
     twice = 2.0 * low - profile.integral, 2.0 * high - profile.integral
     if found.alike and twice[0] <= value <= twice[1] and high - low < math.inf:
-        # f varied in the profile. At the points of the recommended sampler, f is constant
-        # except for rounding.
+        # f varied in the profile, but is constant at the points of the recommended sampler.
         # The value is within about four standard errors (two half widths) of the profile's mean
         away = math.sqrt(float(rounding_floor(np.array(value))))
         error, note = tied_error(found.values), "all replicates are equal to rounding"

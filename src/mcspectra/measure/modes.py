@@ -68,8 +68,8 @@ class ModeSettings:
     # Largest number of elements of one set of vectors: 1 GiB in float64.
     most_numbers: int = 2**27
     # Number of realizations per coefficient below which a note warns of sampling noise.
-    # With 10 realizations per coefficient, the largest eigenvalue of pure noise
-    # is (1 + √(1/10))² = 1.73 times the mean eigenvalue [Marchenko1967]_.
+    # The true eigenvalues of pure noise are equal. The largest eigenvalue of a sample is larger:
+    # (1 + √(1/10))² = 1.73 times the mean for 10 realizations per coefficient [Marchenko1967]_.
     many: float = 10.0
     # Variance of a coordinate that counts as rounding, as a fraction of the largest variance.
     # The standard deviation is then 1e-10 of the largest, about a million rounding errors.
@@ -237,7 +237,7 @@ class Modes(Counted, frozen=True, kw_only=True):
         patterns = patterns.reshape(modes, techniques, *basis.shape)
         trace, size = float(diagonal.sum()), coordinates.size
         # Largest sample eigenvalue of a flat spectrum of the same trace [Marchenko1967]_.
-        # With D varying coordinates and R realizations, it tends to λ (1 + √(D/(R − 1)))²
+        # For D varying coordinates and R realizations, this tends to λ (1 + √(D/(R − 1)))²
         least = _SETTINGS.rounding * diagonal.max(initial=0.0)
         varying = int(np.count_nonzero(diagonal > least))
         level = trace / varying if varying else 0.0
@@ -325,7 +325,7 @@ def covariance_modes(
         Number of passes over the realizations, at least 2. More passes separate close eigenvalues.
     max_evaluations
         Maximum number of evaluations of the integrand.
-        An analysis that takes more raises an error, before it starts if possible.
+        If an analysis needs more evaluations, an error is raised, if possible before it starts.
 
     Returns
     -------
@@ -336,11 +336,11 @@ def covariance_modes(
         ``noise_edge`` is the largest expected sample eigenvalue if all true eigenvalues are equal.
         Sample eigenvalues differ unless realizations are far more numerous than coefficients.
 
-        ``eigenvalue_residual(mode)`` is a bound of the numerical error of an eigenvalue:
-        an eigenvalue of the sample covariance is at most this far away.
+        ``eigenvalue_residual(mode)`` is a bound of the numerical error of an eigenvalue.
+        The distance to an eigenvalue of the sample covariance is at most this bound.
         ``eigenvalue_share(mode)`` is the share of the trace.
-        ``mode_contribution(mode)`` is the mode's own part of the variance of the estimate,
-        where the estimate is limited to the bands.
+        ``mode_contribution(mode)`` is the mode's own part of the variance of an estimate.
+        This estimate is limited to the bands.
         ``mode_vector(mode, m0, …)`` has norm 1 over all frequencies.
         ``band_trace`` is the sum of all eigenvalues.
 
@@ -351,8 +351,8 @@ def covariance_modes(
 
     Notes
     -----
-    The time for R realizations of n points and M frequencies is
-    O(passes · R (n + M log M + M modes)). Each thread takes O(M modes) memory.
+    R realizations of n points with M frequencies take O(passes · R (n + M log M + M modes)) time.
+    Each thread takes O(M modes) memory.
 
     Examples
     --------
@@ -372,10 +372,11 @@ class _Coordinates:
 
     # Indices of the band's coefficients among the stored coefficients of all techniques, (P,)
     place: Array
-    factor: Array  # y = factor · S, with conj(f_m) or 1, times `scale`: (P,)
+    # Factors (P,) that turn S into y: `scale`, and also conj(f_m) if coefficients are weighted
+    factor: Array
     scale: Array  # Factor √2 for a coefficient that also stands for −m, else 1: (P,)
     # Indices of the coefficients with an imaginary part, (Q,).
-    # In a complex basis these are all coefficients but the constants
+    # In a complex basis these are all coefficients except those of the constants
     complex: Array
     direction: Array  # Vector whose scalar product with z is the band's part of the estimate: (D,)
 
@@ -423,7 +424,7 @@ class CovarianceProduct:
     mean: Array
     along: Array
     product: Array  # the sum of products, (D, k)
-    squares: Array  # Σ (z − z̄)², (D,): the diagonal
+    squares: Array  # the sum of squares Σ (z − z̄)², (D,)
     # Degrees of freedom of the batches, (B,), and matrices Vᵀ A_b V of the batches, (B, k, k)
     degrees: Array
     projected: Array
@@ -456,8 +457,8 @@ class CovarianceProduct:
     def eigenpairs(self, vectors: Array) -> tuple[Array, Array, Array, Array]:
         """Return eigenpairs of the unbiased covariance A in the range of vectors (D, k).
 
-        The results are the eigenvalues in descending order, the eigenvectors (D, k),
-        the residuals ‖A v − λ v‖, and standard errors.
+        The results are the eigenvalues in descending order, and the eigenvectors (D, k).
+        Further results are the residuals ‖A v − λ v‖ and standard errors.
         """
         image = self.product / (self.count - 1)
         values, rotation = eigenpairs(product(vectors.T, image))

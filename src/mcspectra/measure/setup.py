@@ -72,7 +72,7 @@ class Setup:
 def affordable_count(setup: Setup, budget: int) -> int | None:
     """Return the largest n that can be drawn within `budget` evaluations, or None.
 
-    Nets have poor counts away from powers of their base, for which a sampler warns.
+    Counts of nets away from powers of the base are poor; the sampler warns for these counts.
     The search skips counts with such a warning.
     """
     source = setup.estimator.randomized(setup.sampler)

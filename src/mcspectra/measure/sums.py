@@ -4,10 +4,9 @@ The moments give the power term, the contribution map and the band covariance.
 The theory is in docs/theory.md, "Contributions and bands".
 
 Errors come from batch means. Every block of realizations gives an unbiased estimate.
-The spread over B blocks gives the error of their mean,
-with the quantile of Student's t for B − 1 degrees of freedom.
-The estimate from all realizations together is slightly more precise,
-so the errors are conservative.
+The spread over B blocks gives the error of the mean over blocks.
+Intervals use the quantile of Student's t for B − 1 degrees of freedom.
+The errors are conservative: the estimate from all realizations together is more precise.
 If realizations reuse a few stored sets, groups of these sets replace the blocks.
 """
 
@@ -135,7 +134,7 @@ class TermSums:
         return TermSums(sums, measured, batches, groups)
 
     def all_batches(self, partition: Partition) -> Batches | None:
-        """Return batches, one for each block or stored set. None if none has two realizations."""
+        """Return batches by block or stored set, or None if no batch has two realizations."""
         if self.by_group is None:
             return self.batches
         each = (Batches.of(g.sums, g.measured, partition) for g in self.by_group.values())
@@ -241,10 +240,11 @@ class SpectralSums:
 
 @dataclass(frozen=True)
 class RunningSpread:
-    """Sums over blocks of arrays x of weight w, for the error of their weighted mean.
+    """Sums over blocks, whose arrays x have weights w, for the error of the weighted mean.
 
     All arrays have the same shape and type.
-    Deviations are from the mean with weights w². Equal blocks have the plain mean.
+    Deviations are taken about the mean with weights w².
+    This is the plain mean if all blocks are equally long.
     For complex numbers the error is the root of the mean |error|².
     """
 
@@ -313,7 +313,7 @@ class Batches:
         return spread(terms - weighted_sum(share, terms), share)
 
     def captured_factors(self) -> Array:
-        """Return the 95 % interval of the ratio predicted/measured, divided by it: (C, 2)."""
+        """Return the 95 % interval of predicted/measured, as factors of this ratio: (C, 2)."""
         return ratio_factors(self.values[:, :3].sum(axis=1), self.values[:, 3], self.share)
 
 

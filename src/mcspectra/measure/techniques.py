@@ -2,14 +2,14 @@
 
 E_t is the part of an estimate from technique t.
 The variance is the sum of Cov(E_t, E_s) over all pairs of techniques.
-Off the diagonal the covariance is 0 for independent sets.
+Covariances of different techniques are 0 if their point sets are independent.
 Techniques that share points have a covariance (`mcspectra.estimators.base`).
 Each covariance has a dc, a power and a cross term.
 The terms use the spectrum S^t and the integrand f^t of technique t instead of S and f.
 
 For large n, the slowest rate of a technique becomes the rate of the sum.
-That technique is the *bottleneck* if its rate is significantly slower:
-the 95 % interval of its rate lies above the intervals of all other techniques.
+A technique is the *bottleneck* if its rate is significantly slower than all other rates.
+The 95 % interval of this rate must lie above the intervals of all other techniques.
 """
 
 from __future__ import annotations
@@ -64,8 +64,8 @@ _FINITE = ("technique_covariance", "technique_variance", "measured_variance", "m
 class TechniqueSettings:
     """Limit of memory for sums over pairs of techniques."""
 
-    # Largest number of complex values of Σ_r S^t conj(S^s),
-    # over all pairs of techniques and frequencies: 512 MiB.
+    # Largest number of sums Σ_r S^t conj(S^s), one for each pair of techniques and each frequency.
+    # This number of complex values takes 512 MiB.
     most: int = 2**25
 
 
@@ -170,7 +170,7 @@ class Techniques(Counted, frozen=True, kw_only=True):
             for name, (dims, _) in parts[0].items()
         }
         notes: dict[str, Any] = {} if self._several else {"n": counts[0]}
-        if is_fixed(estimator, subject.sampler):  # Nonzero variances are rounding noise
+        if is_fixed(estimator, subject.sampler):  # Variances above 0 are rounding noise
             notes["note"] = f"{subject.sampler.spec} {NO_VARIANCE}"
             variables = {
                 name: (dims, v if name.startswith(("mean", "captured")) else np.zeros_like(v))
@@ -237,7 +237,7 @@ def technique_terms(
     estimator, sampler
         A `MultipleImportance`, a `TechniqueSum` or any other estimator, and its sampler.
     counts
-        Number n. Each technique takes n times its number in ``counts`` of the estimator.
+        A number n: each technique takes n points times its number in ``counts`` of the estimator.
         A list of ascending numbers adds the dim n, rates and the bottleneck.
     dims, half_width, basis, engine, eps, workers
         Same as in `variance_terms`.
@@ -254,16 +254,16 @@ def technique_terms(
         Number of the largest counts to which rates are fitted, as in `convergence`.
     max_evaluations
         Maximum number of evaluations of the integrand.
-        An analysis that takes more raises an error, before it starts if possible.
+        If an analysis needs more evaluations, an error is raised, if possible before it starts.
 
     Returns
     -------
     xarray.Dataset
-        On technique and technique_other there are ``technique_covariance`` and its terms.
+        ``technique_covariance`` and its terms have the dims technique and technique_other.
         ``technique_covariance`` is the covariance of two techniques' parts of the estimate.
         The sum of the covariances is ``measured_variance``.
         ``technique_dc_term``, ``technique_power_term`` and ``technique_cross_term`` are the terms.
-        Their sum is ``predicted_variance``.
+        The sum of the three terms is ``predicted_variance``.
         With at least 4 realizations, all four have standard errors ``_se`` by batch means.
 
         ``dc_term``, ``power_term`` and ``cross_term`` are the same as in `variance_terms`.
@@ -272,11 +272,11 @@ def technique_terms(
         The dc and power terms are then sums over the diagonal, and the cross term is the rest.
         ``captured`` has the interval ``captured_ci``.
 
-        On technique: ``technique_variance`` with ``_ci`` is the diagonal of the covariances.
+        ``technique_variance(technique)`` with ``_ci`` is the diagonal of the covariances.
 
-        With a list of n: ``technique_rate`` and ``rate`` have intervals ``_ci``.
-        ``bottleneck`` is the technique whose rate is significantly slower than all other rates:
-        the 95 % interval of its rate overlaps no other. The value −1 means undecided.
+        With a list of n, ``technique_rate`` and ``rate`` have intervals ``_ci``.
+        ``bottleneck`` is the technique whose rate is significantly slower than all other rates.
+        The 95 % interval of this rate overlaps no other interval. The value −1 means undecided.
         The attribute ``bottleneck`` has the name of this technique.
         Techniques without variance are excluded. Several channels add a dim channel.
 
@@ -323,7 +323,7 @@ def _variables(total: _Total, view: View) -> Variables:
     found, moments = total.sums.covariances(view), total.sums.moments
     share = total.weights / total.weights.sum()
     # Few stored sets may raise the error of the whole variance by a factor.
-    # The errors of all techniques are multiplied by the same factor
+    # This factor also multiplies the errors of all techniques
     wider = moments.widening[:, -1]
     errors = spread(total.values - weighted_sum(share, total.values), share)
     errors = errors * wider[:, None, None]

@@ -2,8 +2,8 @@
 
 The theory is in docs/theory.md, "The three terms" and "Contributions and bands".
 The M × M matrix of M frequencies is never stored, except on request.
-In primary space every technique has its own integrand and points,
-and the sums run over (technique, m).
+In primary space every technique has its own integrand and points.
+The sums then run over all techniques and all frequencies m.
 """
 
 from __future__ import annotations
@@ -158,7 +158,7 @@ class Terms(Counted, frozen=True, kw_only=True):
                 own["measured_variance_ci"][1][blind, 1] = np.inf
                 captured = own["captured_ci"][1]
                 captured[blind, 0] = np.minimum(captured[blind, 0], 0.0)
-                if is_fixed(estimator, sampler):  # Nonzero variances are rounding noise
+                if is_fixed(estimator, sampler):  # Variances above 0 are rounding noise
                     known = ("mean", "energy_share", "captured")
                     own = {
                         name: (dims, v if name.startswith(known) else np.zeros_like(v))
@@ -277,8 +277,8 @@ def variance_terms(
     half_width
         Frequencies m run over {−half_width … half_width}^d.
         The default is 64, or the power of two near 2 n^(1/d) if that is larger.
-        The default is lower if f has no higher frequencies,
-        or if there would be more than 2^17 frequencies.
+        The default is lower if f has no higher frequencies.
+        The number of frequencies is at most 2^17 by default.
     realizations
         Number of independent realizations, at least 2.
     rng
@@ -287,15 +287,16 @@ def variance_terms(
         The basis is ``"fourier"``, ``"cosine"``, ``"walsh"`` or ``"haar"``
         (`mcspectra.spectra.bases`).
         ``"auto"`` is the basis that fits the sampler's randomization.
-        The attribute ``basis`` reports it. A list of samplers needs a basis that fits all of them.
+        The attribute ``basis`` names the basis. It must fit all samplers of a list.
     space
         ``"domain"`` uses f with the warped, weighted points (the paper's view).
         ``"primary"`` uses g(u) with the sampler's own points.
         This view shows discontinuities of the warp.
         The default is the domain view, if there is a domain.
     bands
-        One of the partitions ``"radial"``, ``"dyadic"``, ``"anova"`` and ``"wedge"``,
-        or an integer label ≥ 0 for every basis function; see `mcspectra.measure.views.make_bands`.
+        One of the partitions ``"radial"``, ``"dyadic"``, ``"anova"`` and ``"wedge"``.
+        Another choice is an array with an integer label ≥ 0 for every basis function.
+        The function `mcspectra.measure.views.make_bands` describes these choices.
     cross_matrix
         Whether to return C_ml and conj(f_m) f_l C_ml in full, for at most 4096 frequencies.
     engine, eps
@@ -304,7 +305,7 @@ def variance_terms(
         Number of threads. The default is all processors. It has no effect on results.
     max_evaluations
         Maximum number of evaluations of the integrand.
-        An analysis that takes more raises an error, before it starts if possible.
+        If an analysis needs more evaluations, an error is raised, if possible before it starts.
 
     Returns
     -------
@@ -316,19 +317,20 @@ def variance_terms(
         ``captured`` is NaN if the measured variance is rounding noise.
 
         ``energy_share`` is the part of ∫f² within the half width.
-        ``tail_term`` is the variance of the rest for random points.
+        ``tail_term`` is the variance from outside the half width, for random points.
         ``contribution`` and ``power_contribution`` are maps on m0, m1, ….
-        Further variables are ``band_covariance(band, band_other)``,
-        ``truncated_variance(half_width)`` and ``captured_by_half_width(half_width)``.
+        ``band_covariance(band, band_other)`` is the covariance of the estimates of two bands.
+        ``truncated_variance(half_width)`` is the predicted variance for each smaller half width.
+        ``captured_by_half_width(half_width)`` is this variance divided by the measured variance.
         With `cross_matrix` there are ``coefficient_covariance(m, l)`` and ``cross_matrix(m, l)``.
 
         A list of samplers adds a dim sampler, and several channels add a dim channel.
         Several techniques in primary space add a dim technique on maps.
 
         Standard errors ``_se`` come from batch means and need at least 4 realizations.
-        The three terms, ``contribution``, ``band_covariance`` and both matrices have them.
+        The terms, ``contribution``, ``band_covariance`` and both matrices have standard errors.
         The attribute ``batches`` is the number of batches.
-        95 % intervals use Student's t with one degree of freedom less.
+        95 % intervals use Student's t. Its degrees of freedom are the number of batches minus one.
         The interval of ``captured`` is logarithmic.
         Few batches that hold most of the error widen the interval of ``captured``.
 
@@ -372,7 +374,7 @@ def _variables(total: TermSums, view: View, partition: Partition) -> Variables:
     """Return all variables with a channel axis first. Errors are NaN for fewer than two blocks."""
     sums, measured, basis = total.sums, total.measured, view.basis
     batches = total.all_batches(partition)
-    assert batches is not None  # The first block of realizations has at least two
+    assert batches is not None  # The first block has at least two realizations
     f, degrees = partition.coefficients, sums.count - 1
     shape = (len(f), len(view.transforms), basis.stored)
     maps, pairs = ("channel", "technique", *basis.names), ("channel", "band", "band_other")
@@ -420,10 +422,10 @@ def _variables(total: TermSums, view: View, partition: Partition) -> Variables:
     variables["band_covariance"] = pairs, sums.band_m2 / degrees
     variables["band_covariance_se"] = pairs, batches.band_covariance.error()
 
-    # Full C_ml and conj(f_m) f_l C_ml. Errors of conjugates are equal and scale with |f_m f_l|
+    # Compute C_ml and conj(f_m) f_l C_ml in full. The errors of the second scale with |f_m f_l|
     if sums.matrix is not None and batches.matrix is not None:
-        # Find the position of each coefficient of each technique among the stored coefficients,
-        # and whether the stored coefficient is conjugated
+        # Find the position of each coefficient of each technique among the stored coefficients.
+        # Also find out whether the stored coefficient is conjugated
         techniques, (place, conjugate) = len(view.transforms), basis.whole()
         index = (np.arange(techniques)[:, None] * basis.stored + place).ravel()
         flip = np.tile(conjugate, techniques)

@@ -2,7 +2,7 @@
 
 The *domain* view pairs one integrand f with the warped, weighted points of all techniques.
 In *primary* space every technique has its own integrand g_t and the sampler's own points.
-Sums then run over (technique, m).
+Sums then run over all techniques and all frequencies m.
 
 Basis functions are divided into *bands*, which split an estimate into parts:
 A band is a set of functions with the estimate I_a = Σ_{m in a} conj(f_m) S_m.
@@ -44,7 +44,7 @@ class FrequencySettings:
     # Largest number of frequencies of a default half width, 2^17.
     # In 2-D a half width of 128 fits, and one spectrum takes 1 MiB in half storage.
     most_frequencies: int = 2**17
-    # If a smaller fraction of Σ|f_m|² than this lies outside half the width, the width is halved.
+    # The width is halved if less than this fraction of Σ|f_m|² lies outside half the width.
     # The value is about ten roundings of float64.
     rounding: float = 1e-15
     # Number of points that estimate mean squares of weights and of functions.
@@ -83,7 +83,7 @@ class Frequencies:
 
         The basis ``"auto"`` fits the points of the estimator.
         In the domain, the points of a mirrored integrand are folded.
-        In primary space, the points of the estimator are those of the sampler.
+        In primary space, the points of the estimator are the points of the sampler.
         """
         estimator, space, basis = subject.estimator, asked.space, asked.basis
         domain = estimator.domain_integrand
@@ -125,7 +125,7 @@ class Frequencies:
 
     @property
     def size(self) -> int:
-        """Number of coefficients. In primary space it counts those of every technique."""
+        """Number of coefficients. In primary space, all techniques have their own coefficients."""
         techniques = len(self.estimator.counts) if self.space == "primary" else 1
         return self.basis.size * techniques
 
@@ -135,7 +135,7 @@ class Frequencies:
         return self.space == "domain" and self.estimator.infinite_weights
 
     def view(self, n: int, asked: Any, *, apart: bool = False) -> View:
-        """Prepare transforms of n points and coefficients of f, with `apart` by technique.
+        """Prepare transforms of n points and coefficients of f; `apart` separates the techniques.
 
         In primary space, techniques are always separate.
         """
@@ -208,7 +208,7 @@ class View:
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
 
     def energy(self, n: int) -> tuple[Array, Array]:
-        """Return the part of ∫f² in the basis functions, and the random variance of the rest.
+        """Return the part of ∫f² in the basis functions, and the rest's variance for random points.
 
         Both results are (channels or 1,), and NaN if ∫f² is not known.
         The power of random points is (1/n) times the mean square of the weights.
@@ -285,8 +285,8 @@ def make_bands(bands: str | Array, basis: Basis) -> Bands:
     bands
         ``radial`` bands are shells of |m| of width one.
         ``dyadic`` bands are shells whose width doubles.
-        ``anova`` groups functions by the axes along which they vary,
-        so the bands are the parts of the ANOVA decomposition.
+        ``anova`` groups functions by the axes along which they vary.
+        The bands of ``anova`` are the parts of the ANOVA decomposition.
         ``wedge`` (2-D) has a band for the constant and 12 sectors of 15° for the direction of ±m.
         For Walsh and Haar functions, m are the numbers of oscillations along the axes.
         These numbers of oscillations are powers of two.
@@ -351,7 +351,7 @@ def make_bands(bands: str | Array, basis: Basis) -> Bands:
 
 
 def check_bands(bands: str | Array, basis: Basis) -> None:
-    """Raise the errors of `make_bands` that do not need its result."""
+    """Check the arguments of `make_bands` before any bands are made."""
     if isinstance(bands, str):
         as_choice("bands", bands, PARTITIONS)
         if bands == "wedge" and basis.dims != 2:

@@ -4,8 +4,8 @@ The number of evaluations of the function is at most the given budget.
 
 Most of the budget goes to scrambled nets (`samples`).
 These nets give the variances of several samplers at once.
-A fifth goes to lines that detect discontinuities and kinks (`probing`).
-If the nets do not give the variance of the given sampler, a part goes to this sampler.
+A fifth of the budget goes to lines that detect discontinuities and kinks (`probing`).
+If the nets do not give the variance of the given sampler, a part is spent on this sampler.
 `causes` finds the causes in these evaluations.
 The rest of the budget is used to measure changes that remove the causes, and one more sampler.
 This sampler is a lattice, or antithetic pairs in strata for smooth functions of one dim.
@@ -84,22 +84,23 @@ class ProfileSettings:
     # Least budget, in evaluations. Twenty nets of four points take 80 evaluations.
     # The nets get only 40 % of the budget if the given sampler is also measured.
     least_budget: int = 256
-    # Width of the text of a cause in columns, one line of a usual terminal or page.
+    # Width of the text of a cause in columns. One line of a usual terminal or page is as wide.
     width: int = 100
     # Points of each net to which changes are fitted; 20 nets take 1280 evaluations.
-    # In 12 profiles of 8192 evaluations (six functions, two seeds), the advice was the same
-    # with half and with double this number of points.
+    # Half and twice this number were tested in 12 profiles of 8192 evaluations.
+    # The profiles were of six functions, with two seeds. The advice was the same.
     # The RMSE after one of the fitted changes differed by a factor of 2.4.
     fitted_points: int = 64
-    # Dependence of draws is a cause if the ratio of effective draws to all draws is at most this.
-    # The upper end of the interval of the ratio must also be at most this.
+    # Largest ratio of effective draws to all draws at which dependence of draws is a cause.
+    # The upper end of the interval of the ratio must be below this limit as well.
     # At this ratio, standard errors are 20 % larger than for independent draws.
     dependent: float = 0.7
     # Least number of points of each net with which a change of the estimator is measured.
     # With 8, two of 12 profiles did not measure the preintegration of a jump along an axis.
     least_checked: int = 4
-    # Largest number of counts at which a sampler is measured: B/2, B/4, …, B/32 of B evaluations.
-    # Three or eight counts gave the same results in these 12 profiles.
+    # Maximum number of counts at which a sampler is measured.
+    # With B evaluations, the counts take B/2, B/4, …, B/32 of them.
+    # Three or eight counts gave the same results in 12 profiles.
     counts: int = 5
     # Least number of sets for a variance. With three, the jackknife has two degrees of freedom.
     least_sets: int = 3
@@ -112,33 +113,33 @@ class ProfileSettings:
     teeth_error: float = 0.5
     # The level of such a sawtooth is the mean over this number of its last counts.
     # About this level, the log variance has the standard deviation `teeth_scatter`.
-    # If a uniform share p of the stratum is on one side of the jump, the variance is ∝ p(1 − p),
-    # and its logarithm has the standard deviation √(4 − π²/3) = 0.84.
+    # If a share p of the stratum is on one side of the jump, the variance is ∝ p(1 − p).
+    # For a uniform p, its logarithm has the standard deviation √(4 − π²/3) = 0.84.
     teeth: int = 4
     teeth_scatter: float = 0.84
     # Standard error of the prior assumption that a change of the estimator keeps the rate.
     # With 0.2 or 0.8 the RMSE of 12 profiles changed by 8 % at most.
     alike_error: float = 0.4
-    # A change without variance is dropped if its mean differs from the mean of the nets
-    # by more than this number of standard errors.
+    # Largest allowed deviation from the mean of the nets, in standard errors.
+    # A change without variance is dropped if its mean deviates by more.
     # A normal error exceeds 4 standard errors with probability 6e-5.
     off_sigmas: float = 4.0
     # If a net has fewer points than this, the rate of a change is limited to `steepest_rate`.
-    # Few points do not show whether a steep rate continues,
-    # and the gain at the budget would be exaggerated.
+    # Few points do not show whether a steep rate continues.
+    # Without the limit, the gain at the budget would be exaggerated.
     # The advice of 12 profiles was the same for 8 or 32 points, and for rates of −1.5 or −3.
     # The RMSE after one of the changes differed by a factor of up to 1.9 between these values.
     few_points: int = 16
     steepest_rate: float = -2.0
-    # Number of errors by which the log variance of a change at the budget must be lower,
-    # if g grows at the border or has a heavy tail.
-    # This was tested in 112 profiles with 4096 evaluations each:
-    # there were seven such functions, two samplers and eight seeds.
+    # Number of standard errors by which a change must lower the log variance at the budget.
+    # The number is used if g grows at the border or has a heavy tail.
+    # The number was tested in 112 profiles with 4096 evaluations each.
+    # The profiles were of seven such functions, with two samplers and eight seeds.
     # With 1, none of 88 recommended changes had a larger variance than the given set-up.
     # With 0.5, one of 99 recommended changes was worse, and with 0, five of 109 were worse.
     tail_errors: float = 1.0
-    # Number of sets of a lattice at each count. It is small because the remaining budget is small,
-    # and rates of lattices require several counts.
+    # Number of sets of a lattice at each count.
+    # It is small because the remaining budget is small and rates require several counts.
     lattice_sets: int = 10
     # Standard deviation of the log variance of lattices about a line through all counts.
     # The deviations are large because each count has another generating vector.
@@ -177,8 +178,8 @@ _GAINED = {
 # Weights of the shares of rivals in the evaluations
 _WEIGHTS = {"periodized": _SETTINGS.steep_weight}
 _JUMPS = {"interior-jump", "axis-parallel-jump"}
-# Exponent e for each cause. In theory, variances fall as n^(−1 − e/d) with strata;
-# with nets, they fall as n^(−1 − e)
+# Exponent e for each cause.
+# In theory, variances fall as n^(−1 − e/d) with strata, and as n^(−1 − e) with nets
 _EXPONENTS = {"interior-jump": 1.0, "axis-parallel-jump": 1.0, "none": 2.0}
 
 
@@ -242,15 +243,15 @@ class Profile:
         Number of evaluations of f, and the number that the user allowed.
     variance, rate, rate_ci
         Variance of an estimate of `budget` evaluations with the given sampler, and its slope.
-        If the given sampler could not be measured, variance and rate are those of nets.
+        If the given sampler could not be measured, nets give the variance and the rate.
     points
-        Number of points of an estimate at the budget: `budget` over the evaluations of a point.
+        Number of points of an estimate that takes `budget` evaluations.
     reference
         The sampler with which `best` is compared. Usually this is the given sampler.
-        It is random points if the given sampler always draws the same set or was not measured.
+        If the given sampler always draws the same set or was not measured, it is random points.
     answer
-        The recommended set-up and the causes. The set-up is compared with the given sampler,
-        or with random points if the given sampler always draws the same set or was not measured.
+        The recommended set-up and the causes. The set-up is compared with the given sampler.
+        If that sampler always draws the same set or was not measured, random points are used.
     samplers
         Curves of variance by sampler.
     function
@@ -314,7 +315,7 @@ class Profile:
         return "\n".join(found)
 
     def _rows(self) -> list[tuple[str, str, str]]:
-        # The RMSE of a rival is extrapolated, so only its upper end is reliable
+        # The RMSE of a rival is extrapolated, so only the upper end of its interval is reliable
         results = {result.name: result for result in self.answer.results}
         ends = {name: results[name].rmse_ci for name in self.samplers if name in results}
         limits = {name: high for name, (low, high) in ends.items() if low == 0.0 < high}
@@ -434,12 +435,11 @@ def profile(
     ----------
     f
         A vectorized function of points (…, d) to values (…), an integrand, an estimator, or a spec.
-        Three functions (f, pdf, sample) on the unit cube are also allowed:
-        points are drawn by sample(u) and weighted by 1/pdf.
-        Draws of Markov chains or independent estimates are analyzed as in `chain_error`,
-        without any sampling.
-        A scene is a Mitsuba XML file or a scene's dictionary; see `profile_scene`,
-        which takes `target` and `rng`, and has further parameters.
+        Three functions (f, pdf, sample) on the unit cube are also allowed.
+        Points are then drawn by sample(u) and weighted by 1/pdf.
+        Draws of Markov chains or independent estimates are only analyzed, as in `chain_error`.
+        A scene is a Mitsuba XML file or a scene's dictionary; see `profile_scene`.
+        For scenes, `target` and `rng` are used; `profile_scene` has further parameters.
     sampler
         The sampler in use.
     dims
@@ -448,7 +448,7 @@ def profile(
     budget
         Maximum number of evaluations of f in total, at least 256.
         With 262,144 evaluations, errors of rates are about 0.05 instead of 0.1.
-        They take less than a second if f is fast.
+        These evaluations take less than a second if f is fast.
     target
         For scenes only: relative error σ / mean that pixels should reach, by default 0.05.
     rng
@@ -553,7 +553,7 @@ class _Filled:
 
     @staticmethod
     def of(calls: Calls) -> Any:
-        """Return calls that fill in NaN, or the calls unchanged if they raise errors instead."""
+        """Return calls that replace NaN, or the calls unchanged if failures raise errors."""
         return _Filled(calls) if calls.skips else calls
 
     def __call__(self, x: Array) -> Array:
@@ -704,7 +704,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     usable = {name: c for name, c in curves.items() if name == reference or name != given.spec}
     found, changed = list[_FoundSampler](), list[str]()
     if all(c.name != "infinite-variance" or c.kinds for c in causes):  # The integral exists
-        # Find the sampler of least variance, and a change of the estimator that answers a cause
+        # Find the sampler of least variance, and a change of the estimator that removes a cause
         if len(usable[reference].counts) > 0:  # Without counts, the variance is zero
             found = _samplers(Setup(estimator, given), usable, reference, points, rivals)
         trusted = [
@@ -718,8 +718,8 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         sure = [each for each in made if each.sure]
         found = sure + found + [each for each in made if not each.sure]
     curve = curves.get(given.spec, curves[NETS])
-    # The interval is known if the values do not depend on a few of them,
-    # or if growth at the border was found
+    # The interval is known if the mean does not depend on a few values.
+    # The interval is also known if growth at the border was found
     names = {cause.name for cause in causes}
     infinite = "infinite-variance" in names
     no_integral = any(
@@ -832,8 +832,9 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
         return curve.towards(limit, error) if name == _FOLDED and _is_smooth(causes) else curve
     if name not in {NETS, "jittered"} or first not in _EXPONENTS or not math.isfinite(curve.rate):
         return curve
-    # A jump cuts n^(1 − 1/d) of n strata. If the jump is along an axis or g is smooth,
-    # nets have the rate of 1-D, with up to d − 1 factors log n.
+    # A jump cuts n^(1 − 1/d) of n strata.
+    # If the jump is along an axis or g is smooth, nets have the rate of 1-D.
+    # The variance then has up to d − 1 factors log n.
     # Assume two thirds of d − 1 as the number of these factors, and one third as its error
     strata = name == "jittered" or first == "interior-jump"
     third = 0.0 if strata else (dims - 1) / (3.0 * math.log(curve.counts[-1]))
@@ -865,11 +866,12 @@ def _growth(causes: Sequence[Cause]) -> float:
 def _rivals(evidence: Evidence, causes: Sequence[Cause], points: int) -> dict[str, Candidate]:
     """Return set-ups that may have less variance than nets for this g, by name.
 
-    The rate of lattices follows from the decay of the Fourier coefficients of g
-    if g agrees on opposite faces of the cube, or if points are folded [Hickernell2002]_.
+    The rate of lattices follows from the decay of the Fourier coefficients of g.
+    This holds if g agrees on opposite faces of the cube, or if points are folded
+    [Hickernell2002]_.
     Lattices may also have less variance than nets if g has kinks, cusps or waves.
-    For smooth g, antithetic pairs about the centers of strata have the rate −1 − 4/d,
-    which is also the rate of cubic stratification of second order.
+    For smooth g, antithetic pairs about the centers of strata have the rate −1 − 4/d.
+    Cubic stratification of second order has the same rate.
     If g is smooth inside the cube, a substitution makes it periodic [Sidi2006]_.
     """
     estimator, smooth = evidence.estimator, _is_smooth(causes)
@@ -909,7 +911,7 @@ def _measured(
     lattice: bool = False,
     few: bool = False,
 ) -> tuple[Curve, Replicates, int]:
-    """Measure the curve of a sampler within `evaluations`; return it with replicates and cost.
+    """Measure the curve of a sampler within `evaluations`. Also return replicates and the cost.
 
     With `few`, there are few sets at few counts, so that the sets are large.
     """
@@ -970,8 +972,8 @@ class _FoundSampler:
     variance: tuple[float, float]
     rate: float
     rate_ci: tuple[float, float]
-    steepens: bool = False  # The rate may be steeper at larger counts, without limit
-    sure: bool = False  # Whether it was significantly better in the measurement
+    steepens: bool = False  # Whether the rate may be steeper at larger counts, without limit
+    sure: bool = False  # Whether the sampler was significantly better in the measurement
 
 
 def _is_known(curve: Curve, count: int) -> bool:
@@ -1048,8 +1050,8 @@ def _samplers(
             count = affordable_count(candidate.setup, points * each) or points
             candidate = replace(candidate, change=f"{candidate.change} with n = {count}")
         variance, beyond = curve.at(count), count > curve.counts[-1:].sum()
-        # Smooth functions reach their rate only with larger sets. For analytic functions
-        # the variance falls faster than any power of n
+        # Smooth functions reach their rate only with larger sets.
+        # For analytic functions the variance falls faster than any power of n
         steepens = name in rivals and bool(beyond)
         if steepens and not _is_known(curve, count):
             variance = math.nan, math.nan
@@ -1076,7 +1078,7 @@ def _results(
     cost, slope = given.cost, curve.rate if math.isfinite(curve.rate) else -1.0
 
     def needed(gain: float) -> float:
-        """Return the evaluations that the given set-up needs for the variance after the change."""
+        """Return how many evaluations the given set-up needs for the variance after the change."""
         if not (slope < 0.0 and math.isfinite(gain)):
             return math.inf
         return float(cost * points * gain ** (-1.0 / slope))
@@ -1146,7 +1148,7 @@ def _results(
 def _offers(
     evidence: Evidence, causes: Sequence[Cause], budget: int, stream: Stream
 ) -> list[Candidate]:
-    """Return changes of the estimator that answer its causes, fitted to its values at nets."""
+    """Return changes of the estimator that remove causes, fitted to values of g at nets."""
     estimator = evidence.estimator
     kinds: list[Any] = list(
         dict.fromkeys(k for cause in causes for k in cause.kinds if k in CHANGES)
@@ -1168,7 +1170,7 @@ def _offers(
         if cause.name == "infinite-variance":
             index = cause.evidence.get("exponent", cause.evidence.get("tail_index", 0.0))
             offers = [offer for offer in offers if offer.finite_below > index]
-    # Try the removal of a jump first: it gains more with nets than with random points.
+    # Try the removal of a jump first: the gain is larger with nets than with random points.
     # A jump on planes normal to an axis is removed by means along this axis
     shape = _shape(causes)
     first = {"interior-jump": "preintegrated", "axis-parallel-jump": "preintegrated along axis"}
@@ -1180,8 +1182,8 @@ def _offers(
 def _paid(offer: Candidate, left: int, *, last: bool) -> tuple[int, int]:
     """Return how many points and nets `left` evaluations allow to measure the removal of a jump.
 
-    The number of nets is halved if all nets would need too many evaluations,
-    or if too few evaluations would be left for another change.
+    The number of nets is halved if all nets would need too many evaluations.
+    It is also halved if too few evaluations would be left for another change.
     If `left` is too small, the number of points is 0.
     """
     nets, least = CAUSE_SETTINGS.nets, _SETTINGS.least_checked
@@ -1202,7 +1204,7 @@ def _improved(
 ) -> tuple[list[_FoundSampler], list[str], int]:
     """Measure changes of the estimator. Return results, names of tried changes, evaluations.
 
-    A change is measured with nets. The rest of the budget determines their number of points.
+    A change is measured with nets. The rest of the budget determines how many points they have.
     The search ends with the first change that is significantly better.
     A change is compared with `base`, the curve of the best sampler, at equal evaluations.
     The curve of a change gives its variance at the budget.

@@ -3,16 +3,21 @@
 Method
 ------
 Pixels are chosen at random in strata of the image.
-Each sampler renders them several times, exactly as in an image (`mcspectra.rendering.rendered`).
-Ours are padded, with the joint dims of the plugin; Mitsuba's own samplers are as they are.
-All samplers are measured at two counts n, and the best again with new seeds (confirmation).
+Each pixel is rendered several times with every sampler.
+The renders are the same as in an image (`mcspectra.rendering.rendered`).
+The samplers of this package are padded, with and without the joint dims of the plugin.
+Mitsuba's own samplers are not changed.
+All samplers are measured with two numbers n of samples per pixel.
+The best sampler is then confirmed by further renders with new seeds.
 
-The error of a pixel is σ / mean, relative as in ``frames``.
-The samples that a share q of the pixels needs come from the quantile of the errors.
+The error of a pixel is the ratio σ / mean, as in ``frames``.
+The number of samples that a share q of the pixels needs follows from the q-quantile of the errors.
 Samplers are compared by the geometric mean of their variances over the noisier half of the pixels.
-These pixels decide the samples per pixel; the others reach any target early.
-Errors of few renders scatter; their quantiles are narrowed by the scatter between two halves.
-Beyond the measured counts, pixels near the quantile are rendered again at a count near the answer.
+These pixels decide the number of samples; all other pixels reach any target earlier.
+Errors from few renders scatter, which widens their distribution over the pixels.
+The scatter between two halves of the renders is used to correct this widening.
+If the answer is far from the measured numbers of samples, it is checked by further renders.
+Pixels near the quantile are rendered again with a number of samples near the answer.
 """
 
 from __future__ import annotations
@@ -71,38 +76,45 @@ __all__ = [
 class SceneSettings:
     """Settings of the profile of a scene."""
 
-    # Pixels of the image. The ranks of the 95 % quantile of 1000 pixels are exact to 1.4 %.
+    # Number of measured pixels. With 1000 pixels, the 95 % quantile has an error of 1.4 % in rank.
     pixels: int = 1024
-    # Least number of pixels, if the scene is slow to render
+    # Least number of measured pixels, for scenes that are slow to render
     least_pixels: int = 96
-    # Samples per pixel at which samplers are compared: powers of 4, which all samplers can make
+    # Numbers of samples per pixel at which samplers are compared.
+    # All samplers support powers of 4
     counts: tuple[int, int] = (16, 64)
-    # Renders of each pixel. The variance of 32 normal values has a relative error of 25 %.
+    # Maximum and minimum number of renders of each pixel.
+    # The variance of 32 normal values has a relative error of 25 %.
     most_renders: int = 32
     least_renders: int = 8
-    # Pixels and renders that measure the speed; 65,000 samples, because smaller wavefronts are slow
+    # Numbers of pixels and of renders that measure the speed.
+    # Together these are 65,000 samples, because smaller wavefronts are slow
     pilot_pixels: int = 256
     pilot_renders: int = 16
-    # Fraction of the time for the comparison; the rest goes to larger counts and confirmation
+    # Fraction of the time that is spent on the comparison of samplers.
+    # The rest of the time is for larger numbers of samples and for the confirmation
     comparison: float = 0.55
-    # Pixels near a quantile that are rendered at a larger count, and renders of each
+    # Number of pixels near a quantile that are rendered with more samples.
+    # The second number is the number of renders of each of these pixels
     near: int = 32
     near_renders: int = 16
-    # Fraction of the time that these renders take in total, on average over five scenes
+    # Fraction of the time that all renders with more samples take, on average over five scenes
     nearby: float = 0.2
-    # Seconds to compile the two kernels of a sampler, for estimates of the time
+    # Time in seconds to compile the two kernels of a sampler. It is part of the estimated time
     compilation: float = 2.0
-    # Largest count at which pixels near a quantile are rendered
+    # Largest number of samples per pixel with which pixels near a quantile are rendered
     most_samples: int = 2**14
-    # A sampler with this many times the variance of the best at the first count is not measured
-    # at the second one; rates of samplers differ by less than a factor of 2 within two octaves
+    # Ratio of a sampler's variance to the least variance, at the first number of samples.
+    # Samplers with a larger ratio are not measured at the second number of samples.
+    # Between the two numbers of samples, a ratio of variances changes by less than a factor of 2
     dropped: float = 2.0
-    # Pixels and pairs of paths for the shares of the variance
+    # Number of pixels from which the shares of the variance are estimated.
+    # The second number is the number of pairs of paths for each pixel
     cause_pixels: int = 128
     cause_chains: int = 64
-    # Number of worst pixels that are listed
+    # Number of pixels with the largest errors that are listed
     worst: int = 5
-    # Steepest and slowest slopes of log variance against log n that are believed
+    # Limits of the slope of log variance against log n. Measured slopes are clipped to this range
     steepest: float = -3.0
     slowest: float = -0.5
 
@@ -111,7 +123,7 @@ _SETTINGS = SceneSettings()
 _MITSUBA = ("independent", "multijitter", "ldsampler")
 _OURS = "sobol | owen"
 _CLASSES = {
-    # Class of a scene's sampler, and name of its plugin
+    # Class of a sampler in Mitsuba, and name of its plugin
     "IndependentSampler": "independent",
     "StratifiedSampler": "stratified",
     "MultijitterSampler": "multijitter",
@@ -123,7 +135,7 @@ _CLASSES = {
 @final
 @dataclass(frozen=True)
 class VarianceShare:
-    """Share of the variance of a random path that first appears with one decision of the path."""
+    """Share of the variance that first appears with one decision of a random path."""
 
     decision: str
     share: float
@@ -133,7 +145,7 @@ class VarianceShare:
 @final
 @dataclass(frozen=True)
 class Needed:
-    """Samples per pixel that a share of the pixels needs, with the 95 % interval and the count."""
+    """Number of samples per pixel that a share of the pixels needs, with its 95 % interval."""
 
     share: float
     spp: float
@@ -143,27 +155,29 @@ class Needed:
 @final
 @dataclass(frozen=True)
 class SceneProfile:
-    """The noise of a scene as it is rendered; print it to see the advice.
+    """The noise of a rendered scene. Print this object to see the advice.
 
     Attributes
     ----------
     answer
-        The recommended sampler, compared with the scene's own at `compared_spp`.
+        The recommended sampler, compared with the sampler of the scene.
+        Both samplers take `compared_spp` samples per pixel.
         An error (`rmse`) is the median of σ / mean over the pixels.
     target
         Relative error σ / mean that pixels should reach.
     needed, needed_now
-        Samples per pixel at half and at 95 % of the pixels: recommended sampler, scene's own.
+        Numbers of samples per pixel with which half and 95 % of the pixels reach the target.
+        The sampler of the scene has its own numbers, ``needed_now``.
     missing, missing_ci
-        Share of the pixels that miss the target as the scene is now.
+        Share of the pixels that miss the target with the present settings of the scene.
     spp
-        Samples per pixel of the scene now.
+        Present number of samples per pixel of the scene.
     causes
-        Shares of the variance by decision, the largest first.
+        Shares of the variance by decision of the path, the largest share first.
     confirmed, confirmed_ci
-        Ratio of the recommended sampler's variance in new renders to the compared one.
+        Variance of the recommended sampler in new renders, divided by the first measurement.
     worst
-        Pixels with the largest relative error: x, y, the error at `compared_spp`.
+        Pixels with the largest relative errors: x, y and the error with `compared_spp` samples.
     """
 
     scene: str
@@ -253,7 +267,7 @@ class SceneProfile:
 
 
 def _noisy(values: Sequence[Array]) -> Array:
-    """Mark the half of the pixels with the larger relative errors, by all samplers together."""
+    """Return a mask of the noisier half of the pixels, by the mean over all samplers."""
     logs = np.mean([np.log(np.maximum(v.var(axis=0, ddof=1), 1e-300)) for v in values], axis=0)
     mean = np.abs(np.mean([v.mean(axis=0) for v in values], axis=0))
     with np.errstate(divide="ignore"):
@@ -295,7 +309,7 @@ def profile_scene(
     seconds: float = 30.0,
     rng: RngLike = 0,
 ) -> SceneProfile:
-    """Compare samplers as a scene is rendered, and find the samples per pixel for a target.
+    """Compare samplers on a rendered scene, and find the samples per pixel for a target error.
 
     Parameters
     ----------
@@ -304,21 +318,21 @@ def profile_scene(
     target
         Relative error σ / mean that pixels should reach, by default 0.05.
     integrator
-        One of Mitsuba's integrators; by default the scene's own.
+        One of Mitsuba's integrators; by default the integrator of the scene.
     samplers
         Specs of further samplers of this package to compare.
     joint_dims
-        Joint dims of our samplers; by default those of the plugin.
+        Number of joint dims of this package's samplers; by default the plugin's number.
     spp
-        Samples per pixel now; by default those of the scene.
+        Present number of samples per pixel; by default the number in the scene.
     channel
         ``"luminance"``, 0, 1 or 2.
     pixels
-        Most pixels that are measured, by default 1024.
+        Maximum number of measured pixels, by default 1024.
     crop
-        x0, y0, width and height of the part of the image that is measured.
+        The measured part of the image: x0, y0, width and height.
     seconds
-        Time for renders, in seconds; loading the scene and compiling kernels come on top.
+        Time for renders, in seconds. Loading the scene and compiling kernels take extra time.
     rng
         Seed (SPEC 7). The number of renders depends on the speed of the machine.
 
@@ -384,7 +398,7 @@ def _prepared(
     seconds: float,
     rng: RngLike,
 ) -> tuple[_Work, dict[str, str | Mapping[str, Any]], str, int]:
-    """Read a scene; return the work, the samplers, the name and the count of the scene's own."""
+    """Read a scene. Return the work, all samplers, the scene's sampler and samples per pixel."""
     limit = as_real("seconds", seconds, least=1.0, most=86_400.0)
     check_channel(channel, ("luminance",))
     request, spec = as_scene(scene), integrator or SCENE_INTEGRATOR
@@ -394,7 +408,7 @@ def _prepared(
         find_integrator(request, spec)
         film, own = Film.of(request), sensor_of(request).sampler()
         now, kind = int(own.sample_count()), str(own.class_name())
-        # A sampler of this package prints its spec
+        # The text of a sampler of this package begins with its spec
         given = _CLASSES.get(kind) or str(own).partition("\n")[0]
     tracer = Tracer(request, spec, channel, (film.width, film.height))
     work = _Work(RenderedPixels(tracer, film), Stream.from_rng(rng), limit, begin)
@@ -404,7 +418,7 @@ def _prepared(
 @final
 @dataclass(frozen=True)
 class ScenePlan:
-    """The work of a profile of a scene, and its estimated time in seconds."""
+    """The planned renders of a profile of a scene, and the estimated time in seconds."""
 
     scene: str
     size: tuple[int, int]
@@ -436,7 +450,7 @@ class ScenePlan:
 def _candidates(
     given: str, samplers: Sequence[str], joint_dims: int | None
 ) -> dict[str, str | Mapping[str, Any]]:
-    """Return the plugins to compare by name; the scene's own sampler is the first one."""
+    """Return the compared samplers as plugins by name. The sampler of the scene is the first."""
     found: dict[str, str | Mapping[str, Any]] = {given: OWN_SAMPLER}
     found |= {name: name for name in _MITSUBA if name not in found}
     for spec in dict.fromkeys((_OURS, *samplers)):
@@ -474,7 +488,8 @@ class _Work:
         tiles, renders, _ = self.planned(candidates, most, given)
         pixels = pixels_of(tiles, self.side)
 
-        # Render all samplers at the first count, and the promising ones at the second count
+        # Render with all samplers at the first number of samples.
+        # At the second number of samples, render only with promising samplers
         values: dict[str, dict[int, Array]] = {name: {} for name in candidates}
         notes: list[str] = []
         for k, n in enumerate(counts):
@@ -503,12 +518,12 @@ class _Work:
     def planned(
         self, candidates: Mapping[str, str | Mapping[str, Any]], most: int, given: str
     ) -> tuple[Array, int, float]:
-        """Choose tiles and the number of renders for the time; also return samples per second."""
+        """Return tiles and a number of renders that fit into the time, and samples per second."""
         settings, rendered, counts = _SETTINGS, self.rendered, _SETTINGS.counts
         tiles, side = chosen_tiles(rendered.film, most, self._stream(), self.crop)
         self.side, wide = side, (side + 2 * rendered.film.margin) ** 2
 
-        # Measure the speed with few renders; the first wavefront also compiles the kernel
+        # Measure the speed with few renders. The first render also compiles the kernel
         report("profile: speed", 0.0)
         some = tiles[:: max(1, len(tiles) * self.side**2 // _SETTINGS.pilot_pixels)]
         for pilot in (1, _SETTINGS.pilot_renders):
@@ -536,7 +551,7 @@ class _Work:
         tiles, renders, speed = self.planned(candidates, most, given)
         tracer, film = self.rendered.tracer, self.rendered.film
         wide = (self.side + 2 * film.margin) ** 2
-        # Samplers at both counts, the confirmation, and pixels near two quantiles of two samplers
+        # Count the samples of the comparison and of the confirmation
         samples = (
             wide
             * len(tiles)
@@ -564,9 +579,10 @@ class _Work:
 
     @staticmethod
     def _ratio(a: Array, b: Array, among: Array | None = None) -> tuple[float, float]:
-        """Mean over pixels of log Var(a)/Var(b), from values (R, P), and its standard error.
+        """Return the mean over pixels of log Var(a)/Var(b), and its standard error.
 
-        Only the pixels `among`, a mask (P,), count; by default all pixels.
+        The values a and b are (R, P) for R renders of P pixels.
+        The mask `among` (P,) selects pixels; by default all pixels are used.
         """
         if among is not None:
             a, b = a[:, among], b[:, among]
@@ -592,7 +608,7 @@ class _Work:
     ) -> SceneProfile:
         settings = _SETTINGS
         first, last = settings.counts
-        # The mean of a pixel from all renders; all samplers are unbiased
+        # Average each pixel over all renders, because all samplers are unbiased
         every = [(n, v.mean(axis=0)) for each in values.values() for n, v in each.items()]
         mean = sum(n * m for n, m in every) / sum(n for n, _ in every)
         mean = np.abs(np.asarray(mean))
@@ -602,7 +618,8 @@ class _Work:
 
         # Choose the best sampler, and confirm it with new seeds
         at = {name: last if last in each else first for name, each in values.items() if each}
-        # Other renders choose the pixels, so that their scatter does not favor large estimates
+        # Choose noisy pixels by the renders at the first number of samples.
+        # Otherwise, pixels with estimates that are too large by chance would be preferred
         among = _noisy([each[first] for each in values.values() if first in each])
         ratios = {
             name: self._ratio(values[name][n], values[given][n], among)
@@ -617,7 +634,7 @@ class _Work:
         again = self._values(candidates[best], last, tiles, renders)
         confirmed, confirmed_se = self._ratio(again, values[best][last], among)
         if best != given:
-            # The choice of the least variance favors small estimates; new renders do not
+            # The least of several variances tends to be too small; new renders avoid this bias
             ratios[best] = self._ratio(again, values[given][last], among)
         fresh = {name: values[name] for name in {best, given}}
         fresh[best] = {**values[best], last: np.concatenate([values[best][last], again])}
@@ -660,7 +677,8 @@ class _Work:
             for name in {chosen, given}
         }
 
-        # Share of pixels that miss the target now, by the errors at the nearest count
+        # Compute the share of pixels that miss the target at present.
+        # Errors are extrapolated from the last measured number of samples
         logs, slope = self._quantities(fresh[given], mean, seen)
         errors = np.zeros(len(mean))
         errors[seen] = np.exp(0.5 * (logs + slope * math.log(now / last)))
@@ -711,7 +729,7 @@ class _Work:
     def _answer(
         results: Sequence[CandidateResult], chosen: str, needed: Sequence[Needed], target: float
     ) -> Answer:
-        """Return the answer with a sentence about samples per pixel."""
+        """Return the answer, which ends with a sentence about samples per pixel."""
         given = results[0]
         best = next(each for each in results if each.name == chosen)
         half, most = needed
@@ -732,11 +750,11 @@ class _Work:
 
     @staticmethod
     def _logs(values: Array, mean: Array) -> Array:
-        """Log of the squared relative error of each pixel, from R renders (R, P)."""
+        """Return the logarithm of the squared relative error of each pixel, from renders (R, P)."""
         from scipy.special import digamma
 
         half = 0.5 * (len(values) - 1)
-        # For normal values, the expected logarithm of a sample variance is lower than the truth
+        # For normal values, the expected log sample variance is below the log of the variance
         bias = float(digamma(half)) - math.log(half)
         with np.errstate(divide="ignore", invalid="ignore"):
             floor = (4.0 * np.finfo(np.float32).eps) ** 2
@@ -744,7 +762,7 @@ class _Work:
         return np.asarray(logs - bias)
 
     def _narrowed(self, values: Array, mean: Array) -> Array:
-        """Log squared errors whose spread over pixels is narrowed by their own scatter."""
+        """Return log squared errors of pixels, without the part of their spread due to noise."""
         logs = self._logs(values, mean)
         halves = [self._logs(values[k::2], mean) for k in (0, 1)]
         noise = float(np.var(halves[0] - halves[1])) / 4.0
@@ -756,7 +774,10 @@ class _Work:
     def _quantities(
         self, values: Mapping[int, Array], mean: Array, seen: Array
     ) -> tuple[Array, float]:
-        """Log squared errors at the last count of the seen pixels, and their median slope."""
+        """Return log squared errors at the largest number of samples, and their median slope.
+
+        Only the pixels `seen`, which are not black, are used.
+        """
         logs = {n: self._narrowed(v[:, seen], mean[seen]) for n, v in values.items()}
         first, last = min(logs), max(logs)
         slope = float(np.median(logs[last] - logs[first])) / math.log(last / first)
@@ -771,7 +792,7 @@ class _Work:
         share: float,
         target: float,
     ) -> Needed:
-        """Samples per pixel at which a share of the pixels reaches the target."""
+        """Find the number of samples with which a share of the pixels reaches the target."""
         settings, goal = _SETTINGS, 2.0 * math.log(target)
         seen = np.flatnonzero(mean > 0.0)
         logs = {n: self._narrowed(v[:, seen], mean[seen]) for n, v in values.items()}
@@ -779,7 +800,7 @@ class _Work:
         half = CONFIDENCE_Z * math.sqrt(share * (1.0 - share) / len(seen))
 
         def quantile(n: int) -> tuple[float, float]:
-            """Quantile of the log squared errors, and its standard error from the ranks."""
+            """Return a quantile of the log squared errors, and its standard error by ranks."""
             ends = np.quantile(logs[n], [max(share - half, 0.0), share, min(share + half, 1.0)])
             return float(ends[1]), float(ends[2] - ends[0]) / (2.0 * CONFIDENCE_Z)
 
@@ -795,7 +816,7 @@ class _Work:
             n, level, error = float(first), before, before_error
             wanted = n * math.exp((goal - level) / slope)
 
-        # Render pixels near the quantile at a count near the answer
+        # Render pixels near the quantile with a number of samples near the answer
         for _ in range(2):
             if 0.5 * n <= wanted <= 2.0 * n or wanted < 0.5 * first or n >= settings.most_samples:
                 break
@@ -809,11 +830,12 @@ class _Work:
             afford = 0.1 * self.limit * speed / each
             count = 4 ** max(1, round(math.log(min(wanted, afford, settings.most_samples), 4)))
             if count <= n and wanted > n:
-                break  # a larger count takes too much time: extrapolate
+                break  # more samples would take too much time, so extrapolate
             found = self._values(plugin, count, pixels[near], settings.near_renders, side=1)
             there = self._logs(found, mean[near])
             own = float(np.median(there))
-            # The pixels' level at the last count is the quantile; the scatter of ranks adds to it
+            # At the last measured number of samples, these pixels have errors at the quantile.
+            # The error of the quantile is added to the scatter of the new errors
             scatter = 1.2533 * float(np.std(there)) / math.sqrt(len(near))
             slope = bounded((own - level) / math.log(count / n)) if count != n else slope
             slope_error = math.hypot(scatter, error) / abs(math.log(count / n) or 1.0)
@@ -824,7 +846,7 @@ class _Work:
         return Needed(share, wanted, (wanted / factor, wanted * factor))
 
     def _causes(self, pixels: Array, mean: Array) -> tuple[VarianceShare, ...]:
-        """Shares of the variance of random paths by decision, pooled over pixels."""
+        """Return the shares of the variance by decision of random paths, over all pixels."""
         settings, tracer = _SETTINGS, self.rendered.tracer
         lit = np.flatnonzero(mean > 0.0)
         picks = lit[np.linspace(0, len(lit) - 1, min(len(lit), settings.cause_pixels)).astype(int)]

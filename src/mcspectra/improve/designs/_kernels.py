@@ -1,4 +1,7 @@
-"""Kernels of searches. Letters: r features, n points, N cells, W sets; a code is a cell's bits."""
+"""Kernels of searches, with r features, n points, N cells and W sets.
+
+The code of a point or cell is an integer: the leading bits of all coordinates, one after another.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +37,7 @@ def best_multiple(m: Array, power: Array, vector: Array, axis: int, n: int, out:
 @kernel
 def span_mean(table: Array, columns: Array, span: Array) -> float:
     # Return the mean of the table over the xors of all subsets of the columns, int64 (m,).
-    # The array span, int64 (2^m,), is work space
+    # The array span, int64 (2^m,), is used as work space
     span[0] = 0
     total, size = 0.0, 1
     total += table[0]
@@ -69,7 +72,7 @@ def improve_code(table: Array, columns: Array, bits: int, span: Array) -> float:
 @kernel
 def flip_tree(table: Array, codes: Array, axes: int, bits: int) -> bool:
     # Flip nodes of the trees of all axes if a flip lowers Σ_ij table[codes_i ^ codes_j].
-    # Argument: codes (n,)
+    # The array codes (n,) holds the codes of the points
     n, changed = len(codes), False
     inside = np.empty(n, np.bool_)
     for axis in range(axes):
@@ -113,8 +116,9 @@ def swap_cells(
     trials: int,
 ) -> int:
     # Exchange pairs of cells between sets if the exchange lowers Σ |sums|².
-    # Unless free is true, each set keeps one cell of each stratum. Arrays: features float32 (N, r);
-    # owner (N,), the set of each cell; place (N,), its stratum; sums float32 (W, r)
+    # Unless free is true, each set keeps one cell of each stratum.
+    # The features of the cells are float32 (N, r), and their sums over sets float32 (W, r).
+    # The array owner (N,) holds the set of each cell, and place (N,) its stratum
     cells, r = features.shape
     taken = 0
     for t in range(trials):

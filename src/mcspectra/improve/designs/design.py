@@ -54,14 +54,15 @@ _VERSION = 4  # Version of the searches; the cache ignores samplers of other ver
 class DesignSettings:
     """Settings of the cache of designs and of certificates."""
 
-    # The cache identifies a class by its text, and by values of random members at random points,
-    # because a text does not identify a function. These are the numbers of points and members.
+    # The cache identifies a class by its text, and by values of random members at random points.
+    # A text alone does not identify a function.
+    # The two settings are the number of points and the number of members.
     # Values may be 0 outside a small region: disks of radius 0.1 were missed by 64 points.
     # A region of volume 1e-3 is missed by 8192 points with probability 3e-4.
     cache_points: int = 2**13
     cache_members: int = 256
-    # Samplers with which designs and certificates are compared by default:
-    # the usual samplers with the least variance.
+    # Samplers with which designs and certificates are compared by default.
+    # These are the usual samplers with the least variance.
     # Folded lattices have less variance than others for smooth integrands.
     rivals: tuple[str, ...] = (
         "sobol | owen",
@@ -74,11 +75,13 @@ class DesignSettings:
         "rank1-lattice | shift | mirror(mode='fold')",
         "fibonacci | shift | mirror(mode='fold')",
     )
-    # Limits of the comparison of a design with its rivals, before the design is returned:
-    # number of members, number of realizations of each group of members,
-    # and maximum number of evaluations of each sampler.
-    # The integrands of a group share realizations. A variance from 20 groups of 32 realizations
-    # has 620 degrees of freedom and therefore a relative standard error of 6 %.
+    # Limits of the comparison of a design with its rivals, before the design is returned.
+    # The first setting is the number of members.
+    # The second setting is the number of realizations of each group of members.
+    # The third setting is the maximum number of evaluations of each sampler.
+    # The integrands of a group share realizations.
+    # 20 groups of 32 realizations have 620 degrees of freedom.
+    # A variance then has a relative standard error of 6 %.
     check_members: int = 2000
     check_realizations: int = 32
     check_evaluations: int = 2**24
@@ -138,48 +141,51 @@ def design(
     Parameters
     ----------
     kind
-        Kind of the result. ``"lattice"``: generating vectors, all in 2-D, else built axis by axis.
+        Kind of the result. For each kind, this list gives the quantities that are searched.
+        ``"lattice"``: the generating vector. In 2-D all vectors are tried.
+        In more dims the vector is built axis by axis.
         ``"polynomial-lattice"`` and ``"digital-net"``: generator matrices.
-        ``"owen"``: 64 flipped trees of Sobol' points with the same t.
+        ``"owen"``: 64 Owen scramblings of Sobol' points, which keep the quality parameter t.
         ``"strata"``: the shape of strata, and combinations of points of different strata.
-        ``"points"``: sets that divide a grid among them, or one set on the torus by gradient.
+        ``"points"``: sets that share the cells of a grid, or one set optimized on the torus.
         ``"density"``: an importance density, see `learned_density`.
     objective
         The integrand of a density, or the class of integrands of a sampler. A class is one of:
-        a spec whose parameters may be ``uniform(a, b)`` or ``normal(mean, sd)``,
-        which are drawn for each axis if possible;
+        a spec with random parameters ``uniform(a, b)`` or ``normal(mean, sd)``,
+        where a parameter is drawn for each axis if possible;
         ``"gaussians"``, short for ``"gaussian(center=uniform(0, 1), width=uniform(0.1, 0.4))"``;
         ``"disks"``, with random centers and radii;
         ``"half-spaces"``, with a uniform direction through a uniform point;
         a function ``generator -> integrand``;
         a list of classes and integrands with equal shares, such as the pixels of a scene;
         ``{"spectrum": P}``, where P contains the powers P(m) = E|f_m|² for m = −h … h.
-        P is an array (2h + 1, …), or with ``"half_width": h`` a callable of m (k, d);
+        P is an array (2h + 1, …), or a callable of m (k, d) together with ``"half_width": h``;
         ``{"covariance": C}``, where C contains C_ml = E[f_m conj(f_l)].
         C is a matrix with the frequencies m in C order, or a callable of m and l.
     n
         Number of points. Nets and trees require powers of two.
     dims
-        Number of dims, up to 8. The default is the number of dims of the integrands,
-        or 2 if the integrands exist in any number of dims.
+        Number of dims, up to 8. The default is the number of dims of the integrands.
+        If the integrands exist in any number of dims, the default is 2.
     rng
         Seed. The same seed gives the same sampler.
     path
         File for the sampler or the density, with the suffix .json.
         Point sets are stored in a .npz file of the same name. The default is the cache folder.
-        The file names its sets relative to its own folder; the spec of the result has the path
-        relative to the current folder.
+        In the .json file, the path of the sets is relative to the folder of this file.
+        In the spec of the result, the path is relative to the current folder.
     family, sampler, budget, defensive
-        Options of a density, passed to `learned_density`: `kind` (default ``"mixture"``),
-        `sampler` (default ``"sobol | owen"``), `evaluations` and `defensive`.
+        Options of a density, which are passed to `learned_density`.
+        The default of `family` is ``"mixture"``, and the default of `sampler` ``"sobol | owen"``.
+        The options `budget` and `defensive` become `evaluations` and `defensive`.
     settings
         Settings of the search of a sampler, `mcspectra.improve.designs.searches.SearchSettings`.
 
     Returns
     -------
     Sampler or Density
-        The sampler is unbiased for every integrand. Its `spec` creates the sampler again;
-        if the sampler has stored sets, the spec names their file.
+        The sampler is unbiased for every integrand. Its `spec` creates the sampler again.
+        If the sampler has stored sets, the spec names the file of these sets.
         A usual sampler may have less variance over fresh members of the class.
         If its variance is less with 95 % confidence and `settings.return_rival` is true,
         the usual sampler is returned with a `NoGainWarning`.
@@ -189,8 +195,8 @@ def design(
     CountError
         If samplers of this kind do not exist with n points.
     ParameterError
-        If the kind is unknown; if an option does not belong to the kind (density or sampler);
-        if the objective is empty, constant or unreadable; or if dims are out of range.
+        If the kind is unknown, or if an option does not belong to the kind (density or sampler).
+        If the objective is empty, constant or unreadable, or if dims are out of range.
     DomainError
         If values of an integrand are not finite.
     FileFormatError
@@ -323,8 +329,9 @@ def certificate(
     dims
         Number of dims. The default is the number of dims of the sampler.
     rivals
-        Samplers that are compared with the design. The default is sobol | owen, pmj02 and
-        pmj02-blue-noise, and shifted lattices (Korobov, rank-1 and Fibonacci), also folded.
+        Samplers that are compared with the design.
+        The default samplers are the nets sobol | owen, pmj02 and pmj02-blue-noise.
+        Shifted lattices (Korobov, rank-1 and Fibonacci) are also included, with and without folds.
         Of these, only samplers with sets of n points in these dims are used.
     members
         Number of random members, which are divided into 20 groups.
@@ -338,7 +345,7 @@ def certificate(
     xarray.Dataset
         `mean_variance(sampler)` with `mean_variance_ci` is the mean variance over the class.
         `design_ratio` with `design_ratio_ci` compares the sampler with its rivals.
-        The ratio is the mean variance of the sampler divided by that of the best rival.
+        The ratio is the mean variance of the sampler divided by the variance of the best rival.
         For each half of the groups, the rival is chosen by the other half.
         Intervals at 95 % are by Student's t over groups, and by the jackknife for the ratio.
         The attribute `best_rival` names the rival with the least mean variance.
@@ -347,8 +354,8 @@ def certificate(
     Raises
     ------
     ParameterError
-        If there is no rival, if all variances of the best rival are zero,
-        or if an argument of `design` is wrong.
+        If there is no rival, or if all variances of the best rival are zero.
+        Wrong arguments raise the same errors as in `design`.
     """
     groups = _SETTINGS.groups
     given = as_sampler(sampler, dims)
@@ -440,7 +447,7 @@ def _better_rival(goal: Objective, made: Sampler, n: int, stream: Stream) -> tup
     members = _SETTINGS.check_evaluations // (n * realizations)
     members = min(_SETTINGS.check_members, max(_SETTINGS.groups, members))
     with warnings.catch_warnings():
-        # Rivals without balance in their points have large variances
+        # Ignore warnings about unbalanced point sets: such rivals have large variances
         warnings.simplefilter("ignore", NotPowerOfTwoWarning)
         rivals = [rival for rival in _rivals(None, goal.dims, n) if rival.unbiased]
         sums = _sums_of_groups(goal, [made, *rivals], n, members, realizations, stream)

@@ -43,16 +43,15 @@ Values: TypeAlias = Callable[[Array], Array]
 class ObjectiveSettings:
     """Settings of classes of integrands."""
 
-    # Maximum number of dims of a class. The searches use tables of 2^18 values;
-    # in 8-D such a table has about 2^2 values along each axis.
+    # Maximum number of dims of a class. The searches use tables of 2^18 values.
+    # In 8-D such a table has about 2^2 values along each axis.
     most_dims: int = 8
     # Maximum numbers of waves of a spectrum and of eigenvectors of a covariance.
     # The waves or eigenvectors with the largest power are kept.
     # Each wave gives two functions, a cosine and a sine.
     most_waves: int = 1024
     # Number of members and number of points of the test for constant members.
-    # A class is refused by mistake if its members vary only in a region
-    # with less than about 1/8192 of the volume.
+    # A class is refused by mistake if its members are constant in all but 1/8192 of the volume.
     probe_members: int = 16
     probe_points: int = 2**13
     # Default and largest half width h of a spectrum or a covariance given as a function.
@@ -81,7 +80,7 @@ class Objective:
         Name of the class in messages.
     draw
         Function of M and a random generator that returns M random members.
-        If this is a list, it is the whole class.
+        A list of integrands is the whole class.
     whole
         The functions of the whole class if all of them are known; otherwise None.
     """
@@ -99,13 +98,13 @@ class Objective:
 def as_objective(given: object, dims: int | None = None) -> Objective:
     """Read an objective; see `design`.
 
-    The default number of dims is that of the integrands, or 2 if they have none.
+    By default, the integrands determine the number of dims; it is 2 if they allow any number.
 
     Raises
     ------
     ParameterError
-        If the objective cannot be read, is empty or contains only constant members;
-        or if the number of dims is not between 1 and 8.
+        If the objective cannot be read, is empty or contains only constant members.
+        If the number of dims is not between 1 and 8.
     DomainError
         If values are not finite.
     """
@@ -160,7 +159,8 @@ def _read(given: Any, dims: int | None) -> Objective:
                 found = given(rng)
             except McspectraError:
                 raise
-            # If the user gives a function of points instead, it fails with one of these errors
+            # The argument of a user's function is a random generator.
+            # A function that expects points instead raises one of these errors
             except (AttributeError, TypeError, ValueError) as error:
                 raise ParameterError(
                     f"{name} raised {type(error).__name__} of a generator: {error}; give a "
@@ -248,7 +248,10 @@ def _drawn(text: str, dims: int, one: Callable[[np.random.Generator], Integrand]
 
 
 def _members(integrands: Sequence[Integrand], x: Array) -> Array:
-    """Return the values of all channels, scaled so that mean squares of members are plain sums."""
+    """Return the values of all channels, divided by the root of the number of members.
+
+    Sums of squares of the results are means over the members.
+    """
     rows = []
     for f in integrands:
         values = f(x)

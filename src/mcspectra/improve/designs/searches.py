@@ -2,15 +2,15 @@
 
 Let P(m) = E|f_m|² be the mean power of the class.
 A set that is shifted at random has the variance Σ_{m≠0} P(m) |S_m|².
-For a lattice, this is the sum of P over its dual lattice.
-A digital shift has the same property in the Walsh basis, where κ is the Walsh series of P:
-the variance is (1/n²) Σ_ij κ(x_i xor x_j). For a digital net it is the mean of κ over the points.
-If sets are folded after the shift, both statements hold for g(x) = f(1 − |2x − 1|),
-because this function is continuous on the torus [Hickernell2002]_.
+For a lattice, the variance is the sum of P over the dual lattice.
+A digital shift has the same property in the Walsh basis. Let κ be the Walsh series of P.
+The variance is (1/n²) Σ_ij κ(x_i xor x_j). For a digital net this is the mean of κ over the points.
+If sets are folded after the shift, both statements hold for g(x) = f(1 − |2x − 1|).
+This function g is continuous on the torus [Hickernell2002]_.
 Each search tries plain sets and folded sets, and keeps the kind with less variance.
 
-Sets that divide the cells of a grid among them need no shift. At the centers of cells,
-features are functions φ_t with Σ_t φ_t(x) φ_t(y) = Cov(f(x), f(y)).
+Sets that divide the cells of a grid among them need no shift.
+*Features* are functions φ_t with Σ_t φ_t(x) φ_t(y) = Cov(f(x), f(y)) at centers of cells.
 The variance is the mean over sets of Σ_t (mean φ_t)².
 Exchanges of cells between sets lower this variance.
 Exchanges start from random sets, or from the cosets of a digital net if these are better.
@@ -56,9 +56,10 @@ class SearchSettings:
     """Settings of the searches.
 
     Larger numbers make searches longer. Comments give variance ratios.
-    A ratio is the mean variance of designs with another value of a setting,
-    divided by the mean variance of ``sobol | owen``. Unless stated otherwise, it is measured
-    with 400 fresh members of the class ``gaussians`` and about 64 points in 2-D.
+    A ratio is a mean variance of designs, with another value of a setting.
+    The mean variance is divided by the mean variance of ``sobol | owen``.
+    Unless stated otherwise, ratios are measured with about 64 points in 2-D.
+    The integrands are 400 fresh members of the class ``gaussians``.
     """
 
     # Settings of classes
@@ -78,8 +79,8 @@ class SearchSettings:
     block: int = 2**13
     # Numbers of points and of class members with which samplers are measured during a search.
     # The searches that measure samplers are those of nets, and of lattices in three dims or more.
-    # The variance ratio of nets is 0.167 for half or twice as many points,
-    # and 0.164 to 0.167 for half or twice as many members of the class.
+    # The variance ratio of nets is 0.167 for half or twice as many points.
+    # The ratio is 0.164 to 0.167 for half or twice as many members of the class.
     # In 3-D, another lattice is chosen with 128 members; its ratio is 0.313 instead of 0.295.
     judge_points: int = 2**16
     judge_members: int = 256
@@ -87,14 +88,15 @@ class SearchSettings:
     # Settings of lattices
 
     # Number of points of the table from which the spectrum of a class is estimated.
-    # Above three dims this number is doubled. With half or twice as many points,
-    # the variance ratio of lattices is 0.020 to 0.021 in 2-D, and 0.27 to 0.30 in 3-D.
+    # Above three dims this number is doubled.
+    # With half or twice as many points, the variance ratio of lattices is 0.020 to 0.021 in 2-D.
+    # In 3-D this ratio is 0.27 to 0.30.
     frequencies: int = 2**16
     # Number of initial vectors in the search of lattices in three dims or more.
     # One vector is built axis by axis, and the others are random.
     # In 3-D the variance ratio is 0.295 with 24 or 48 vectors, and 0.274 with 96 in twice the time.
     vectors: int = 48
-    # Number of vectors that are measured: the best vectors of this search.
+    # Number of the best vectors of this search that are measured.
     # In 3-D the variance ratio is the same for 6 and 24 measured vectors.
     judged: int = 12
 
@@ -127,34 +129,34 @@ class SearchSettings:
     # The variance ratio of strata designs is 0.031 for half or twice as many features.
     features: int = 160
     # Number of exchanges of cells that are tried in a round; the time is proportional to it.
-    # The variance ratio of strata designs is 0.035, 0.031 and 0.028
-    # with 2^19, 2^20 and 2^21 exchanges.
+    # For strata designs, the ratio is 0.035, 0.031 and 0.028 with 2^19, 2^20 and 2^21 exchanges.
     trials: int = 2**20
     # Maximum number of rounds of exchanges; the time is proportional to it.
     # The variance ratio of strata designs is 0.037, 0.031 and 0.028 for 12, 24 and 48 rounds.
     rounds: int = 24
     # Number of rounds after which the search continues with the best start only.
-    # For designs of kind ``points`` and the class ``half-spaces``,
-    # the ratio is 0.735 with 2, 4 and 8 rounds.
+    # With 2, 4 and 8 rounds, the ratio is 0.735 for kind ``points`` and class ``half-spaces``.
     first_rounds: int = 4
     # The search ends after a round that lowers the variance by less than this fraction.
     # The variance ratio of strata designs is the same for half or twice this fraction.
     least_gain: float = 0.003
     # Whether exchanges also start from the cosets of a digital net.
-    # With 64 points in 4-D, these exchanges end with less variance than those from random sets
+    # With 64 points in 4-D, exchanges from cosets end with less variance than from random sets
     # (tests/improve/test_design.py).
     cosets: bool = True
-    # Number of shapes of strata that are compared, starting with the most even shapes;
-    # and number of realizations in each comparison. A variance of 32 realizations has
-    # a relative error of √(2/31) = 25 %. Good and bad shapes differ by more than 25 %.
+    # Number of shapes of strata that are compared, starting with the most even shapes.
+    # The second number is the number of realizations in each comparison.
+    # A variance of 32 realizations has a relative error of √(2/31) = 25 %.
+    # Good and bad shapes differ by more than 25 %.
     shapes: int = 12
     shape_realizations: int = 32
 
     # Settings of point sets that are optimized on the torus
 
     # Number of points in the table from which the spectrum is estimated.
-    # With more points, each gradient takes more time. For designs of kind ``points`` at n = 5000,
-    # the ratio is 0.20 for half, 0.082 for once, and 0.078 for twice as many points.
+    # With more points, each gradient takes more time.
+    # For designs of kind ``points`` at n = 5000, the ratio is 0.082 with this number of points.
+    # The ratio is 0.20 with half of this number, and 0.078 with twice this number.
     torus_frequencies: int = 2**14
 
 
@@ -162,8 +164,8 @@ class Design(NamedTuple):
     """A sampler that a search found.
 
     `variance` is the expected variance, and `done` is the finished fraction of the search.
-    `make` returns the sampler. Its argument is the path of a .npz file,
-    which is written only if the sampler needs a file.
+    `make` returns the sampler. Its argument is the path of a .npz file.
+    The file is written only if the sampler has stored sets.
     """
 
     variance: float
@@ -194,8 +196,8 @@ def _fourier_power(
     """Return frequencies, int64 (K, d), and 2 E|f_m|², (K,), with the largest values first.
 
     Only one of m and −m is listed. In up to 3 dims the frequencies form a grid.
-    In more dims a grid would have few frequencies along each axis,
-    but functions that are not periodic have most of their power along the axes.
+    In more dims a grid would have few frequencies along each axis.
+    Functions that are not periodic have most of their power along the axes.
     Therefore a hyperbolic cross and a ball of frequencies are used, estimated on a lattice.
     If the lattice cannot distinguish several frequencies, only the lowest is kept.
     """
@@ -342,7 +344,8 @@ def _tables(
     members = min(settings.members, settings.table_values >> dims * bits)
     values = objective.functions(members, stream.generator(0))
     for fold in (False, True):
-        # Compute E|f_m|² for Walsh functions of the bits of all axes, (2^(d bits),); 0 at m = 0
+        # Compute E|f_m|² for Walsh functions of the bits of all axes, (2^(d bits),).
+        # The value at m = 0 is 0
         x = grid((np.arange(1 << bits) + 0.5) / (1 << bits), dims)
         table, power = evaluated(values, folded(x) if fold else x, settings.block), np.zeros(len(x))
         for start in range(0, len(table), 16):
@@ -380,7 +383,10 @@ def _nets(
     sobol = (_sobol_directions()[:dims, :m] >> np.uint32(32 - rows)).astype(np.int64)
 
     def code(columns: Array) -> Array:
-        """Return columns int64 (d, m) of `rows` digits as leading bits of the code of all axes."""
+        """Return a code for each column, from columns int64 (d, m) of `rows` digits.
+
+        The code contains the leading bits of the column on all axes.
+        """
         top = columns >> rows - bits
         return np.asarray(sum(top[j] << (dims - 1 - j) * bits for j in range(dims)))
 
@@ -559,8 +565,8 @@ def _cosets(
     if len(np.unique(codes)) < n:
         return None
 
-    # Cells of a coset have the same remainder after elimination by a basis of the net:
-    # for each vector of the basis, clear its leading bit in all codes
+    # Cells of a coset have the same remainder after elimination by a basis of the net.
+    # For each vector of the basis, clear its leading bit in all codes
     rest, left = np.arange(sides.prod()), codes
     while left.max() > 0:
         vector = left.max()
