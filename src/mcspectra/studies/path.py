@@ -4,9 +4,9 @@ Method
 ------
 All changes are measured at the same counts and with the same random numbers as the given path.
 The function `mcspectra.improve.remedy.ranked` compares the changes at the largest count.
-The cost of a path with another Russian roulette is its number of random numbers.
-The cost of the given path is 1.
-This number grows with the iterations of the integrator's loop.
+The cost of a path is proportional to its number of random numbers; the given path has cost 1.
+This measure is used for changes of Russian roulette.
+The number of random numbers grows with the iterations of the integrator's loop.
 Each iteration traces one ray and at most one shadow ray.
 A change that needs a pilot is compared with the given path at an equal total of paths.
 The total number of paths includes those of the pilot.
@@ -64,8 +64,8 @@ PATH_SAMPLERS = ("random", "latin-hypercube", "rank1-lattice | shift", "sobol | 
 """Samplers that are compared by default; they support any count in any number of dims."""
 
 _EFFORTS = {
-    # Each effort has the counts n, and three numbers: of realizations, of realizations for
-    # the ANOVA, and of paths for the shares of lights. The last value: predict variances or not
+    # Values of each effort: the counts n, the number of realizations, the number of realizations
+    # for the ANOVA, the number of paths for the shares of lights, and whether to predict variances
     "quick": ((16, 64, 256, 1024), 200, 10_000, 2**14, False),
     "full": ((16, 64, 256, 1024, 4096), 1000, 100_000, 2**17, True),
 }
@@ -82,7 +82,7 @@ _LIGHTS = 1  # Label of the random stream
 _MOST_LIGHTS = 64
 _PILOT = 2**10  # Number of pilot paths for the selection of lights
 _LEAST = 0.05  # Fraction of the selection that is uniform over all lights
-_COUNTS = 5  # Number of counts that are measured, the largest ones
+_COUNTS = 5  # Maximum number of counts to measure; the largest counts are kept
 _DEPTHS = (1, 2, 3, 5)  # Depths at which roulette may start; "no roulette" is also tried
 _ENDLESS = 2**16  # Largest max_depth without roulette, so that paths end
 _PLUGINS = {
@@ -118,7 +118,8 @@ def analyse_path(
     scene, integrator, channel, dims
         Same as in `PathPixel`, but ``"rgb"`` is not allowed.
     x, y
-        Coordinates of the pixel; or the name of a pixel in ``x`` alone (see `named_pixels`).
+        Coordinates of the pixel. Alternatively, ``x`` alone is the name of a pixel
+        (see `named_pixels`).
     samplers
         Samplers or their spec strings, all different. ``remedies`` uses the last one.
     counts, realizations
@@ -126,7 +127,8 @@ def analyse_path(
     remedies
         Whether to search for remedies that lower the noise.
     joint_dims
-        How many of the first numbers of a path are joint; every later request is padded.
+        Number of first coordinates of a path that form one point of the sampler.
+        Later requests take separate point sets (padding).
         See `mcspectra.rendering.variance_map`.
     effort
         ``"quick"``; or ``"full"``, which measures more, predicts variances and takes minutes.
@@ -345,8 +347,8 @@ def path_remedies(
     stream
         Random numbers that all changes share, the same as in `mcspectra.convergence`.
     samplers, ends
-        Other samplers to try, and numbers of coordinates.
-        For each number, only so many first coordinates keep QMC points; the others become random.
+        Other samplers to try, and numbers k of coordinates to try.
+        For each k, the first k coordinates keep QMC points, and the others become random.
     joint_dims
         Same as in `analyse_path`.
     axes
@@ -401,8 +403,8 @@ def path_remedies(
 
     attempt("given", "as given", "change nothing")
 
-    # Try other samplers, random numbers in the last coordinates, and another order of coordinates.
-    # This order gives the best coordinates of the points to the largest shares of the variance
+    # Try other samplers, random numbers in the last coordinates, and another order of coordinates:
+    # the best coordinates of the points then go to the largest shares of the variance
     for spec in dict.fromkeys(samplers):
         if spec != sampler.spec:
             attempt("sampler", spec, f"sample with {spec}", spec=spec)
@@ -416,7 +418,7 @@ def path_remedies(
         )
         attempt("padding", f"{k} good coordinates", change, partial(replace, f, dims=k))
     if axes is not None:
-        place = np.argsort(axes[0])  # For each coordinate of f: the coordinate of the point for it
+        place = np.argsort(axes[0])  # Index of the point's coordinate that f takes as its j-th
         ordered = Integrand.from_function(lambda u: f(u[..., place]), dims=f.dims)
         change = "assign the first coordinates of the points to the largest shares of the variance"
         whole = as_rendered(sampler.spec, f.dimensions, f.dims)
@@ -470,7 +472,7 @@ def path_remedies(
 
 
 def _other_roulettes(f: PathPixel) -> Iterator[tuple[str, str, str]]:
-    """Yield name, description and spec of the integrator with each other start of roulette."""
+    """Yield integrators whose Russian roulette starts at another depth: name, description, spec."""
     own = find_integrator(f.scene, f.integrator)
     known = {k: int(v) for k, v in re.findall(r"(max_depth|rr_depth) = (\d+)", str(own))}
     last, first = known.get("max_depth", 0), known.get("rr_depth", 0)

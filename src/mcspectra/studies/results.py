@@ -88,7 +88,7 @@ _FIRST = ("estimator", "sampler", "analysis", "n")
 _LAST = ("variable", "value", "low", "high", "se", "unit")
 _DIGEST = "tree_sha256"
 _DOCUMENT = "zarr.json"
-# Errors of a text that is not a study
+# Exceptions raised for a text that is not a study
 _MALFORMED = (AttributeError, LookupError, TypeError, ValueError, McspectraError)
 # Maximum number of documents copied into the root, because readers load the root as a whole
 _MOST_DOCUMENTS = 100_000
@@ -306,7 +306,7 @@ def study_status(folder: str | Path, *, verify: bool = False) -> StudyStatus:
                 with contextlib.suppress(*_MALFORMED, RecursionError):
                     note = StudyNote.of(study_of(study), ledger.study.inputs)
                     refusal = ledger.refusal(note, paths)
-                    if note.study_hash != ledger.study.study_hash:  # One of the two was forged
+                    if note.study_hash != ledger.study.study_hash:  # Text or hash was forged
                         found.damaged["the header"] = (
                             "it names another study than the stored text, so that --resume may "
                             "refuse the folder"
@@ -667,7 +667,7 @@ def _codecs(kind: np.dtype[Any]) -> list[dict[str, Any]]:
 
 
 def _tree_digest(root: Mapping[str, Any], digests: Mapping[str, str]) -> str:
-    """Return the SHA-256 of a store's files, including the other metadata of its root."""
+    """Return the SHA-256 of a store's files and of its root's metadata, except the digest."""
     attributes = {key: value for key, value in root["attributes"].items() if key != _DIGEST}
     whole = {"root": {**root, "attributes": attributes}, "files": dict(digests)}
     return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()

@@ -222,7 +222,7 @@ def _outdated(plan: StudyPlan, out: Path) -> frozenset[str]:
         return frozenset()
     with Ledger.read(out) as begun:
         changed = set(changed_inputs(begun.study.inputs, plan.inputs))
-    gone = changed - plan.inputs.keys()  # Files that a scene named before, and no cell names now
+    gone = changed - plan.inputs.keys()  # Files that were inputs before but no longer are
     return frozenset(
         cell.path
         for cell in plan.cells
