@@ -1,4 +1,4 @@
-"""Numba kernels that scramble digits: XOR, permutations, nested, hash-based, random matrices.
+"""Numba kernels that scramble digits by XOR, permutations, nested permutations, hashes, matrices.
 
 Notation: R realizations, n points, d dims; ``keys`` uint64 (R, 2) from `Stream.keys`;
 the bases of the digits are int64 (d,), and the results float64 (R, n, d).
@@ -8,12 +8,12 @@ The first kernels are for base 2. A coordinate is a word of 32 or 53 bits; the h
 
 In any base b, a coordinate x is read as the whole number v = ⌊x b^m⌋.
 The number of digits m is the smallest with b^m ≥ 2^32.
-Before that, x is increased by 2^-52, because the float for k/b^p may have been rounded down.
+First, x is increased by 2^-52, because the float for k/b^p may have been rounded down.
 
 Let v' be the scrambled number, and t a random number with t < 2^k and b^m 2^k ≤ 2^50.
 The result is (v' + (t + ½) 2^-k)/b^m.
 This result is uniform to 50 bits, and far from every multiple of b^-p.
-Therefore neither rounding nor a float ⌊x b^p⌋ moves it to another interval.
+Therefore neither rounding nor ⌊x b^p⌋ in floating point moves the result to another interval.
 
 Random numbers with addresses below 2^62 or at least 2^63 are used for binary digits.
 Addresses from 2^62 to below 2^63 are used for the nodes of digit trees in other bases.
@@ -180,7 +180,7 @@ def scramble_hashed(keys: Array, points: Array, out: Array) -> None:
         for start in range(0, n, _WORDS):
             words = block[: min(_WORDS, n - start)]
             for j in range(dims):
-                # Separate loops, so that the loop over words alone is vectorized
+                # Three separate loops, so that the compiler vectorizes the one that hashes words
                 add, factor, add_2, factor_2 = hash_keys[j]
                 for i in range(words.size):
                     words[i] = np.uint32(np.int64(one[start + i, j] * _TO_32))
@@ -296,7 +296,7 @@ def _draw_permutation(k0: np.uint64, k1: np.uint64, number: int, order: Array) -
 
 @kernel
 def _draw_images(k0: Any, k1: Any, number: int, places: int, base: int, shift: bool) -> Any:
-    # Make the image of each digit in each place, the lowest place first: int64 (m, b).
+    # Draw the random image of each digit in each place, the lowest place first: int64 (m, b).
     # Also make one uniform number for the digits below, the same for all points.
     out = np.empty((places, base), np.int64)
     for k in range(places):
@@ -310,7 +310,7 @@ def _draw_images(k0: Any, k1: Any, number: int, places: int, base: int, shift: b
 
 @kernel
 def _group_images(images: Array, most: int) -> Array:
-    # Tabulate images of groups of digits, with up to `most` entries per table: (groups, b^digits)
+    # Tabulate the images of groups of digits, at most `most` per group: (groups, b^digits)
     places, base = images.shape
     size, digits = base, 1
     while size * base <= most and digits < places:

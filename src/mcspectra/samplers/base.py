@@ -205,7 +205,7 @@ class Sampler(Component, ABC):
         return ()
 
     def as_chain(self, n: int) -> Sampler:  # noqa: ARG002
-        """Return the chain of steps that this sampler abbreviates for n points, or this sampler."""
+        """Return an equivalent chain of samplers for n points; without one, return this sampler."""
         return self
 
     @property
@@ -455,7 +455,7 @@ class Randomized(Sampler):
 
     @property
     def powers_only(self) -> bool:
-        """Inherited from the inner sampler if strata or elementary intervals remain, else False."""
+        """The inner sampler's value if strata or elementary intervals remain, else False."""
         return self.base.powers_only and self.structure in (Structure.STRATA, Structure.DIGITS)
 
     def digit_strata(self, n: int, base: int) -> bool:

@@ -42,7 +42,7 @@ _UNIFORM = ("TRUE", "SHIFT", "DS", "LMS DS", "DP", "LMS DP", "NUS")  # values of
 _NOT_POINTS = ("DummySampler", "MPMC")  # MPMC downloads its points
 _TABLES = {"generating_matrices": "generating_matrices", "generating_vector": "generating_vectors"}
 """Options of QMCPy that name a file, and the folder with QMCPy's own files."""
-_TEXT_RATIO = 16  # Bytes of memory for each byte of such a file
+_TEXT_RATIO = 16  # Bytes of memory for each byte of a file of QMCPy
 
 
 @final
@@ -370,7 +370,7 @@ class QmcpySampler(OneByOne):
                     "alone."
                 )
             try:
-                return source._spawn(seed, source.d)  # QMCPy's method ``spawn`` does the same
+                return source._spawn(seed, source.d)  # QMCPy's method ``spawn`` calls it
             except Exception as error:
                 raise ParameterError(
                     f"This {name} cannot be copied: {reason_of(error, 200)}."
@@ -410,9 +410,9 @@ class QmcpySampler(OneByOne):
 
 
 def _local_table(name: str, folder: Path) -> str:
-    """Return the name by which QMCPy opens a table of its own, or a file, without the network.
+    """Return a name under which QMCPy opens one of its tables, or a file, without the network.
 
-    QMCPy looks in its own folder, on the network, and last among the files.
+    QMCPy looks for a name in its own folder, then on the network, and last among local files.
     """
     if Path(name).name == name and (folder / name).is_file():
         return name

@@ -141,7 +141,7 @@ class GivenPoints(Sampler):
         If points are given, the path is only a name for them.
     points
         The sets, shape (R, n, d) or (n, d), in [0,1). They are copied and read-only.
-        If the sets have several counts, `points` has the sets with the fewest points.
+        If sets have different numbers of points, `points` holds the sets with the fewest points.
     cycle
         Whether the R given sets are used cyclically: realization r is set r mod R.
         Without a randomization, the sets are only repeated:
@@ -221,7 +221,7 @@ class GivenPoints(Sampler):
 
     @classmethod
     def from_sets(cls, sets: Iterable[object], name: str) -> GivenPoints:
-        """Make a sampler from arrays (n, d) of a source called `name`."""
+        """Make a sampler from arrays (n, d); messages call their source `name`."""
         made: Any = _by_count([(name, points) for points in sets])
         return cls(path=name, points=made)
 

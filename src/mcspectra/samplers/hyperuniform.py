@@ -115,7 +115,7 @@ class PerturbedLattice(GridSampler):
         fill_normals(keys, self.dims, moves)
         field = moves.reshape(count, n, self.dims)
 
-        # Filter the white noise, so that its power is proportional to |k|^(−β); the variance stays
+        # Filter the white noise to power proportional to |k|^(−β), without changing its variance
         if self.correlation != 0.0 and n == 1:
             field = np.zeros_like(field)  # the only frequency of the field is 0
         elif self.correlation != 0.0:

@@ -143,9 +143,11 @@ def nested_lattices(sampler: Sampler, n: int, parts: int, *, at_once: bool = Fal
     sampler
         A `Rank1Lattice` with randomizations. If it has a vector, it is returned as it is.
     n, parts
-        Number of points, a multiple of `parts`. Points 0, k, 2k, … are a lattice for each k = 2, 4,
-        … up to `parts`, a power of two, or with `at_once` for k = parts only. The smallest
-        lattice is the default lattice of n/parts points.
+        Number of points n, a multiple of `parts`.
+        By default, `parts` is a power of two: the points 0, k, 2k, … form a lattice
+        for each power of two k up to `parts`.
+        With `at_once`, these points form a lattice for k = parts only.
+        The smallest lattice is the default lattice of n/parts points.
     """
     plain = sampler.plain
     if not isinstance(plain, Rank1Lattice) or plain.vector is not None:
@@ -162,7 +164,7 @@ def nested_lattices(sampler: Sampler, n: int, parts: int, *, at_once: bool = Fal
 
 @lru_cache(maxsize=256)
 def _extended_vector(inner: tuple[int, ...], n: int, parts: int) -> tuple[int, ...]:
-    """Return the vector for n points of least P_2 that is `inner` modulo n/parts."""
+    """Return the vector of least P_2 for n points, among those equal to `inner` modulo n/parts."""
     k, bernoulli, factors = np.arange(n), _bernoulli(n), np.arange(parts) * (n // parts)
     product, vector = np.ones(n), []
     for j, z in enumerate(inner, 1):

@@ -818,7 +818,8 @@ def mean_of_terms(n: int, nu: Array, terms: Callable[[Array], Array]) -> Array:
     NoClosedForm
         If there are too many terms.
     """
-    if float(n) * max(64, nu[..., 0].size) > _MOST_TERMS:  # count 64 or more: points take memory
+    # At few frequencies the points need the most memory, so count at least 64 frequencies
+    if float(n) * max(64, nu[..., 0].size) > _MOST_TERMS:
         raise NoClosedForm(
             f"The exact transform of {n} points at {nu[..., 0].size} frequencies would take more "
             f"than {_MOST_TERMS:.2g} terms; use ",

@@ -339,13 +339,13 @@ class JoinedPairs(_BinaryNet):
     Notes
     -----
     The matrices of the points are C_1, C_2, C_1 U and C_2 U with an upper triangular matrix U.
-    The digits of a number i of a point are thus changed to U times these digits,
-    which is only another order of the points of the plane.
+    For coordinates 3 and 4, the digits of a point's index are multiplied by U.
+    This changes only the order of the points in the plane.
     Both pairs of coordinates are therefore as evenly spread as the plane's points.
-    In contrast, coordinates 3 and 4 of Sobol' points are no (0, m, 2)-net for most m.
+    In contrast, coordinates 3 and 4 of Sobol' points do not form a (0, m, 2)-net for most m.
 
-    The first ten columns of U are those of least quality parameter t of Sobol' points in four dims
-    among 3000 random matrices: t = 1, 2 and 3 for 16, 64 and 256 points.
+    The first ten columns of U are the best of 3000 random choices for Sobol' points in the plane.
+    They give the least quality parameter t in four dims: 1, 2 and 3 for 16, 64 and 256 points.
     """
 
     max_dims: ClassVar[int | None] = 4
@@ -354,7 +354,7 @@ class JoinedPairs(_BinaryNet):
 
     @property
     def spec(self) -> str:
-        """The plane's spec; a spec string cannot recreate these points."""
+        """Spec of the net in two dims; no spec string describes these points in four dims."""
         return str(self.plane.spec)
 
     def direction_numbers(self, n: int) -> Array:
@@ -503,7 +503,7 @@ class DigitalNet(_AnyBaseNet):
         Number of rows of matrices that are given as columns. Each column has this number of digits.
         Its highest digit comes first. The default is the number of columns.
     dims
-        Number of dims, by default the number of matrices. If it is smaller, the last are ignored.
+        Number of dims, by default the number of matrices. Matrices beyond it are ignored.
 
     Notes
     -----

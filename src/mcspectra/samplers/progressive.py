@@ -35,9 +35,9 @@ _PASSES = 31
 _SETS = 16  # number of random sets that represent the distribution of pmj
 _ONE, _S11 = np.uint64(1), np.uint64(11)
 _EVEN_BITS = np.uint64(0x5555555555555555)
-_BITS = 5  # number of bits below the cell's bits that are chosen; finer bits matter little
+_BITS = 5  # number of optimized bits below the bits of the cell; finer bits matter little
 _UNIT_53 = 2.0**-53
-_CHOICES, _SHUFFLES = 1 << 40, 1 << 41  # first random numbers of choices and of shuffles
+_CHOICES, _SHUFFLES = 1 << 40, 1 << 41  # indices of random numbers for choices and shuffles
 
 
 class _PlaneSequence(PlaneSampler):
@@ -81,8 +81,8 @@ class PMJ(_PlaneSequence):
     sequence: ClassVar[bool] = True
 
     def _law(self, n: int) -> Law:
-        # Sets are Owen-scrambled by construction. Which digits of two points agree is random;
-        # the mean over a few random sets represents all sets.
+        # Sets are Owen-scrambled by construction. It is random which digits of two points agree,
+        # so the mean over a few random sets represents all sets.
         sets = (Fixed(n=n, dims=2, bases=(2, 2), seed=k).of(self) for k in range(_SETS))
         return Choice(n=n, dims=2, laws=tuple(scrambled(each, "nested", (2, 2)) for each in sets))
 
@@ -287,7 +287,7 @@ def _gain(i: int, axis: int, bit: Any, members: Any, words: Array, owner: Array)
             there = np.float64(word) * _UNIT_53
             far = np.float64(words[1 - axis, other]) * _UNIT_53 - across
             before = _pair_energy(there - here, far)
-            if word >> shift == strip:  # the other point is in the strip and moves
+            if word >> shift == strip:  # the other point also lies in the strip, so it also moves
                 there = np.float64(word ^ bit) * _UNIT_53
                 gain += 0.5 * (before - _pair_energy(there - moved, far))
             else:
@@ -297,7 +297,7 @@ def _gain(i: int, axis: int, bit: Any, members: Any, words: Array, owner: Array)
 
 @kernel
 def _try_flips(axis: int, level: int, size: int, words: Array, owner: Array) -> None:
-    # Swap the halves of a strip of width 2^-level if this lowers the energy of `size` points.
+    # For strips of width 2^-level, swap the halves if this lowers the energy of `size` points.
     order = np.empty(size, np.int64)
     shift = np.uint64(53 - level)
     bit = _ONE << np.uint64(52 - level)

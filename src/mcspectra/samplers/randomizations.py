@@ -234,7 +234,7 @@ def _seen(points: Array, center: Array, turn: Array, reach: float, found: Array)
 @kernel
 def _clip_all(keys: Array, points: Array, out: Array) -> None:
     # Fill out (R, n, 2) with the points in the window.
-    # Its edge passes through the point that is the (n + 1)-th nearest to the window's center.
+    # The window's edge passes through the point that is (n + 1)-th nearest to the window's center.
     count, n, _ = points.shape
     found = np.empty((25 * n, 3))
     numbers = np.empty(5)
@@ -283,7 +283,7 @@ class Mirror(Randomization):
 
     Uniform samples remain exactly uniform. Each half-open cell of a grid maps to the opposite cell.
 
-    Random reflection and folding destroy strata, elementary intervals and differences.
+    Random reflection and folding destroy strata, elementary intervals, and differences of points.
     The uniform mode preserves strata and intervals; each then has 2^d times as many points.
 
     References
@@ -471,7 +471,7 @@ class Decorrelate(Randomization):
 
     def law_of(self, law: Law, n: int) -> Law:
         """Return the law of one pixel; pixels share one set."""
-        if self.advance:  # each frame has other points
+        if self.advance:  # each frame uses other points of the sequence
             return Randomization.law_of(self, law, n)
         return self._step().law_of(law, n)
 

@@ -52,7 +52,7 @@ _MOST_WORK = 2**32
 _REPORTS = 50
 _CHUNK = 4096  # number of moves between reports of progress
 _CUTOFF = 6.0  # cutoff distance in σ: exp(−18) = 1.5e-8, as for the spectrum
-_SERIES_END = 6.0  # cutoff of the Fourier series in many dims, at terms of e^(−½ 6²)
+_SERIES_END = 6.0  # cutoff of the Fourier series in many dims: terms below e^(−½ 6²) are dropped
 _CELLS = 4  # number of cells along a cutoff distance
 
 

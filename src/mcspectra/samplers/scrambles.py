@@ -1,7 +1,7 @@
 """Randomizations of digits: they preserve elementary intervals, and strata with suitable sides.
 
-The sides of these strata are powers of the base. Each sampler has a base for its digits:
-usually 2, but for instance primes for halton. All randomizations act in this base.
+The sides of these strata are powers of the base. Each sampler has a base for its digits.
+The base is usually 2; halton, for instance, has primes. All randomizations act in this base.
 """
 
 from __future__ import annotations

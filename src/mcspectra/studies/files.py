@@ -687,7 +687,7 @@ def expand_grids(table: dict[str, Any], source: str = "study") -> dict[str, Any]
     """Return a study's table with all combinations of its grids written out.
 
     Estimators, maps and samplers are repeated for each combination of their placeholders.
-    Placeholders in the study's tables of analyses repeat the estimators, too.
+    Placeholders in the study's tables of analyses also repeat the estimators.
     A text that is only a placeholder becomes the value itself, so a list stays a list.
 
     Parameters

@@ -150,7 +150,8 @@ _NOT_DAMAGE = {
     15: "its file system has no locks",
 }
 _BAD_PAGES = "pages of the file are damaged or missing"
-_SUPER_JOURNAL = bytes.fromhex("d9d505f920a163d7")  # Ends a journal that names another file
+# The last bytes of a journal that names another file
+_SUPER_JOURNAL = bytes.fromhex("d9d505f920a163d7")
 
 _DAMAGE = "its digest does not match"
 _REMEDY = "`mcspectra run` with --resume keeps the sound parts and computes the rest again"

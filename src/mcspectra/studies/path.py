@@ -418,7 +418,7 @@ def path_remedies(
         )
         attempt("padding", f"{k} good coordinates", change, partial(replace, f, dims=k))
     if axes is not None:
-        place = np.argsort(axes[0])  # Index of the point's coordinate that f takes as its j-th
+        place = np.argsort(axes[0])  # Coordinate j of f is coordinate place[j] of the point
         ordered = Integrand.from_function(lambda u: f(u[..., place]), dims=f.dims)
         change = "assign the first coordinates of the points to the largest shares of the variance"
         whole = as_rendered(sampler.spec, f.dimensions, f.dims)
