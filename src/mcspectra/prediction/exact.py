@@ -7,13 +7,13 @@ Strata may have a common offset. Further samplers have these formulas:
 * Digital shift in base 2, for coordinates that are multiples of 2^-L. The shift has L random bits.
   Below these bits is an offset δ that is uniform in a cell and the same for all points.
   For given δ, the values of g on the grid have the Walsh spectrum ĝ_m(δ).
-  The points have ŝ_m = (1/n) Σ_k wal_m(x_k).
-  For digital nets |ŝ_m|² is 1 on the dual net and 0 elsewhere. Then
+  The points have the Walsh coefficients ŝ_m = (1/n) Σ_k wal_m(x_k).
+  For digital nets |ŝ_m|² is 1 on the dual net and 0 elsewhere. The variance is
 
       Var = E_δ [Σ_{m ≠ 0} ĝ_m² ŝ_m²] + Var_δ ĝ_0.
 * Latin hypercubes: along each axis, two points lie in two different strata out of n.
   Let ω² be the mean variance within n^d cells.
-  Let σ²_v be the ANOVA parts of the cell means, for the subsets v of the axes. Then
+  Let σ²_v be the ANOVA variances of the cell means, for the subsets v of the axes. Then
 
       Var = (1/n) [ω² + Σ_{v ≠ ∅} (1 + (n − 1) (−1/(n − 1))^|v|) σ²_v],
 
@@ -141,7 +141,7 @@ class ExactSettings:
     exact: float = 1e-9
     # Largest number of cells of an axis. The variance of halton | shift at n = 1024 depends on it:
     # half the value changes the variance by 2e-4, twice the value by 5e-5.
-    # `most_pairs` limits the time. It bounds the pairs of points times the dims.
+    # `most_pairs` limits the time. It bounds the number of pairs of points, times the dims.
     most_cells: int = 2**18
     most_pairs: float = 2.0**32
     # Number of quadrature nodes per cell, and a smaller number for more than 2^14 cells.
@@ -314,7 +314,7 @@ def of_integrand(
     """
     g, lines = looked_at(g), False
     if not (in_closed_form(g) or g.costly):
-        # Lines cost little. They resolve poles and waves that cells do not resolve
+        # Integrals along lines cost little, and resolve poles and waves that cells do not resolve
         lines = bool(beyond_points(g).any()) or (most >= MOST_EVALUATIONS and g.dims > 1)
         if lines and separated(g):
             with contextlib.suppress(NoClosedForm):
@@ -661,7 +661,7 @@ def _of_projections(law: Law, inner: Fixed, g: Separable) -> tuple[float, float]
                 power = np.abs(sums[most + 1 :]) ** 2
                 energy = energy[1 : most + 1] / np.sinc(m / size) ** 2
                 tail = max(curve.square - float(energy.sum()), 0.0)
-                last = slice(most // 2, most)  # Last octave, whose mean power the tail gets
+                last = slice(most // 2, most)  # The tail gets the last octave's mean
                 weight = n * float(energy[last] @ power[last]) / max(energy[last].sum(), 1e-300)
                 error += (abs(weight - 1.0) + _SETTINGS.white) * tail / n if size == finest else 0.0
                 found.append(float(energy @ power) + weight * tail / n)
@@ -825,7 +825,7 @@ def _latin(law: Law, g: Integrand, rule: Rule, *, shifted: bool) -> tuple[Array,
     if shifted:  # The mean over all cells is a smooth function of the offset
         nodes, weights = offset_rule(g, fine, rule.order // 2 + 2)
     one = float(len(nodes) * rule.each(g))
-    # Cells next to 0 and 1 are cut, so that 1-D and 2-D have more pieces than cells
+    # Shifted cells at 0 and 1 are cut into pieces, which matters for the cost in 1-D and 2-D
     most = rule.most / one / (1 if in_closed_form(g) or g.dims > 2 else 2)
     side = next((m for m in range(n, 1, -1) if n % m == 0 and m**g.dims <= most), 1)
     if side < n:

@@ -112,11 +112,11 @@ def image_error_spectrum(
         ``predicted_power`` comes from coefficients of f and spectra of the sets.
         ``measured_power`` comes from f at the points of the sets.
         Its interval is ``measured_power_ci``. Both powers have the units of f².
-        White noise has the variance of a pixel at every frequency.
+        For white noise, the power at every frequency is the variance of a pixel.
         ``tail_term`` is the part of the prediction beyond the half width.
         If that part is large, the attribute ``note`` reports it.
-        ``low_share`` ranks masks. It is the predicted power below 1/8 cycle per pixel
-        in units of the mean power. White noise has a ``low_share`` of 1.
+        ``low_share`` ranks masks: it is the predicted power below 1/8 cycle per pixel.
+        Its unit is the mean power. White noise has a ``low_share`` of 1.
 
     Raises
     ------

@@ -85,7 +85,7 @@ class LevelsSettings:
     block
         Number of evaluations per call, 16 MB in 2-D. It has no effect on the result.
     clear, doubt
-        The part of ∫g² that tables miss is added if it exceeds this number of its errors.
+        The part of ∫g² that tables miss is added if it exceeds its own error by this factor.
         `doubt` is the uncertainty of the weight of this part.
         Such a part lies at poles within one cell, and has a gain between 0 and about 1.
         Half of `clear` adds noise of 0.015 % of a variance; twice the value changes nothing.
@@ -339,7 +339,7 @@ def _strata(
 
     If there is a single stratum, all n values lie in it.
 
-    `whole` states that g is the same for all n. Then it is worthwhile to compute ∫g² separately.
+    With `whole`, g is the same for all n. A separate computation of ∫g² then serves all counts.
     """
     # Choose cells that divide the strata, up to the number of cells in the settings
     sizes = sides
@@ -379,7 +379,7 @@ def _merged(moment: Array, sides: tuple[int, ...]) -> Array:
 def _predicted(
     scaled: Array, n: int, square: Array, how: str, *, rest: Any = 0.0, doubt: Any = 0.0
 ) -> Predicted:
-    """Return the prediction from n times the variance by one or two rules, (Q, channels)."""
+    """Make a prediction from n times the variance, by one or two rules: (Q, channels)."""
     rounding = _ROUNDING * square
     value = np.where(scaled[-1] > rounding, scaled[-1], 0.0)
     error = np.abs(scaled[-1] - scaled[0]) + doubt + rounding + 1e-9 * value

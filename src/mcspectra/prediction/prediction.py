@@ -1,7 +1,7 @@
 """Predictions of the variance at every n, by the most trusted method, a given one, or by all.
 
 `METHODS` lists the methods in their order of trust.
-Methods up to ``extrapolated`` work in primary space.
+The methods from the first to ``extrapolated`` work in primary space.
 In primary space each technique has its own integrand on the unit cube,
 and the variances of independent techniques add up.
 
@@ -275,7 +275,7 @@ class EvaluationLimits:
     ----------
     evaluations
         Default for the most evaluations. A function that takes 4 µs per point needs one second.
-        An interval then extends from the variance divided by a factor to the variance times it.
+        An interval then reaches from the variance divided by a factor to the variance times it.
         The factor of such an interval is 1.5 at measured counts, and 2 at n = 4,096.
     predictions
         Least number of evaluations per technique at which methods other than measurements are used.
@@ -388,8 +388,8 @@ def of_table(law: Law, known: Known, stream: Stream, settings: TableSettings = _
     if not (moments.resolved & (moments.variance > rounding_floor(moments.mean))).all():
         raise NoClosedForm(f"{sets} sets do not resolve the variance of {law.name}.")
     tail = missed / n
-    # The whole tail is also an error: within cells, the points may be as good as at larger scales,
-    # or only as good as random points
+    # The whole tail is also an error, because the quality of points within cells is unknown:
+    # they may be as good as at larger scales, or only as good as random points
     error = CONFIDENCE_Z * moments.relative_se * moments.variance + tail + miss / n
     share = 1.0 - np.minimum(missed / known.square[0], 1.0)
     return Predicted(moments.variance + tail, error, f"{sets} sets", share, tail)
@@ -492,7 +492,7 @@ class Method:
         Largest half interval, relative to the variance, with which ``auto`` accepts the prediction.
         The next method is then not tried.
     cost
-        Approximate or largest number of evaluations of g, unless another count has made them.
+        Approximate or largest number of evaluations of g. Several counts may share evaluations.
     of_estimator
         Function that predicts the variance of a whole estimator.
         It is used if a method is requested by name and cannot predict techniques separately.
@@ -810,7 +810,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
     def _cost(
         self, estimator: AbstractEstimator, sampler: Sampler, n: int, known: Sequence[Known]
     ) -> float:
-        """Return evaluations of the requested methods, or for `auto` of the method tried first."""
+        """Return the evaluations of the requested methods; `auto` counts the first method tried."""
         source, cost = estimator.randomized(sampler), 0.0
         for count, each in zip(estimator.counts, known, strict=True):
             law = source.law(n * count)
@@ -820,7 +820,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
         return cost
 
     def _terms(self, subject: Subject, n: int) -> tuple[Terms, Need, str]:
-        """Return the analysis of sampled methods, its resources, and why it lacks frequencies."""
+        """Return the analysis that samples spectra, its resources, and why it lacks frequencies."""
         asked = terms_for(subject.estimator, n, self.half_width, self.realizations)
         without, refusal = msgspec.structs.replace(asked, half_width=0), ""
         if self.method != "measured":
@@ -1084,7 +1084,7 @@ def predict(
 
         ``energy_share(n)`` is the part of ∫g² that was summed term by term.
         Methods that sum over frequencies use ∫f² instead; methods without terms have share 1.
-        ``tail_variance(n)`` is the variance that represents the rest.
+        ``tail_variance(n)`` is the part of the variance that comes from the rest of ∫g².
 
         ``local_rate(n)`` is the slope from the count before.
         At the first count it is the slope to the next count.
@@ -1240,7 +1240,7 @@ class Predictor:
                     predicted(source.law(n * c), each, stream.child(t), name)
                     for t, (c, each) in places
                 ]
-            # The energy share of the sum is a weighted mean over techniques; ∫g² are the weights
+            # The energy share of the sum is the mean over techniques, weighted by their ∫g²
             squares = [np.ones(len(parts[0].variance))]
             if len(parts) > 1:
                 squares = [each.square[0] for each in known]
@@ -1276,7 +1276,7 @@ class Predictor:
         )
 
     def _doubted(self) -> tuple[str, bool] | None:
-        """Return why random points do not bound the variance; see `tails.doubt`."""
+        """Return why values at random points do not bound the variance; see `tails.doubt`."""
         estimator, channels = self.estimator, max(1, self.estimator.channels)
         count = max(1, int(LIMITS.probe * self._limit) // estimator.cost)
         rng, dims = self._stream.child(len(estimator.counts)).generator(0), estimator.dims

@@ -118,8 +118,8 @@ class JumpSettings:
         A line crosses few jumps, and it suffices to find one of them on one line.
         Values from 2 to 8 give the same results.
     halvings
-        Number of bisections of a large step. 512 points and 30 halvings reduce it to 2e-12.
-        Over that distance a slope of 1e7 changes g by less than `least`.
+        Number of bisections of a large step. Its width is 1/512 before and 2e-12 after 30 halvings.
+        Over 2e-12, a slope of 1e7 changes g by less than `least`.
         With 15 halvings, a Gaussian of width 0.02 appears to jump.
     beside
         Distance from a break at which g is evaluated on both sides.

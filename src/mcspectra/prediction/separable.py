@@ -89,7 +89,7 @@ class PiecewiseSettings:
     # The change is relative to the value of the function.
     # Halving or doubling the value gives the same results.
     step: float = 1e-6
-    # Largest distance from a pole at which pieces on its other side still belong to the pole.
+    # Pieces on the other side of a pole belong to the pole up to this distance from it.
     # Halving or doubling the value gives the same results.
     gap: float = 2.0**-40
     # Number of probe points among which the largest value of a product is sought.
@@ -172,7 +172,7 @@ class PiecewiseCurve:
     def cells(
         self, count: int, offset: float = 0.0, order: int = _SETTINGS.order
     ) -> tuple[Array, Array]:
-        """Return means over cells minus `mean`, and mean squares about them, (count,) each.
+        """Return means over cells minus `mean`, and variances within cells, (count,) each.
 
         The cells begin at (j + offset)/count on the torus.
         The offset is in units of the axis, from 0 to 1/count.

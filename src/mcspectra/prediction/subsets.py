@@ -186,7 +186,8 @@ class SubsetSettings:
     resolved
         Relative errors of curves between their nodes, for smooth curves and for curves with jumps.
     most_work
-        Largest work: the number of pairs times axes times squared products, 1.7e10.
+        Largest work, 1.7e10: the number of pairs of points, times the number of axes,
+        times the squared number of products.
     draws
         Number of sets that are drawn if sets are random before their shift or scramble.
         The spread of the variances of the drawn sets is part of the interval.
@@ -254,7 +255,7 @@ def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
     Returns
     -------
     Predicted
-        `share` is the part of single axes and products. `tail` is the part outside the fit.
+        `share` is the part of ∫g² in the fit. `tail` is the variance of the part outside the fit.
 
     Raises
     ------
@@ -292,7 +293,7 @@ def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
         sums = [
             pair_sums(x, rows, mode, pairs.bases[0], first, rest, means, weights) for x in codes
         ]
-        # Each row belongs to a set. The columns are for single axes, and then for products
+        # Each row belongs to a set. Columns are for functions of single axes, and then for products
         by_set = np.array(sums).mean(axis=1) / n
         sets, mean = by_set[:, 0] + by_set[:, -1], by_set.mean(axis=0)
         ones, more = mean[:-1], mean[-1]
@@ -304,7 +305,7 @@ def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
         half = (SUBSET_SETTINGS.adds_up if together else 1.0) * tail + math.sqrt(
             max(ones[0] + more, 0.0) * tail
         )
-        # The energy of interactions is known from pairs, or as the whole energy minus single axes
+        # The energy of interactions is known from pairs, or as the whole energy minus that of axes
         single = first[:, -1].sum(axis=0)
         of_whole = (
             p.variance - float(single[0]),
@@ -701,8 +702,8 @@ def _fitted(
             [t[1:] for t in tested], axis=0
         ).sum(0)
         missed = scale**2 * float(((values[-1] / scale - sums) ** 2).mean())
-        # Energy of the fit that its test points do not show is also missed,
-        # except for the sampling error, which the variance of g at these points shows
+        # Energy of the fit that its test points do not show also counts as missed.
+        # The same difference for g at these points is sampling error and is subtracted
         curves = [w @ c for w, c in zip(weights, cells, strict=True)]  # Rows: sum, products
         averages = np.stack([c.mean(axis=1) for c in curves])
         squares = np.stack([c @ c.T / c.shape[1] for c in curves])
@@ -718,7 +719,7 @@ def _fitted(
         if missed < residual:
             best, residual = weights, missed
 
-    # Single axes of the fit, plus the deviation of the profiles from the fit
+    # Functions of single axes: from the fit, plus the deviation of the profiles from the fit
     curves = [w @ b for w, b in zip(best, bases, strict=True)]
     sums, factors = [scale * f[0] for f in curves], [f[1:] for f in curves]
     factors[0] = scale * factors[0]
@@ -741,7 +742,7 @@ def _fitted(
         own = np.prod(np.delete(means, i, axis=0), axis=0) @ factors[i] + sums[i]
         main.append(own + np.concatenate([beside.mean(axis=0)[None], beside]))
 
-    # Energy of several axes: the energy beyond single axes, minus the contribution of errors
+    # Energy of several axes: the energy beyond that of single axes, minus the part due to errors
     at_all = zip(axes, main, np.moveaxis(every, -1, 0), strict=True)
     alone = np.sum([a.at(m[0], t.ravel()).reshape(t.shape) for a, m, t in at_all], axis=0)
     left = ((all_values - alone - (all_values - alone).mean()) ** 2).mean(axis=1)
@@ -799,9 +800,10 @@ def _least_squares(
 
 
 def pairs_of(law: Law, stream: Stream) -> tuple[_Pairs, Array, Array]:
-    """Return the kind of pairs of points, codes (sets, n, d, digits), and representative rows.
+    """Return how pairs of points are compared, the points' digits, and indices of some points.
 
-    The pairs of these rows with all points have the same distribution as all pairs.
+    The digits have shape (sets, n, d, digits).
+    The pairs of these points with all points have the same distribution as all pairs.
 
     Raises
     ------

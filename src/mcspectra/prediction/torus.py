@@ -8,8 +8,7 @@ where C is the set of counted frequencies. The set C consists of three parts:
 a box; strips along the axes, which hold the energy of functions that are not periodic;
 and multiples of a few integer vectors, which hold the energy of jumps along diagonals.
 Outside C, P tends to 1/n.
-The error of the tail is the difference between P and 1/n at the border of the box,
-weighted by |g_m|².
+The error of the tail is the difference between P and 1/n at the box's border, weighted by |g_m|².
 
 P may have a closed form. For a set that is shifted as a whole, P comes from one transform.
 Otherwise P is the mean over drawn sets.
@@ -89,8 +88,8 @@ class TorusSettings:
 
     The changes stated below were measured in seven cases in 2-D and 3-D at n = 64 and 256.
     The integrands are a jump along a line, smooth functions and a disk.
-    The samplers are jittered, latin-hypercube, halton and rank1-lattice under shift, and
-    poisson-disk.
+    The samplers are poisson-disk, and four samplers under shift:
+    jittered, latin-hypercube, halton and rank1-lattice.
 
     Attributes
     ----------
@@ -111,7 +110,7 @@ class TorusSettings:
     precision
         Relative error of the Fourier transforms, far below the error of the variance.
     shells
-        Number of shells of the box, each √2 wide, whose power tests whether the tail is white.
+        Number of shells of the box, in steps of √2, whose power tests whether the tail is white.
         The shells begin at an eighth of the half width.
         Halving or doubling this value changes no variance. Errors change by factors of 0.5 to 3.
     vague
