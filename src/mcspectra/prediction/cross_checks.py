@@ -269,7 +269,7 @@ def of_pairs(
     ------
     NoClosedForm
         If the set is not stationary, has over 2 dims, or is a shifted grid or lattice.
-        The same holds if a quadrature does not converge to 1e-6.
+        The error is also raised if a quadrature does not converge to 1e-6.
     """
     estimator.check_independent()
     source, realizations = estimator.randomized(sampler), asked.realizations

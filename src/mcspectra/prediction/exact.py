@@ -151,7 +151,7 @@ class ExactSettings:
     few_nodes: int = 6
     deep: int = 14
     # Relative error of the power beyond the last octave.
-    # There the power is assumed to equal its mean over the last octave.
+    # At these frequencies, the power is assumed to equal its mean over the last octave.
     # This error changes intervals, but not variances.
     white: float = 0.02
     # Rounding error of a mean of a curve h over a set, as a fraction of √∫h².
@@ -193,13 +193,14 @@ def exact_variance(
     ----------
     estimator, sampler, n
         Any estimator with one of the following samplers.
-        The samplers random, jittered, regular and uniform-jitter are allowed, alone or with
-        shift, strata-shift or mirror. So are antithetic-jittered and latin-hypercube.
+        The samplers random, jittered, regular and uniform-jitter are allowed,
+        alone or with the randomization shift, strata-shift or mirror.
+        The samplers antithetic-jittered and latin-hypercube are also allowed.
         The sampler latin-hypercube may also have shift.
         Nets and sequences, such as sobol or halton, are allowed with the randomization owen.
         In base 2, the randomization digital-shift is also allowed.
         Latin hypercubes and nets need about n cells per side.
-        This limits n to some thousands in 2-D and some tens in 3-D.
+        The number of cells limits n to some thousands in 2-D and some tens in 3-D.
         Sums and products of functions of one axis work in any dims.
         Such sums and products also work with orthogonal arrays and shifted sets.
     dims
@@ -207,8 +208,8 @@ def exact_variance(
         The default is the number of dims of the sampler, unless the sampler is a spec.
     tolerance
         Largest relative error of the variance, 1e-12 to 1.
-        If f has jumps that it does not declare and that are not across an axis,
-        the least possible tolerance is 1e-3 with random points, and about 0.1 with strata.
+        Undeclared jumps of f that are not across an axis limit the tolerance:
+        the least value is 1e-3 with random points, and about 0.1 with strata.
         The message of the error gives a tolerance that is possible.
         With 1e-3 or more in at least 4 dims, f may be fitted by a sum of products.
         The factors of these products are functions of one axis.
@@ -238,9 +239,9 @@ def exact_variance(
     -----
     Undeclared jumps and poles of g across an axis are found along lines. Cells are cut there.
 
-    If ∫g has no closed form, the sums of the quadrature are compared with other integrals.
-    These integrals are checked at 2^17 probe points.
-    The points find a slab across an axis in which g differs, if its width is 2^-17 or more.
+    If ∫g has no closed form, the quadrature is compared with ∫g and ∫g² by other rules.
+    The other rules are checked at 2^17 probe points.
+    The probe points find a slab across an axis in which g differs, if its width is 2^-17 or more.
     The probe points hit any other region of volume v with probability 1 − exp(−2^17 v).
     For v = 8e-5 this is 1 − 5e-5. Narrower peaks and their variance may be missed.
     Regions that only the probe finds are examined at 2^18 other points and enter the error.
@@ -310,7 +311,7 @@ def of_integrand(
     ------
     NoClosedForm
         If `exact_variance` would raise, or the error exceeds `tolerance` times the variance.
-        The same holds if a rule would take more than about `most` evaluations.
+        The error is also raised if a rule would take more than about `most` evaluations.
     """
     g, lines = looked_at(g), False
     if not (in_closed_form(g) or g.costly):
@@ -661,7 +662,8 @@ def _of_projections(law: Law, inner: Fixed, g: Separable) -> tuple[float, float]
                 power = np.abs(sums[most + 1 :]) ** 2
                 energy = energy[1 : most + 1] / np.sinc(m / size) ** 2
                 tail = max(curve.square - float(energy.sum()), 0.0)
-                last = slice(most // 2, most)  # The tail gets the last octave's mean
+                # The mean power of the last octave is used for the tail
+                last = slice(most // 2, most)
                 weight = n * float(energy[last] @ power[last]) / max(energy[last].sum(), 1e-300)
                 error += (abs(weight - 1.0) + _SETTINGS.white) * tail / n if size == finest else 0.0
                 found.append(float(energy @ power) + weight * tail / n)
@@ -857,7 +859,7 @@ def _nested(net: Fixed, bases: tuple[int, ...], g: Integrand, rule: Rule) -> tup
     for axis, base in enumerate(bases):
         level, limit = 0, math.floor(_SETTINGS.most_bits / math.log2(base))
         # Rounding may move coordinates just below a multiple of b^-level.
-        # Such coordinates count as the multiple, as in spectra.gain
+        # Such a coordinate counts as the multiple itself, as in spectra.gain
         x = points[:, axis] + (0.0 if base & (base - 1) == 0 else 2.0**-50)
         while len(np.unique(np.floor(x * base**level))) < n:
             level += 1

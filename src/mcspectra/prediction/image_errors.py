@@ -40,7 +40,7 @@ _LOW = 0.125
 @final
 @dataclass(frozen=True, kw_only=True)
 class ImageErrorSettings:
-    """Limits of the sums over spectra of error images.
+    """Limits for predictions of the spectra of error images.
 
     Attributes
     ----------
@@ -111,12 +111,12 @@ def image_error_spectrum(
         The result has the dim radius, in cycles per pixel.
         ``predicted_power`` comes from coefficients of f and spectra of the sets.
         ``measured_power`` comes from f at the points of the sets.
-        Its interval is ``measured_power_ci``. Both powers have the units of f².
+        The interval of the measured power is ``measured_power_ci``. Both powers are in units of f².
         For white noise, the power at every frequency is the variance of a pixel.
         ``tail_term`` is the part of the prediction beyond the half width.
         If that part is large, the attribute ``note`` reports it.
         ``low_share`` ranks masks: it is the predicted power below 1/8 cycle per pixel.
-        Its unit is the mean power. White noise has a ``low_share`` of 1.
+        The unit of ``low_share`` is the mean power. White noise has a ``low_share`` of 1.
 
     Raises
     ------

@@ -228,7 +228,7 @@ def _energies(
     """Return energies of single axes and moments of the fit, and energies of g minus the fit.
 
     The energies of g minus the fit have shape (replicates, 4).
-    Their first column holds the energy of several axes, the others the entries of `_MULTIPLES`.
+    Column 0 holds the energy of several axes, and the other columns the entries of `_MULTIPLES`.
     """
     singles, means, covariances = np.zeros((len(p.main[0]), 3)), list[Array](), list[Array]()
     own, centers = len(p.main[0]), list[Array]()

@@ -248,7 +248,7 @@ class ExtrapolationSettings:
         Realizations of each small count. The relative error of a variance is √(2/2000) = 3 %.
     near_sets, near_points
         Least number of realizations of a count close to n, and least total number of points.
-        The number of realizations satisfies both requirements.
+        The number of realizations is so large that both limits are reached.
         Halving or doubling both settings changes variances by less than 4 %.
         These changes are well within the intervals of 14 to 60 %.
     most_factor
@@ -415,7 +415,7 @@ def extrapolated(
     """Fit a line to log variances measured at the small counts closest to n, but not at n."""
     # Use counts near n at which sets are as regular as at n.
     # If n is a power of two, these counts are powers of two.
-    # Otherwise they differ from n by multiples of a power of two that divides n
+    # For any other n, the counts differ from n by multiples of a power of two that divides n
     step = min(n & -n, 1 << max(0, (n // settings.near).bit_length() - 1))
     near = [n + k * step for k in (-2, -1, 1, 2)]
     if n & (n - 1) == 0:
@@ -428,7 +428,7 @@ def extrapolated(
         if count == n or len(found) == settings.fitted:
             continue
         with contextlib.suppress(CountError):
-            # If there is one technique, use its nearest counts without further warnings
+            # Counts of a single technique are allowed; a check would only repeat its warnings
             if sum(estimator.counts) > 1:
                 estimator.check_sampler(sampler, count)
             close = counts[count]
@@ -480,7 +480,7 @@ class Method:
         Name, and short description of the computation.
     predict
         Function that predicts the variance of the mean of g over points with a given law.
-        It predicts one technique, and raises `NoClosedForm` if the method does not apply.
+        The function predicts one technique; if it does not apply, it raises `NoClosedForm`.
         Methods that work on whole estimators only have no such function.
     applies
         Whether ``auto`` tries the method for a law and an integrand, decided without evaluations.
@@ -495,7 +495,7 @@ class Method:
         Approximate or largest number of evaluations of g. Several counts may share evaluations.
     of_estimator
         Function that predicts the variance of a whole estimator.
-        It is used if a method is requested by name and cannot predict techniques separately.
+        The function is used for a method requested by name that cannot predict single techniques.
     realized
         Whether the method uses realizations of the estimates. Methods share realizations.
     """
@@ -1120,7 +1120,7 @@ def predict(
     f is evaluated at quadrature nodes and on grids that `predict` chooses.
     The method ``moves`` applies up to 8,192 random shifts or scrambles to a fixed set.
     Lattices with shift and nets with digital-shift use ``moves`` in 1 to 3 dims.
-    Other shifted or scrambled sets use it if sums of products leave a half interval over 3 %.
+    Other moved or scrambled sets use ``moves`` if sums of products leave a half interval over 3 %.
     Linear scrambles replace nested scrambles, because their pairs have the same law.
 
     For samplers without known structure, in 1 to 3 dims, the method ``table`` is used.
@@ -1130,15 +1130,15 @@ def predict(
     If f is cheap, counts close to n are used instead, but never n itself.
     Such measurements are also made if jumps and kinks across many axes leave a wide interval.
     An interval is wide if it exceeds a fifth of the predicted variance.
-    Then the narrower of the two intervals is used.
+    Of the two results, the result with the narrower interval is then used.
 
     The limit of the rate is known in theory for random points, and for jumps in up to 5 dims.
     Random points have the limit −1.
     Strata of the cube and jumps along curves have the limit −1 − 1/d.
     For other sets it is −2 if g jumps across an axis, unless the jumps are always at cell borders.
-    These limits are used if the last slopes are no slower.
+    These limits are used if the last slopes are at least as steep.
 
-    Otherwise the slopes over the last octaves must agree.
+    Without such a limit, the slopes over the last octaves must agree.
     The octaves extend to 4 times the last count, or to n = 2^16 for strata.
     This extension is made only in 1 to 3 dims, and only if no sets have to be drawn.
     The limit is then a nearby exponent of theory: −1 − k/d with an integer k, −2 or −3.
@@ -1180,8 +1180,8 @@ class Predictor:
     ) -> None:
         """Set up a predictor.
 
-        If `measured` is given, it holds settings by sampler.
-        Variances are then measured within a limit of evaluations.
+        If `measured` is given, it holds settings by sampler, and variances are measured.
+        The measurements use at most `limit` evaluations.
         """
         self.estimator, self.measured, self._limit = estimator, measured, limit
         self._known = knowledge(estimator)

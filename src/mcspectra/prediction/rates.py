@@ -78,7 +78,7 @@ class DecaySettings:
         Largest change of the exponent over these octaves.
         A fit with a larger change is reported as not settled.
         For test functions with jumps and kinks, the exponent changes by at most 0.9.
-        It changes by 8.6 for a Gaussian of width 0.1, whose kink at the border is still hidden.
+        The change is 8.6 for a Gaussian of width 0.1, whose kink at the border is still hidden.
     widths, width
         Default half widths by number of dims, and the default for all other numbers of dims.
         The half width is larger in 1-D, because 1-D spectra have few frequencies per shell.
@@ -213,7 +213,7 @@ def predicted_rate(b: float, decay: float | str, dims: int) -> float:
     ----------
     b
         Exponent of the power of the points at low frequencies.
-        It is 0 for random and Poisson disk sets, 2 for jittered sets and infinite for step noise.
+        The exponent is 0 for random and Poisson disk sets, 2 for jittered sets, ∞ for step noise.
         Sets that are optimized for smooth functions have larger exponents than jittered sets.
     decay
         The decay γ: averaged over directions, |f_m|² is proportional to |m|^-γ.

@@ -156,7 +156,7 @@ class SubsetSettings:
         Halving or doubling this value gives the same results.
     stands_out
         A profile jumps where its step is this many times as large as the neighboring steps.
-        It has a kink where its slope changes this many times as much as at neighboring nodes.
+        A profile has a kink where its slope changes this many times as much as at nodes nearby.
         Halving or doubling this value changes only the result for the ball.
     halvings
         Number of bisections of a jump. They reduce steps of 1/128 to 2^-47.

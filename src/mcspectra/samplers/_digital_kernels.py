@@ -24,9 +24,10 @@ __all__ = [
 
 @kernel
 def direction_numbers(polynomials: Array, initial: Array, out: Array) -> None:
-    """Continue Sobol' direction numbers by their recurrence; out uint32 (d, 32), 2^31 means ½.
+    """Compute Sobol' direction numbers by their recurrence: out uint32 (d, 32), where 2^31 means ½.
 
-    polynomials (d,): bit k is the coefficient of x^k; initial (d, s): the odd m_1 … m_s.
+    Bit k of an entry of polynomials (d,) is the coefficient of x^k.
+    Each row of initial (d, s) has the odd numbers m_1 … m_s, which start the recurrence.
     """
     for j in range(out.shape[0]):
         degree = 0

@@ -297,7 +297,7 @@ def _draw_permutation(k0: np.uint64, k1: np.uint64, number: int, order: Array) -
 @kernel
 def _draw_images(k0: Any, k1: Any, number: int, places: int, base: int, shift: bool) -> Any:
     # Draw the random image of each digit in each place, the lowest place first: int64 (m, b).
-    # Also make one uniform number for the digits below, the same for all points.
+    # Also draw one uniform number for all digits below, the same for all points.
     out = np.empty((places, base), np.int64)
     for k in range(places):
         if shift:

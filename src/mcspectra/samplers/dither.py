@@ -2,7 +2,7 @@
 
 Void and cluster fills the cells of a fine grid one by one, always at the emptiest place.
 Low-discrepancy blue noise starts from a blue-noise set.
-It moves the points within their cells, so that they form a low-discrepancy set.
+The method then moves the points within their cells, so that they form a low-discrepancy set.
 
 A spatio-temporal mask fills the cells of T frames of s × s cells, which also repeat in time.
 Two cells of one frame repel each other by a Gaussian in space.
@@ -23,8 +23,8 @@ Arrays ``points`` float64 (s, s, 2) have one point in each of s × s cells, in u
 the point of cell (i, j) is in [i, i+1) × [j, j+1), on the torus.
 
 The width of the Gaussian is 1.5 cells, as in Ulichney's paper.
-If the spacing of the ones exceeds three cells, the width grows with the spacing,
-because a Gaussian must reach the next point to locate it.
+If the spacing of the ones exceeds three cells, the width grows with the spacing.
+The reason is that voids are found only if the Gaussian of each point reaches the next point.
 """
 
 from __future__ import annotations

@@ -105,14 +105,14 @@ class ScipySampler(OneByOne):
         ----------
         engine
             For an instance, only its class and arguments are used.
-            Its generator and its position in the sequence are ignored.
+            The instance's generator and its position in the sequence are ignored.
         arguments
             Arguments of a class, such as its number of dims or ``scramble``.
 
         Raises
         ------
         ParameterError
-            If `engine` has another type, or the arguments of an instance cannot be found.
+            If `engine` has a wrong type, or the arguments of an instance cannot be found.
         """
         if isinstance(engine, _engine_base()):
             if arguments:
@@ -268,8 +268,8 @@ class QmcpySampler(OneByOne):
 
     Notes
     -----
-    QMCPy keeps up to 63 binary digits. Coordinates that round up to 1.0
-    are replaced by the largest double below 1. Larger coordinates are errors.
+    QMCPy keeps up to 63 binary digits, so coordinates may round up to 1.0.
+    The largest double below 1 replaces 1.0. Larger coordinates are errors.
     Points of QMCPy's own classes count as uniform after some randomizations:
     shifts, digital shifts, digital permutations and nested scrambling.
     Options that name tables are read from QMCPy's folder or from a file, never from the network.
@@ -313,7 +313,7 @@ class QmcpySampler(OneByOne):
         Raises
         ------
         ParameterError
-            If `generator` has another type, or does not accept the arguments.
+            If `generator` has a wrong type, or does not accept the arguments.
         MissingDependency
             If QMCPy is not installed.
         """
@@ -347,7 +347,7 @@ class QmcpySampler(OneByOne):
 
     @property
     def spec(self) -> str:
-        """Spec string; for an instance, or a class outside QMCPy, its own description."""
+        """Spec string; an instance, or a class outside QMCPy, is described by its own text."""
         if isinstance(self.generator, str):
             return format_call(self)
         made = self._pattern

@@ -273,9 +273,8 @@ class GivenPoints(Sampler):
 def net_quality(points: Array, like: tuple[int, int] | None = None) -> tuple[int, int] | None:
     """Return base and quality t of a digital net in base 2, 3 or 5; None for other sets (n, d).
 
-    A set of b^m points is a (t, m, d)-net if each elementary interval of volume b^(t − m)
-    contains b^t points. Every set is a net for t = m.
-    Therefore a set counts as a net only if m − t is large enough.
+    A (t, m, d)-net has b^m points: b^t points in each elementary interval of volume b^(t − m).
+    Every set is a net for t = m, so a set counts as a net only if m − t is large enough.
     The least m − t is 3 in base 2, and 2 in bases 3 and 5.
     Below 64 points, the least m − t is 4 in base 2 and 3 in base 3 (or m if m is smaller).
     If the same file has a larger net `like` in this base, a t no larger than the net's t suffices.
@@ -304,7 +303,7 @@ def recognized(points: Array, bases: tuple[int, ...] | None) -> Fixed:
 
     The set is a net in the given bases, unless `bases` is None.
     The set is digital if its digits form a group.
-    It is a lattice if its differences form a group on the torus.
+    The set is a lattice if its differences form a group on the torus.
     """
     n, dims = points.shape
 
@@ -401,7 +400,7 @@ def _by_count(sets: Iterable[tuple[str, object]]) -> dict[int, Array]:
             )
         found.setdefault(len(points), []).append(points)
     if not found:
-        return {0: _as_sets([])}  # raises an error, because there are no points
+        return {0: _as_sets([])}  # this call raises the error that there are no points
     return {n: _as_sets(np.stack(found[n])) for n in sorted(found)}
 
 
@@ -739,7 +738,7 @@ def allow_code(*names: str) -> None:
     The name ``'./mine'`` allows this program with any arguments.
     The name ``'module:function'`` allows the spec ``python('module:function')``.
     Samplers that are made from their classes in Python need no permission.
-    Their specs are also allowed from then on.
+    The specs of such samplers are also allowed from then on.
 
     Raises
     ------

@@ -87,7 +87,7 @@ class Rank1Lattice(_Lattice):
 
     The minimum is over all z_j ≤ n/2 coprime to n.
     The search tries all z_j if this takes at most 2^24 values of B_2 (n up to 5,792).
-    Otherwise it tries at least 16 evenly spaced values of z_j.
+    Otherwise the search tries at least 16 evenly spaced values of z_j.
     Vectors are kept in memory by (n, d).
 
     References
@@ -144,8 +144,8 @@ def nested_lattices(sampler: Sampler, n: int, parts: int, *, at_once: bool = Fal
         A `Rank1Lattice` with randomizations. If it has a vector, it is returned as it is.
     n, parts
         Number of points n, a multiple of `parts`.
-        By default, `parts` is a power of two: the points 0, k, 2k, … form a lattice
-        for each power of two k up to `parts`.
+        By default, `parts` is a power of two.
+        For each power of two k up to `parts`, the points 0, k, 2k, … form a lattice.
         With `at_once`, these points form a lattice for k = parts only.
         The smallest lattice is the default lattice of n/parts points.
     """
@@ -195,7 +195,7 @@ class Korobov(_Lattice):
     The search minimizes P_2, as in `Rank1Lattice` but with equal weights γ_j = 1.
     Candidates are all a ≤ n/2 coprime to n, since n − a gives the reflected lattice.
     The search tries all of them if that takes at most 2^24 values of B_2 (n up to 4,096 in 2-D).
-    Otherwise it tries at least 16 evenly spaced values of a.
+    Otherwise the search tries at least 16 evenly spaced values of a.
     Generators are kept in memory by (n, d).
 
     References
@@ -291,8 +291,8 @@ class Kronecker(FixedSet):
     Attributes
     ----------
     alpha
-        The vector α, one number per dim. The default is the vector of the R-sequence: α_j = φ^(−j),
-        where φ is the root greater than 1 of φ^(d+1) = φ + 1; in 1-D, φ is the golden ratio.
+        The vector α, one number per dim. The default is the vector of the R-sequence: α_j = φ^(−j).
+        The number φ > 1 is the root of φ^(d+1) = φ + 1; in 1-D, φ is the golden ratio.
 
     Notes
     -----

@@ -8,7 +8,7 @@ The covariance C_ml is a property of the sampler's law.
 A sampler states its law once, in `Sampler.law`. All else is computed by functions of the law:
 closed forms, exact variances, predictions, rates and the fitting basis.
 These functions dispatch on the class at the root of a law, and recurse.
-These functions never test a sampler's name.
+No function tests a sampler's name.
 
 A law is a small tree of frozen classes. Leaves describe how points are drawn:
 
@@ -89,7 +89,7 @@ __all__ = [
 _MOST_TERMS = 2**32
 """Largest number of terms of a sum over points and frequencies: about half a minute."""
 _MOST_COUNTS = 2**28
-"""Largest product of points and levels in comparisons of digits: about a minute."""
+"""Largest number of points, times levels of digits, in comparisons of digits: about a minute."""
 _TERMS_AT_ONCE = 2**22
 """Number of terms held in memory at a time: 64 MB of complex numbers."""
 

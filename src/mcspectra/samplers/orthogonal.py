@@ -37,8 +37,8 @@ class LatinHypercube(Sampler):
 
     Notes
     -----
-    Strength 2 is Tang's construction: an orthogonal array divides each coordinate into p parts,
-    and the p points in each part are shuffled over p sub-strata.
+    Strength 2 is Tang's construction: an orthogonal array divides each coordinate into p parts.
+    The p points in each part are shuffled over p sub-strata.
     With strength 2, the sampler equals orthogonal-array with its default jitter.
 
     References

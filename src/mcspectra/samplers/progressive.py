@@ -5,7 +5,7 @@ Before pass k, each of 2^k equal intervals of an axis has one point, in one half
 Pass k puts one point into the other half of each interval.
 The assignment of new points to intervals determines the further stratification.
 The position of a point within its half is random.
-This makes the sequence Owen-scrambled without digit permutations [Helmer2021]_.
+Random positions make the sequence Owen-scrambled without permutations of digits [Helmer2021]_.
 
 Notation of the kernels: ``keys`` uint64 (R, 2) from `Stream.keys`; ``out`` float64 (R, n, 2).
 A coordinate is a word of 53 bits; its level-ℓ bit is worth 2^-(ℓ+1).
@@ -166,14 +166,12 @@ def pairings() -> Array:
     The basis of the polynomials is 1, t, b, b·t, b², b²·t, … with b = t² + t.
     The digits of x are the polynomial's coefficients in powers of t.
     The digits of y are its coefficients in powers of t + 1.
-    These are the first two axes of Sobol'.
+    Such x and y are the first two coordinates of Sobol' points.
 
     Multiples of b^m do not change the first m digits of x or y.
     Each block of 4^m points therefore has one point in each of 2^m × 2^m cells.
-    Partners on the first axis have coordinates x that differ only in digit k.
-    Their polynomials therefore differ by t^k.
-    Partners on the second axis have coordinates y that differ only in digit k.
-    Their polynomials therefore differ by (t + 1)^k.
+    Partners on the first axis differ only in digit k of x, so their polynomials differ by t^k.
+    Partners on the second axis differ only in digit k of y: their polynomials differ by (t + 1)^k.
     """
     even = 0x5555555555555555
     out = np.empty((2, _PASSES), np.uint64)

@@ -108,7 +108,7 @@ def as_sampler(source: Any, dims: int | None = None) -> Sampler:
     Raises
     ------
     ParameterError
-        If `source` has another type, or another number of dims.
+        If `source` has a wrong type or a wrong number of dims.
     """
     if isinstance(source, str):
         return sampler(source, dims)

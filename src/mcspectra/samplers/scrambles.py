@@ -281,7 +281,7 @@ class Lms(_OfDigits):
     """Random linear matrix scrambling: each generator matrix times a random lower triangular one.
 
     The digits of each coordinate are multiplied by a random lower triangular matrix.
-    Its diagonal is nonzero. Arithmetic is modulo the base, which must be a prime. Nets stay nets.
+    The matrix has a nonzero diagonal. Arithmetic is modulo the base, a prime. Nets stay nets.
     Pairs of points of a net have the same law as with owen.
     Variances are therefore the same as with owen, at lower cost.
     There are fewer different sets than with owen, and these sets are more regular.

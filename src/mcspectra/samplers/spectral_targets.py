@@ -86,7 +86,7 @@ class StepBlueNoise(_MatchedSampler):
     ----------
     cutoff
         Cutoff ν in units of √n: mean power is 0 for |m| < ν √n, and 1 above.
-        It is at most 1/√π = 0.564, since a higher cutoff would need a negative density of pairs.
+        The largest ν is 1/√π = 0.564; a higher cutoff would need a negative density of pairs.
     iterations
         Largest number of descent steps.
     sets
@@ -133,8 +133,8 @@ class TargetSpectrum(_MatchedSampler):
     The descent starts from independent uniform points.
     The descent fits the mean power of rings of frequencies of width one.
     Single sets therefore follow the curve more closely than random fluctuations would allow.
-    If the pair correlation of the target (its Hankel transform) is negative somewhere,
-    no point sets have this power, and the target is refused.
+    A target is refused if its pair correlation (its Hankel transform) is negative somewhere,
+    because no point sets have such a power.
     `misfit` measures the difference between the power of a set and the target.
 
     References
@@ -169,7 +169,7 @@ class TargetPcf(_MatchedSampler):
         Distances of the knots, r√n: increasing, from 0 to 4.
     pcf
         Pair correlation at the knots: 1 for independent points.
-        It is constant before the first knot, and 1 after the last knot.
+        The curve is constant before the first knot, and 1 after the last knot.
     iterations
         Largest number of descent steps.
     sets

@@ -73,8 +73,7 @@ def estimate_study(plan: StudyPlan, *, probe_seconds: float = 10.0) -> list[Cell
     Returns
     -------
     list of CellEstimate
-        One estimate per cell. For an analysis that may stop early,
-        the time of all its realizations is estimated.
+        One estimate per cell. An analysis that may stop early is assumed to use all realizations.
     """
     if not isinstance(plan, StudyPlan):
         raise ConfigError(f"{shown(plan)} is not a plan; pass the result of make_plan.")

@@ -405,7 +405,7 @@ class Dask:
         from distributed import KilledWorker
 
         try:
-            # This may wait. If the worker has died in the meantime, the task is computed again
+            # Fetching a result may take long: if the worker has died, the task is computed again
             outcome, occupied = future.result(timeout=_DESERTED)
         except (concurrent.futures.CancelledError, asyncio.CancelledError):
             return self._resubmit(pending)

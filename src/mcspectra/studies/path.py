@@ -4,8 +4,8 @@ Method
 ------
 All changes are measured at the same counts and with the same random numbers as the given path.
 The function `mcspectra.improve.remedy.ranked` compares the changes at the largest count.
-The cost of a path is proportional to its number of random numbers; the given path has cost 1.
-This measure is used for changes of Russian roulette.
+If Russian roulette changes, the cost of a path is measured by its number of random numbers.
+The cost of the given path is 1.
 The number of random numbers grows with the iterations of the integrator's loop.
 Each iteration traces one ray and at most one shadow ray.
 A change that needs a pilot is compared with the given path at an equal total of paths.
@@ -64,8 +64,8 @@ PATH_SAMPLERS = ("random", "latin-hypercube", "rank1-lattice | shift", "sobol | 
 """Samplers that are compared by default; they support any count in any number of dims."""
 
 _EFFORTS = {
-    # Values of each effort: the counts n, the number of realizations, the number of realizations
-    # for the ANOVA, the number of paths for the shares of lights, and whether to predict variances
+    # Counts n, realizations, realizations for the ANOVA, paths for the shares of lights,
+    # and whether variances are predicted
     "quick": ((16, 64, 256, 1024), 200, 10_000, 2**14, False),
     "full": ((16, 64, 256, 1024, 4096), 1000, 100_000, 2**17, True),
 }

@@ -365,7 +365,7 @@ def write_zarr(folder: Path) -> Path | None:
     Raises
     ------
     StorageError
-        If it cannot be written; the ledger still has all results.
+        If the store cannot be written; the ledger still has all results.
     """
     target = folder / STORE_NAME
     with Ledger.read(folder) as ledger:
@@ -382,7 +382,7 @@ def export_results(source: str | Path, file: str | Path, select: str | None = No
     """Write results to a file; its extension sets the format.
 
     A ``.csv`` file is one table. It contains single numbers, and arrays over the counts n.
-    It also contains arrays over dims whose labels are names, such as the channels.
+    The table also contains arrays over dims whose labels are names, such as the channels.
     The columns are estimator, sampler, analysis, n, the named dims, variable, value and unit.
     The columns low and high are the ends of the 95 % interval, and se is the standard error.
     A ``.zarr`` store has all results with their attributes.
