@@ -229,8 +229,8 @@ def exact_variance(
     ------
     NoClosedForm
         If the variance is not known for this sampler, or the quadrature does not converge.
-        Quadratures may not converge at discontinuities that are not axis-aligned,
-        unless f is integrated in closed form.
+        Quadratures may not converge at discontinuities that are not axis-aligned.
+        This does not matter if f is integrated in closed form.
         If g is equal at all points of the probe, but not declared constant.
     ParameterError
         If `tolerance` is not a number from 1e-12 to 1.

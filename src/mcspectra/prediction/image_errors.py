@@ -56,7 +56,7 @@ class ImageErrorSettings:
         A loss of 1 % of the power is less than the standard error of 16 images.
     beyond
         A note reports a band if more than this fraction of its power lies beyond the half width.
-        Power of this size beyond the half width can change the order of masks.
+        Power of this size beyond the half width can change the ranking of masks.
     precision
         Relative error of the transforms, far below that of the images.
     """
@@ -97,8 +97,8 @@ def image_error_spectrum(
     half_width
         Frequencies m in {−half_width … half_width}^d are predicted term by term.
         The rest of ∫f² is treated as if points were random and pixels independent.
-        The default is 24. With closed-form coefficients it is doubled as needed:
-        until the rest is under 1 % of every band, or there are 2^21 frequencies.
+        The default is 24. With closed-form coefficients, it is doubled as needed.
+        Doubling ends when the rest is under 1 % of every band, or at 2^21 frequencies.
     images
         Number of independent images, at least 2.
         Each image has its own shared set and its own position of the mask.

@@ -191,7 +191,7 @@ class _Sums:
         Means of the factors, (dims, products).
     covariances
         Three kinds of covariances: of the factors, of means over parts, and of means over strata.
-        The shape of all three is (dims, 3, products, products).
+        The array of all three kinds has shape (dims, 3, products, products).
     """
 
     single: Array

@@ -1,4 +1,4 @@
-"""Predictions of the variance at every n, by the most trusted method, a given one, or by all.
+"""Predictions of the variance at every n, by the most trusted method, a given method, or all.
 
 `METHODS` lists the methods in their order of trust.
 The methods from the first to ``extrapolated`` work in primary space.
@@ -134,7 +134,7 @@ class QuadratureSettings:
         This number is a sixteenth of the limit of `exact_variance`.
         Values from 2^20 to 2^24 give the same results for the same samplers.
     most_breaks
-        Randomly shifted strata in several dims are integrated up to this number of breaks of g.
+        Largest number of breaks of g for the quadrature of shifted strata in several dims.
         Offsets are cut at each break along each axis, so their number grows with the power d.
     """
 
@@ -282,13 +282,13 @@ class EvaluationLimits:
         Predictions by these other methods need 1.2 to 13 million evaluations.
         These numbers are for smooth functions and jumps in 1-D to 4-D with four samplers.
     sets, least_sets
-        Number of realizations of each count above which larger counts are measured as well.
+        If every count has more than this number of realizations, larger counts are also measured.
         `least_sets` is the least number of realizations of any count.
         Variances of 100 and of 16 realizations have standard errors of 14 % and 35 %.
     first, least_counts
         Smallest measured count, and least number of measured counts.
         Two counts determine a line, and one or two further counts determine its error.
-        The predicted count is excluded.
+        The count whose variance is predicted is not measured.
     beyond
         Ratio of the largest measured count to the largest requested count.
     probe
@@ -948,7 +948,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
             for texts in (cells.methods, cells.hows, cells.notes)
         )
 
-        # Collect the notes. With all methods, the reasons are only in `how`
+        # Collect the notes. If all methods are requested, reasons are only in `how`
         said = list(dict.fromkeys(filter(None, notes)))
         if predictor.measured is not None:
             said.append(
@@ -1203,7 +1203,7 @@ class Predictor:
                 raise NoClosedForm(f"a deterministic sampler {NO_VARIANCE}")
             known, stream = self._known, self._stream
             if self.measured is not None:
-                if name == _LIMIT:  # Measurements end at the requested counts
+                if name == _LIMIT:  # Larger counts than requested are not measured
                     raise NoClosedForm("a measurement does not extend beyond the requested counts")
                 reason, lost = known[0].once("doubt", self._doubted) or ("", False)
                 if lost:

@@ -211,7 +211,7 @@ class DualSettings:
         Number of frequencies of the dual lattice in a box.
         Halving or doubling this value changes the variance by less than 0.04 %.
     periods, strip
-        `periods` is the end of the strips in units of n, and `strip` their number of frequencies.
+        `periods` is the end of the strips in units of n. A strip has `strip` frequencies.
         Halving or doubling either value changes the variance by less than 0.03 %.
     jump
         Largest ratio of the energies Σ |g_m|² of two successive octaves of frequency.

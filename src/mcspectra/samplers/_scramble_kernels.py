@@ -328,7 +328,7 @@ def _group_images(images: Array, most: int) -> Array:
 
 @kernel
 def permute_digits(keys: Array, bases: Array, shift: bool, points: Array, out: Array) -> None:
-    """Permute each digit at random, equally for all points (with `shift`, add modulo b).
+    """Permute each digit at random, equally for all points; with `shift`, add a random digit.
 
     The part below the last digit is one uniform number per coordinate, the same for all points.
     """
@@ -512,7 +512,7 @@ def scramble_trees(keys: Array, bases: Array, points: Array, out: Array) -> None
 
 @kernel
 def _draw_triangle(k0: np.uint64, k1: np.uint64, number: int, base: int, out: Array) -> None:
-    # Draw a lower triangular matrix with diagonal from 1 to b − 1; out int64 (m, m) is its columns
+    # Draw a lower triangular matrix with diagonal entries 1 … b − 1; out int64 (m, m), by columns
     for c in range(out.shape[0]):
         for row in range(c, out.shape[0]):
             least = 1 if c == row else 0

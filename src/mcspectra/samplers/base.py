@@ -263,7 +263,7 @@ class Sampler(Component, ABC):
         """Make realizations first … first + count − 1: float64 (count, n, dims)."""
 
     def _before(self, randomization: Randomization) -> Sampler:
-        """Return the sampler to which `randomization` is applied; given points may be reused."""
+        """Return the sampler to which `randomization` is applied, so that given sets can be reused."""
         del randomization
         return self
 
@@ -413,7 +413,7 @@ class Randomized(Sampler):
     """The sampler that the last step is applied to."""
 
     def __post_init__(self) -> None:
-        # Derive the declarations from the inner sampler and the last step
+        # Derive the declared properties from the inner sampler and the last randomization
         *rest, last = self.steps
         inner = replace(self, steps=tuple(rest)) if rest else self.base
         settle(

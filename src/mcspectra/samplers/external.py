@@ -85,7 +85,7 @@ _own: set[str] = set()
 
 
 def as_label(name: str, given: object) -> str:
-    """Check a short printable text of a field."""
+    """Check that the text of a field is short and printable, and return it."""
     if isinstance(given, str) and len(given) <= 80 and given.isprintable():
         return given
     raise ParameterError(
@@ -375,7 +375,7 @@ def _as_paths(given: object) -> tuple[str, ...]:
 
 
 def _read(paths: Sequence[str]) -> Iterator[tuple[str, Array]]:
-    """Yield all sets of all files in order, with file names; compare n with the name."""
+    """Yield all sets of all files in order, with file names; check the number n in a file's name."""
     for file, n in (found for path in paths for found in matching_files(path)):
         for points in read_points(file):
             if n is not None and len(points) != n:

@@ -88,7 +88,7 @@ class Rank1Lattice(_Lattice):
     The minimum is over all z_j ≤ n/2 coprime to n.
     The search tries all z_j if this takes at most 2^24 values of B_2 (n up to 5,792).
     Otherwise the search tries at least 16 evenly spaced values of z_j.
-    Vectors are kept in memory by (n, d).
+    The vector for each pair (n, d) is kept in memory.
 
     References
     ----------
@@ -126,7 +126,7 @@ def _built_vector(n: int, dims: int) -> tuple[int, ...]:
     candidates = _candidates(n, _EVALUATIONS // n)
     product, vector = np.ones(n), []
     for j in range(1, dims + 1):
-        # All first components give the same points, so take 1
+        # In one dim all components give the same points, so the first component is 1
         options = candidates if j > 1 else candidates[:1]
         errors = [product @ bernoulli[k * z % n] for z in options]
         best = int(options[_first_least(errors)])
@@ -196,7 +196,7 @@ class Korobov(_Lattice):
     Candidates are all a ≤ n/2 coprime to n, since n − a gives the reflected lattice.
     The search tries all of them if that takes at most 2^24 values of B_2 (n up to 4,096 in 2-D).
     Otherwise the search tries at least 16 evenly spaced values of a.
-    Generators are kept in memory by (n, d).
+    The generator for each pair (n, d) is kept in memory.
 
     References
     ----------
@@ -373,7 +373,7 @@ def golden_steps(dims: int) -> Array:
 
 @kernel
 def _fill_kronecker(steps: Array, out: Array) -> None:
-    # Fill out (n, d) with 0, α, 2α, … modulo 1 = 2^64 units; steps uint64 (d,)
+    # Fill out (n, d) with 0, α, 2α, … modulo 1; steps uint64 (d,) is α in units of 2^-64
     n, dims = out.shape
     for j in range(dims):
         multiple = np.uint64(0)

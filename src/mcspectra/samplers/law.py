@@ -442,7 +442,7 @@ class Fixed(Law):
         Raises
         ------
         ParameterError
-            If counting would take more than about a minute.
+            If counting the points would take more than about a minute.
         """
         work = float(self.n) * float(levels + 1) ** self.dims
         if work > _MOST_COUNTS:
@@ -795,7 +795,7 @@ def bases_to_scramble(laws: Sequence[Law]) -> tuple[int, ...] | None:
     The result is None for lattices, which scrambling breaks, and for sets that are not nets.
     For lattices and for sets that are not nets, a shift is the better randomization.
     A set of a few points can be both a net and a lattice.
-    The other sets then decide between scrambling and a shift.
+    For such a set, the other sets decide between scrambling and a shift.
     """
     found = {law.bases if isinstance(law, Fixed | Unknown) else None for law in laws}
     if len(found) > 1 or all(isinstance(law, Fixed) and law.even for law in laws):
@@ -811,7 +811,9 @@ def is_power(n: int, base: int) -> bool:
 
 
 def mean_of_terms(n: int, nu: Array, terms: Callable[[Array], Array]) -> Array:
-    """Return the mean of `terms` over n points at frequencies (..., d), in blocks (F, d).
+    """Return the mean of the function `terms` over n points, at frequencies (..., d).
+
+    The function gets frequencies in blocks (F, d).
 
     Raises
     ------

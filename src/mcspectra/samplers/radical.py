@@ -49,7 +49,7 @@ class RadicalInverses(FixedSet):
 
     @property
     def scrambles(self) -> int:  # type: ignore[override]
-        """Number of built-in randomizations; later randomizations use later streams."""
+        """Number of built-in randomizations; further randomizations use other random streams."""
         return int(self.scramble != "none")
 
     def draw_nested(self, n: int, stream: Stream, first: int, count: int) -> Array:

@@ -263,7 +263,7 @@ def _clip_all(keys: Array, points: Array, out: Array) -> None:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Mirror(Randomization):
-    """Mirroring: put samples into one random mirror image of the integrand, into all, or fold them.
+    """Mirroring: put samples into a random mirror image of the integrand, into all, or fold them.
 
     Attributes
     ----------
@@ -453,7 +453,7 @@ class Decorrelate(Randomization):
             )
 
     def fit(self, sampler: Sampler) -> Randomization:
-        """Check that the mode accepts the sampler, and that a mask is not used in other bases."""
+        """Check that the mode accepts the sampler, and that a mask is used in base 2 only."""
         Randomization.fit(self, sampler)
         self._step().fit(sampler)
         if self.advance and not sampler.sequence:

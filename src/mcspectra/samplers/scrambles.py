@@ -36,7 +36,7 @@ def _as_base(name: str, base: object) -> Base:
 
 
 class _OfDigits(Randomization):
-    """A randomization of digits in the given `base`; by default in the sampler's base, else 2."""
+    """A randomization of digits in `base`, by default the sampler's base, or 2 if it has none."""
 
     pointwise: ClassVar[bool] = True
     fits: ClassVar[Mapping[Structure, Structure]] = {
@@ -73,7 +73,7 @@ class _OfDigits(Randomization):
         return self if self.base is not None or set(bases) == {2} else replace(self, base=bases)  # type: ignore[type-var]
 
     def counts_near(self, sampler: Sampler, n: int) -> tuple[int | None, int]:
-        """For strata, allow only powers of the base, so that sides of strata are powers too."""
+        """For strata, allow only powers of the base, so that sides of strata are also powers."""
         if not sampler.powers_only:
             return sampler._counts_near(n)
         base, places = self._bases(sampler.dims)[0], 0

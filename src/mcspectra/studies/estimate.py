@@ -149,7 +149,7 @@ def _measured(cell: StudyCell, seed: int, left: float) -> tuple[float, int] | No
         return None
     few = min(_FEW, realizations)
     try:
-        first, size = _timed(cell, few, seed)  # The first time includes compilation
+        first, size = _timed(cell, few, seed)  # The first run may include compilation
         again, _ = _timed(cell, few, seed)
         if 2 * again > left:
             return first + again * realizations / few, size

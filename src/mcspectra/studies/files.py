@@ -556,7 +556,7 @@ def _struct(table: Any, kind: type[Struct], place: str, beside: tuple[str, ...] 
             raise ConfigError(f"{where}the key {shown(name)} is missing.")
     try:
         return msgspec.convert(clean, kind)
-    except msgspec.ValidationError as error:  # The options themselves do not check this type
+    except msgspec.ValidationError as error:  # For types that options do not check
         raise ConfigError(f"{where}{error}.") from None
 
 

@@ -661,7 +661,7 @@ class Ledger:
     def _begin(
         self, study: StudyNote, paths: Sequence[str], outdated: Collection[str] | None
     ) -> None:
-        """Take the lock and begin to write; `outdated` is None to accept only a new ledger."""
+        """Take the lock and begin to write. If `outdated` is None, only a new ledger is accepted."""
         self._lock = _locked(self.folder)
         exists, old = self._file.exists(), (self.folder / STORE_NAME).exists()
         if (exists or old) and outdated is None:
@@ -681,7 +681,8 @@ class Ledger:
             self._header = _Header(study=about, cells=len(paths), plan=_plan_digest(paths))
             self.tally = StudyTally(started=_now())
             self._replace(study.config, paths, ())
-            self.__dict__["_listing"] = list(paths), {}  # Avoid reading back up to a million paths
+            # Keep the paths, so that up to a million of them need not be read from the file
+            self.__dict__["_listing"] = list(paths), {}
 
         # Note this process as the writer, and commit pending changes once a second
         host = socket.gethostname()

@@ -81,7 +81,7 @@ _FEWEST = 100  # Minimum number of realizations to compare two changes
 _LIGHTS = 1  # Label of the random stream
 _MOST_LIGHTS = 64
 _PILOT = 2**10  # Number of pilot paths for the selection of lights
-_LEAST = 0.05  # Fraction of the selection that is uniform over all lights
+_LEAST = 0.05  # Part of the selection probability that is uniform over all lights
 _COUNTS = 5  # Maximum number of counts to measure; the largest counts are kept
 _DEPTHS = (1, 2, 3, 5)  # Depths at which roulette may start; "no roulette" is also tried
 _ENDLESS = 2**16  # Largest max_depth without roulette, so that paths end
@@ -141,10 +141,10 @@ def analyse_path(
     -------
     xarray.DataTree
         ``convergence``: measured variances by `mcspectra.convergence` on (sampler, n).
-        ``anova/KIND``: `mcspectra.anova_variances` of a random path, in up to 64 groups of axes.
+        ``anova/KIND``: result of `mcspectra.anova_variances` for random paths, up to 64 groups.
         KIND is ``bounce``, ``decision``, ``request`` (both) or ``coordinate`` (not grouped).
         ``lights``: shares of the variance by `shares_by_light`, for 2 to 64 lights.
-        ``remedies``: `path_remedies` of the last sampler at the largest n.
+        ``remedies``: result of `path_remedies` for the last sampler at the largest n.
         ``predict``, with full effort: predicted variances by `mcspectra.predict` on (sampler, n).
         Attributes of the root: the pixel, the integrator, and names of the coordinates.
         ``lights_note`` gives the reason if shares of lights are unknown.

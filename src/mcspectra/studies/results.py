@@ -196,7 +196,7 @@ def open_results(source: str | Path, select: str | None = None) -> xr.DataTree:
 def _opened(
     source: str | Path, select: str | None, *, whole: bool = True
 ) -> tuple[dict[str, Any], dict[str, xr.Dataset]]:
-    """Return root attributes and cells; without `whole`, a single path omits ``study``."""
+    """Return root attributes and cells; for a single cell without `whole`, ``study`` is omitted."""
     register_accessor()
     ledger = _ledger(source, select)
     if ledger is None:
@@ -642,7 +642,7 @@ def _group(attributes: Mapping[str, Any] | None = None) -> dict[str, Any]:
 
 
 def _array_document(variable: xr.Variable) -> dict[str, Any]:
-    """Return the document of an array of a store: one chunk without compression."""
+    """Return the metadata document of an array of a store: one chunk without compression."""
     kind, shape = variable.dtype, list(variable.shape)
     chunk = {"chunk_shape": [max(1, size) for size in shape]}
     return {
