@@ -263,7 +263,7 @@ class Sampler(Component, ABC):
         """Make realizations first … first + count − 1: float64 (count, n, dims)."""
 
     def _before(self, randomization: Randomization) -> Sampler:
-        """Return the sampler to which `randomization` is applied, so that given sets can be reused."""
+        """Return the sampler to which `randomization` is applied; given sets may be reused."""
         del randomization
         return self
 

@@ -375,7 +375,7 @@ def _as_paths(given: object) -> tuple[str, ...]:
 
 
 def _read(paths: Sequence[str]) -> Iterator[tuple[str, Array]]:
-    """Yield all sets of all files in order, with file names; check the number n in a file's name."""
+    """Yield all sets of all files in order, with file names; check the n in a file's name."""
     for file, n in (found for path in paths for found in matching_files(path)):
         for points in read_points(file):
             if n is not None and len(points) != n:

@@ -53,7 +53,7 @@ class _MatchedSampler(PlaneSampler, OptimisedSampler):
 
     @abstractmethod
     def _loss(self, n: int) -> RingLoss:
-        """Return the loss of sets of `n` points: the deviation of their spectrum from the target."""
+        """Return the loss of a set of `n` points: how far its spectrum is from the target."""
 
     def misfit(self, points: object) -> float:
         """Return the root-mean-square difference between the power of `points` and the target.

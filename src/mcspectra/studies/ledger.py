@@ -661,7 +661,7 @@ class Ledger:
     def _begin(
         self, study: StudyNote, paths: Sequence[str], outdated: Collection[str] | None
     ) -> None:
-        """Take the lock and begin to write. If `outdated` is None, only a new ledger is accepted."""
+        """Take the lock and begin to write. If `outdated` is None, the ledger must be new."""
         self._lock = _locked(self.folder)
         exists, old = self._file.exists(), (self.folder / STORE_NAME).exists()
         if (exists or old) and outdated is None:
