@@ -1,7 +1,7 @@
 """Exact variances of random and stratified sampling and of scrambled nets, by quadrature.
 
-The formulas for strata and for nested uniform scrambling are in docs/theory.md,
-in the sections "Exact variances of strata" and "Gains of scrambled nets".
+The formulas for strata and for nested uniform scrambling are in docs/theory.md:
+see the sections "Exact variances of strata" and "Gains of scrambled nets".
 Strata may have a common offset. Further samplers have these formulas:
 
 * Digital shift in base 2, for coordinates that are multiples of 2^-L. The shift has L random bits.
@@ -13,7 +13,7 @@ Strata may have a common offset. Further samplers have these formulas:
       Var = E_δ [Σ_{m ≠ 0} ĝ_m² ŝ_m²] + Var_δ ĝ_0.
 * Latin hypercubes: along each axis, two points lie in two different strata out of n.
   Let ω² be the mean variance within n^d cells.
-  Let σ²_v be the ANOVA variances of the cell means, for the subsets v of the axes. Then
+  Let σ²_v be the ANOVA variances of the cell means, for the subsets v of the axes. The variance is
 
       Var = (1/n) [ω² + Σ_{v ≠ ∅} (1 + (n − 1) (−1/(n − 1))^|v|) σ²_v],
 
@@ -139,8 +139,8 @@ class ExactSettings:
     # `rounding` is the relative rounding error of ∫g², and `exact` that of sums along an axis.
     rounding: float = 4e-15
     exact: float = 1e-9
-    # Largest number of cells of an axis. The variance of halton | shift at n = 1024 depends on it:
-    # half the value changes the variance by 2e-4, twice the value by 5e-5.
+    # Largest number of cells of an axis. It matters for halton | shift at n = 1024:
+    # half this number changes the variance by 2e-4, and twice this number by 5e-5.
     # `most_pairs` limits the time. It bounds the number of pairs of points, times the dims.
     most_cells: int = 2**18
     most_pairs: float = 2.0**32
@@ -859,7 +859,7 @@ def _nested(net: Fixed, bases: tuple[int, ...], g: Integrand, rule: Rule) -> tup
     for axis, base in enumerate(bases):
         level, limit = 0, math.floor(_SETTINGS.most_bits / math.log2(base))
         # Rounding may move coordinates just below a multiple of b^-level.
-        # Such a coordinate counts as the multiple itself, as in spectra.gain
+        # A coordinate just below a multiple counts as the multiple, as in spectra.gain
         x = points[:, axis] + (0.0 if base & (base - 1) == 0 else 2.0**-50)
         while len(np.unique(np.floor(x * base**level))) < n:
             level += 1
@@ -929,7 +929,7 @@ def level_variances(means: Array, bases: tuple[int, ...], axis: int = 0) -> Arra
 
     Means have shape (b_0^L_0, b_1^L_1, …, channels), where b_i is the base of axis i.
     The result has shape (L_0 + 1, L_1 + 1, …, channels).
-    At level 0 of all axes it holds the square of the mean.
+    At level 0 of all axes, the result is the square of the mean.
     The means are split along `axis` into the contributions of each digit.
     The later axes are split in the same way, one after the other.
     """

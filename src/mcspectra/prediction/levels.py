@@ -125,8 +125,8 @@ def of_levels(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG
     Parameters
     ----------
     law
-        Law of the sets in 1 to 3 dims: fixed sets with nested or linear scrambling,
-        or strata that are not shifted at random.
+        Law of the sets, in 1 to 3 dims. Fixed sets must have nested or linear scrambling.
+        Strata must not be shifted at random.
     known
         The integrand g, and the tables made for other counts and samplers.
     stream

@@ -2,12 +2,12 @@
 
 `METHODS` lists the methods in their order of trust.
 The methods from the first to ``extrapolated`` work in primary space.
-In primary space each technique has its own integrand on the unit cube,
-and the variances of independent techniques add up.
+In primary space each technique has its own integrand on the unit cube.
+The variances of independent techniques add up.
 
 ``auto`` tries the methods that apply.
-``auto`` returns the first prediction with a narrow enough interval,
-or else the prediction with the narrowest interval.
+``auto`` returns the first prediction with a narrow enough interval.
+If no interval is narrow enough, it returns the prediction with the narrowest interval.
 The last of these methods, ``extrapolated``, measures small sets of the sampler.
 The remaining methods check a prediction.
 """
@@ -125,7 +125,7 @@ class QuadratureSettings:
     Attributes
     ----------
     tolerance
-        Largest relative error of a quadrature that precedes all other methods.
+        Largest relative error with which a quadrature takes precedence over all other methods.
         If g jumps, the intervals of the other methods are no narrower than this.
         Tolerances were tested on a jump along a line with 5 samplers at n = 64.
         A tolerance of 0.003 rejects one more quadrature, and 0.03 accepts one more.
@@ -183,9 +183,9 @@ class AutoSettings:
 class TableSettings:
     """Settings for a table of g at the centers of cells, measured with sets of the sampler.
 
-    The changes stated below were measured in three cases at n = 64:
-    a jump along a line and a smooth g, both in 2-D with pmj02,
-    and a Gaussian of width 0.1 in 3-D with latin-hypercube.
+    The changes stated below were measured in three cases at n = 64.
+    Two cases are a jump along a line and a smooth g, both in 2-D with pmj02.
+    The third case is a Gaussian of width 0.1 in 3-D with latin-hypercube.
     The half intervals of these cases are about 3 %.
 
     Attributes
@@ -222,9 +222,9 @@ class TableSettings:
 class ExtrapolationSettings:
     """Settings for the measured counts, and for the line through their variances.
 
-    The changes stated below were measured in three cases:
-    a jump along a plane in 4-D and a smooth g in 2-D with sobol | owen at n = 256 and 1024,
-    and a smooth g in 4-D with latin-hypercube at n = 100.
+    The changes stated below were measured in three cases.
+    Two cases, at n = 256 and 1024 with sobol | owen, are a jump in 4-D and a smooth g in 2-D.
+    The jump is along a plane. The third case is a smooth g in 4-D with latin-hypercube at n = 100.
 
     Attributes
     ----------
@@ -1030,8 +1030,8 @@ def predict(
     Parameters
     ----------
     estimator
-        An estimator. For plain sampling it may be an integrand, its spec string,
-        or a vectorized function of points (…, d).
+        An estimator. For plain sampling, an integrand or its spec string is enough.
+        A vectorized function of points (…, d) is also accepted.
     samplers
         One sampler or a list without duplicates.
     counts
@@ -1087,7 +1087,7 @@ def predict(
         ``tail_variance(n)`` is the part of the variance that comes from the rest of ∫g².
 
         ``local_rate(n)`` is the slope from the count before.
-        At the first count it is the slope to the next count.
+        At the first count, ``local_rate`` is the slope to the next count.
         Counts whose interval reaches 0 have no rates.
         ``predicted_rate`` is the slope over all counts, fitted as in `convergence`.
         ``limit_rate`` is the exponent that rates tend to.
@@ -1096,12 +1096,12 @@ def predict(
         ``limit_rate`` and ``bend_n`` are NaN if unknown or if `method` is not ``"auto"``.
 
         The coordinate ``method`` is the name of the method at each n. ``"none"`` means no value.
-        With ``"all"`` it is a dim.
+        With ``"all"``, ``method`` is a dim.
         The coordinate ``how`` has details of each value, such as the number of sets.
         If a value is missing, ``how`` has the reason.
         A list of samplers adds the dim sampler. Several channels add the dim channel.
         A variance at rounding level is NaN, and the attribute ``note`` reports it.
-        The method exact returns 0 for such a variance.
+        For a variance at rounding level, the method exact returns 0.
 
 
     Raises
@@ -1356,7 +1356,7 @@ def predicted(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
 def _of_the_set_inside(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
     """Predict the variance for the set before folding or mirroring, with another integrand.
 
-    `mcspectra.prediction.exact` explains the integrand that belongs to the inner set.
+    See `mcspectra.prediction.exact` for this other integrand.
     """
     assert isinstance(law, Folded | Mirrored)
     if isinstance(law, Folded):

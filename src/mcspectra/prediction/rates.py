@@ -169,13 +169,13 @@ class LimitSettings:
         Largest difference of the local slopes within these octaves.
         Values from 0.2 to 0.4 give the same results. With 0.1, one limit of 64 is not found.
     leaves
-        A theoretical exponent is excluded if the slopes move away from it
+        Two conditions exclude a theoretical exponent: the slopes move away from it,
         and the last slope differs from it by more than this number.
         Values from 0.025 to 0.1 give the same results.
     still
         Largest change of three slopes that count as constant.
-        A constant slope may be a limit that the theory does not list,
-        such as −1 − (1 − 2a)/d next to a pole t^-a.
+        A constant slope may be a limit that the theory does not list.
+        An example is −1 − (1 − 2a)/d next to a pole t^-a.
         Values from 0.005 to 0.02 give the same results.
     change
         Difference between the first slope and the limit above which a curve may bend.
@@ -402,14 +402,14 @@ def rates_of(
 
         Limit: the theoretical bound, if it is certain and the last slope is at least as steep.
         The last slope is over the last four octaves.
-        Otherwise, in up to 3 dims, the limit is a theoretical exponent close to the last slope,
-        provided that this slope hardly changes.
+        Otherwise, in up to 3 dims, the limit is a theoretical exponent close to the last slope.
+        This requires that the slope hardly changes.
         These exponents are −1 − k/d, −2 or −3.
         Here k is 0 for white power, 1 for a jump, 2 for strata and 3 for a kink.
         The exponent −3 may have a factor (log n)^(d − 1).
 
-        Bend: the n at which the power law of smaller n meets the power law of the limit,
-        if their exponents differ by more than 0.3.
+        Bend: the n at which the power law of smaller n meets the power law of the limit.
+        A bend is reported if the two exponents differ by more than 0.3.
 
         The last value states why there is no limit.
     """

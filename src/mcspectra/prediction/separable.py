@@ -101,8 +101,7 @@ class PiecewiseSettings:
     # Relative rounding error of g in the test of a sum or product.
     # Halving or doubling the value gives the same results.
     same: float = 1e-7
-    # A value that g has at more than this fraction of the points
-    # is taken for a constant that is added to a product.
+    # A value that g has at more than this fraction of the points is the constant c of a product.
     # An example is the value 0 of an indicator function.
     # Halving or doubling the value gives the same results.
     common: float = 0.1

@@ -243,9 +243,9 @@ def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
     Parameters
     ----------
     law
-        Law of one of these sets: independent points, strata, Latin hypercubes,
-        or sets that are statistically the same after any translation.
-        Nested scrambles, linear scrambles and digital shifts in base 2 are also possible.
+        Law of independent points, of strata, or of Latin hypercubes.
+        Sets that are statistically the same after any translation are also possible.
+        So are nested scrambles, linear scrambles, and digital shifts in base 2.
     known
         The integrand, in at least two dims. It takes about 2^20 evaluations.
         The evaluations are made once for all counts and samplers.

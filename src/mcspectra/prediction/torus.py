@@ -235,8 +235,8 @@ class MovesSettings:
     """Settings for the offsets that move a set.
 
     The changes stated below were measured in three cases.
-    With rank1-lattice | shift the case is a jump along a line,
-    with kronecker | shift a ball in 4-D, and with sobol | digital-shift a smooth function.
+    The sampler rank1-lattice | shift samples a jump along a line.
+    The sampler kronecker | shift samples a ball in 4-D; sobol | digital-shift a smooth function.
 
     Attributes
     ----------
@@ -484,7 +484,7 @@ def of_torus(law: Law, known: Known, stream: Stream) -> Predicted:
 
 
 def lattice_basis(points: Array) -> Array | None:
-    """Return n times a basis of a lattice, an upper triangle of int64, or None for other sets."""
+    """Return n times a basis of a lattice, upper triangular int64, or None for other sets."""
     n, dims = points.shape
     exact = np.remainder(points - points[0], 1.0) * n
     if np.abs(exact - np.rint(exact)).max() > _DUALS.whole:
@@ -502,7 +502,7 @@ def lattice_basis(points: Array) -> Array | None:
 
 
 def _dual(basis: Array, n: int) -> Array:
-    """Return a basis of the dual lattice, a lower triangle of int64."""
+    """Return a basis of the dual lattice, as a lower triangular matrix of int64."""
     return np.asarray(np.rint(n * np.linalg.inv(basis).T), np.int64)
 
 
@@ -665,8 +665,8 @@ def _drawn(
 
     The first sets are transformed at all frequencies.
     Further sets are transformed only at low frequencies, which hold the energy of smooth functions.
-    Sets are added until the error is small compared with the variance,
-    or the total number of points is reached.
+    Sets are added until the error is small compared with the variance.
+    The total number of points is limited.
     If power depends only on the length of m, a smooth law may fit the measured power.
     This smooth law then replaces the measured power.
     """

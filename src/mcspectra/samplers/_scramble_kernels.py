@@ -1,7 +1,7 @@
 """Numba kernels that scramble digits by XOR, permutations, nested permutations, hashes, matrices.
 
-Notation: R realizations, n points, d dims; ``keys`` uint64 (R, 2) from `Stream.keys`;
-the bases of the digits are int64 (d,), and the results float64 (R, n, d).
+Notation: R realizations, n points, d dims; ``keys`` uint64 (R, 2) from `Stream.keys`.
+The bases of the digits are int64 (d,), and the results float64 (R, n, d).
 The given points are float64 (R, n, d), or (1, n, d) if all realizations share a set.
 
 The first kernels are for base 2. A coordinate is a word of 32 or 53 bits; the highest bit means ½.

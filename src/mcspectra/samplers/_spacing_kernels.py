@@ -281,9 +281,9 @@ def _grids(points: Array, placed: int, room: int) -> Any:
 
 @kernel
 def pick_candidates(keys: Array, candidates: int, out: Array) -> None:
-    """Fill out (R, n, d): of candidates·i random points, point i is the farthest from all earlier.
+    """Fill out (R, n, d) with points that are each the best of random candidates, on the torus.
 
-    Distances are on the torus.
+    Point i is the one of candidates·i random points that is farthest from all earlier points.
     """
     count, n, dims = out.shape
     x = np.empty(dims)

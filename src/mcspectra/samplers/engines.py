@@ -53,8 +53,8 @@ class ScipySampler(OneByOne):
     Attributes
     ----------
     engine
-        Name of a class in `scipy.stats.qmc`, or a subclass of its QMCEngine,
-        or a function that makes an engine from a generator.
+        Name of a class in `scipy.stats.qmc`, or a subclass of its QMCEngine.
+        A function that makes an engine from a generator is also accepted.
     dims
         Number of dims, the engine's ``d``.
     scramble
@@ -370,7 +370,7 @@ class QmcpySampler(OneByOne):
                     "alone."
                 )
             try:
-                return source._spawn(seed, source.d)  # QMCPy's method ``spawn`` calls it
+                return source._spawn(seed, source.d)  # QMCPy's own ``spawn`` also calls this
             except Exception as error:
                 raise ParameterError(
                     f"This {name} cannot be copied: {reason_of(error, 200)}."

@@ -57,8 +57,8 @@ class PerturbedLattice(GridSampler):
         Standard deviation of each coordinate's displacement, as a multiple of the spacing 1/s.
     correlation
         Exponent β, −2 ≤ β ≤ 2; 0 makes displacements independent.
-        The power spectrum of the displacements is proportional to |k|^(−β),
-        so the power of the points grows like |m|^(2−β).
+        The power spectrum of the displacements is proportional to |k|^(−β).
+        The power of the points therefore grows like |m|^(2−β).
 
     Notes
     -----

@@ -497,7 +497,7 @@ class Choice(Law):
     laws
         The laws to choose from, or a random selection of them if there are many.
     sets
-        Number of laws before such a selection; None if it is unlimited.
+        Number of laws before a random selection; None if it is unlimited.
     """
 
     laws: tuple[Law, ...]
@@ -660,8 +660,8 @@ class Scrambled(Law):
         The law of the set before the digits are randomized.
     kind
         Kind of randomization.
-        Nested and linear scrambles give the same variances,
-        because pairs of points have the same distribution after both scrambles.
+        Pairs of points have the same distribution after nested and after linear scrambles.
+        Both kinds therefore give the same variances.
     bases
         Base of the digits of each coordinate.
     shifts

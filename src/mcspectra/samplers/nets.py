@@ -90,8 +90,8 @@ class Sobol(_BinaryNet):
     -----
     The points are in natural order, not in the order of the Gray code:
     dimension 0 is the van der Corput sequence of the index.
-    Counts that are not powers of the base cause a warning,
-    because sets of such counts are not balanced in elementary intervals.
+    Counts that are not powers of the base cause a warning:
+    sets of such counts are not balanced in elementary intervals.
 
     A file has one line per dim: number of the dim, degree s, polynomial a, numbers m_1 … m_s.
     Headings and text after ``#`` are ignored.
@@ -624,7 +624,7 @@ def _matrix(j: int, matrix: tuple[Any, ...], base: int, digits: int | None) -> A
 def _net_of_file(path: str, given: int) -> tuple[int, Array]:
     """Return base and columns (d, m, rows) of a file of matrices; `given` is the default base."""
     with opened(path, "generator matrices") as (stream, size, name, _):
-        check_decoded_size(name, size, 128 * size)  # size of the decoded text and the integers
+        check_decoded_size(name, size, 128 * size)  # memory of the decoded text and the integers
         lines = stream.read().decode().splitlines()
     kept = [line.partition("#")[0].split() for line in lines]
     kept = [words for words in kept if words]

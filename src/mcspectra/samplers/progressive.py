@@ -81,8 +81,8 @@ class PMJ(_PlaneSequence):
     sequence: ClassVar[bool] = True
 
     def _law(self, n: int) -> Law:
-        # Sets are Owen-scrambled by construction. It is random which digits of two points agree,
-        # so the mean over a few random sets represents all sets.
+        # Sets are Owen-scrambled by construction, but it is random which digits of points agree.
+        # The mean over a few random sets represents all sets.
         sets = (Fixed(n=n, dims=2, bases=(2, 2), seed=k).of(self) for k in range(_SETS))
         return Choice(n=n, dims=2, laws=tuple(scrambled(each, "nested", (2, 2)) for each in sets))
 
@@ -136,8 +136,8 @@ class PMJ02BlueNoise(_PlaneSequence):
     Notes
     -----
     The random bits of pmj02 are chosen by descent, pass by pass, from coarse to fine.
-    The bits of a whole strip of the square are flipped if this lowers an energy,
-    the sum of distance^-8 over all pairs on the torus.
+    The bits of a whole strip of the square are flipped if this lowers an energy.
+    The energy is the sum of distance^-8 over all pairs on the torus.
     In the whole set, the nearest two points are two to three times as far apart as in pmj02.
     The first points of a set are also a (0,2)-sequence, but spread no better than in pmj02.
     The mean is unbiased up to the width of the intervals, because each interval has one point.

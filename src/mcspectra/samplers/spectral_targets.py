@@ -133,8 +133,8 @@ class TargetSpectrum(_MatchedSampler):
     The descent starts from independent uniform points.
     The descent fits the mean power of rings of frequencies of width one.
     Single sets therefore follow the curve more closely than random fluctuations would allow.
-    A target is refused if its pair correlation (its Hankel transform) is negative somewhere,
-    because no point sets have such a power.
+    A target is refused if its pair correlation (its Hankel transform) is negative somewhere.
+    No point sets have the power of such a target.
     `misfit` measures the difference between the power of a set and the target.
 
     References

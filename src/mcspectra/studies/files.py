@@ -811,7 +811,7 @@ def _check_used(values: Values, used: Collection[str], place: str) -> None:
 
 
 def _choices(keys: list[str], values: Values, body: Any, place: str) -> Iterator[dict[str, Any]]:
-    """Yield all combinations of values for a body; refuse too many or too long combinations."""
+    """Yield all combinations of values for `body`; raise an error if they are too many or long."""
     number = math.prod(len(values[key]) for key in keys)
     longest = sum(max(len(str(value)) for value in values[key]) for key in keys)
     size = len(repr(body)) + longest * (1 + len([*_placeholders(body, values)]))

@@ -316,7 +316,7 @@ class _Damaged(StoreError):
 
 @final
 class Ledger:
-    """Database of a study, a context manager; `create`, `resume` or `read` opens it.
+    """Database of a study, opened by `create`, `resume` or `read`; it is a context manager.
 
     A background thread commits the pending writes once a second; `close` commits the rest.
 

@@ -82,7 +82,7 @@ Parts: TypeAlias = "dict[str, xr.Dataset]"
 @final
 @dataclass(frozen=True, kw_only=True)
 class PixelEffort:
-    """Amount of measurement for a pixel.
+    """Numbers that determine how much is measured for a pixel.
 
     Attributes
     ----------

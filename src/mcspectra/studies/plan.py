@@ -180,8 +180,8 @@ def make_plan(
     Raises
     ------
     ConfigError
-        If a component cannot be built, a sampler does not support a count,
-        a file or function is not allowed, or the study is too large.
+        If a component cannot be built, or a sampler does not support a count.
+        If a file or function is not allowed, or the study is too large.
         The message names the estimator.
 
     Warns

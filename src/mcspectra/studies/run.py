@@ -81,7 +81,7 @@ def run_study(
         Such files are images, point sets, scenes, and sources of functions.
     workers
         Number of threads, or of processes with a time limit; all processors by default.
-        Results do not depend on it, bit for bit.
+        The number does not change any bit of the results.
     time_limit
         Time limit of a task in seconds; by default the study's limit.
         With a limit, tasks run in separate processes.

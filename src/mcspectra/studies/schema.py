@@ -1,6 +1,6 @@
 """Describe study files for readers: JSON Schema, tables of all keys, and a template.
 
-The structs of `mcspectra.studies.files` and the installed analyses are the source of all three.
+They are made from the structs of `mcspectra.studies.files` and from the installed analyses.
 """
 
 from __future__ import annotations

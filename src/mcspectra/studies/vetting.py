@@ -49,7 +49,7 @@ class Vetting:
     ----------
     folder
         Folder from which relative paths start.
-        Files below it are named by their relative path, and other files by their whole path.
+        Files in this folder are named by their relative path, and other files by their whole path.
         Modules are named as in Python, because their folders differ between machines.
     trust
         Files and functions that are allowed beyond the folder.
