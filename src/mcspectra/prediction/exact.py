@@ -136,7 +136,7 @@ class ExactSettings:
     # Factor for the reported error of ∫h² next to a pole.
     # The factor changes intervals, but not variances.
     doubt: float = 3.0
-    # `rounding` is the relative rounding error of ∫g², and `exact` that of sums along an axis.
+    # Relative rounding errors: of ∫g² (`rounding`), and of sums along an axis (`exact`).
     rounding: float = 4e-15
     exact: float = 1e-9
     # Largest number of cells of an axis. It matters for halton | shift at n = 1024:
@@ -154,7 +154,7 @@ class ExactSettings:
     # At these frequencies, the power is assumed to equal its mean over the last octave.
     # This error changes intervals, but not variances.
     white: float = 0.02
-    # Rounding error of a mean of a curve h over a set, as a fraction of √∫h².
+    # Rounding error of the mean of a curve h over a set, as a fraction of √∫h².
     # Rounding error of the variance of means over sets, as a fraction of ∫h²/n.
     # Halving or doubling the values gives the same results.
     rounded_mean: float = 1e-15
@@ -243,7 +243,7 @@ def exact_variance(
     The other rules are checked at 2^17 probe points.
     The probe points find a slab across an axis in which g differs, if its width is 2^-17 or more.
     The probe points hit any other region of volume v with probability 1 − exp(−2^17 v).
-    For v = 8e-5 this is 1 − 5e-5. Narrower peaks and their variance may be missed.
+    For v = 8e-5 this probability is 1 − 5e-5. Narrower peaks and their variance may be missed.
     Regions that only the probe finds are examined at 2^18 other points and enter the error.
 
     ∫g² is infinite if g grows across an axis like t^-½ or faster (exponent at least 0.4995).
@@ -303,7 +303,7 @@ def of_integrand(
     """Return variance and a bound of its error, (channels or 1,). It is 0 at rounding level.
 
     The error is the difference between two orders plus the `blindness` of the higher order.
-    For random points the error is that of ∫g².
+    For random points, the error is the error of ∫g².
     If higher orders of the quadrature would suffice, the orders are raised once.
     If `most` is lower, other methods follow, and the orders are not raised.
 

@@ -58,7 +58,7 @@ class ImageErrorSettings:
         A note reports a band if more than this fraction of its power lies beyond the half width.
         Power of this size beyond the half width can change the ranking of masks.
     precision
-        Relative error of the transforms, far below that of the images.
+        Relative error of the transforms, far below the relative error of the images.
     """
 
     most_dims: int = 3

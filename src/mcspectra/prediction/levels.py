@@ -88,7 +88,7 @@ class LevelsSettings:
         The part of ∫g² that tables miss is added if it exceeds its own error by this factor.
         `doubt` is the uncertainty of the weight of this part.
         The missed part lies at poles within one cell, and has a gain between 0 and about 1.
-        Half of `clear` adds noise of 0.015 % of a variance; twice the value changes nothing.
+        Half of `clear` adds noise of 0.015 % to a variance; twice `clear` changes nothing.
     most_error, noise
         The method raises an error above this half interval, relative to the variance.
         Other methods then have smaller relative errors, below 0.2.

@@ -1,4 +1,4 @@
-"""Variances of orthogonal arrays, from the energies of an integrand between strata of its axes.
+"""Variances of orthogonal arrays, from energies of an integrand within and between strata.
 
 Along each axis g is a sum of four parts: its mean, the means over strata (β),
 the means over parts of a stratum (δ), and the remainder within parts.
@@ -16,7 +16,7 @@ Let E_u be the energy of g with part u_i along axis i. Then
 
 Here p runs over the patterns of pairs of points, which state a relation for each axis.
 Arrays of strength 2 have λ = −1 if u has one β or two β, and all other parts are means.
-If every part of a stratum has one point, λ = −1 also for a single δ with means.
+If every part of a stratum has one point, λ = −1 also if u has one δ, and all other parts are means.
 Energies with λ = −1 add no variance [Owen1992]_.
 If more parts of u are not means, λ decreases with powers of 1/s.
 

@@ -114,7 +114,7 @@ The variance from jumps at the faces of the cube is proportional to c(1 − c).
 _MEMORY = 2**29
 """Largest memory, in bytes, of coefficients and transforms of all regions."""
 _OVERHEAD = 1e6
-"""Work of a prediction apart from evaluations, in units of evaluations."""
+"""Work of a prediction besides evaluations of g, as an equivalent number of evaluations."""
 
 
 @final
@@ -849,7 +849,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
         own, other = (Stream.from_rng(np.random.SeedSequence([stream.key, k])) for k in (0, 1))
 
         # Counts of a sampler. With auto they include counts for rates and their limit.
-        # The value 0 stands for no count
+        # A value of 0 means that there is no count
         counts = [_places(s, self.counts) if auto else [0, *self.counts, 0, 0] for s in samplers]
         wanted = [(s, name, n) for s, each in enumerate(counts) for name in names for n in each]
         alone = {method.name for method in METHODS if method.predict or method.of_estimator}
@@ -1121,7 +1121,7 @@ def predict(
     The method ``moves`` applies up to 8,192 random shifts or scrambles to a fixed set.
     Lattices with shift and nets with digital-shift use ``moves`` in 1 to 3 dims.
     Other moved or scrambled sets use ``moves`` if sums of products leave a half interval over 3 %.
-    Linear scrambles replace nested scrambles, because their pairs have the same law.
+    Linear scrambles replace nested scrambles, because pairs of points have the same law.
 
     For samplers without known structure, in 1 to 3 dims, the method ``table`` is used.
     The method ``table`` measures variances on a table of f.
@@ -1335,7 +1335,7 @@ def predicted(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
         except NoClosedForm as refusal:
             reason = refusal
             continue
-        # The error is at least that of the regions which only the probe points resolve
+        # The error covers at least the regions which only the probe points resolve
         if np.isfinite(found.variance).all():
             error = np.maximum(found.error, known.unseen / law.n)
             if not found.poles:

@@ -68,7 +68,7 @@ class DecaySettings:
     Attributes
     ----------
     octaves
-        Number of octaves of |m| at the end of the spectrum that the line is fitted to.
+        The line is fitted to this number of octaves of |m|, at the end of the spectrum.
         For 12 test functions, two octaves give the same exponents to 0.15 and double the intervals.
         With four, a Gaussian of width 0.1 appears to decay like |m|^-12 instead of |m|^-5.
     least_shells
@@ -184,7 +184,7 @@ class LimitSettings:
         Largest candidate change of the exponent at a bend. Exponents lie between −1 and −5.
         Values from 4 to 8 give the same results.
     tried
-        Number of candidate positions of a bend, and of candidate changes.
+        Numbers of candidates for the position of a bend, and for the change of the exponent.
         Positions are 0.1 octaves apart over 10 octaves. Bends are known to this accuracy.
     better
         A curve bends if its scatter about the best bent curve is small.

@@ -52,7 +52,7 @@ class PiecewiseSettings:
     # Halving or doubling the value gives the same results.
     order: int = 16
     pieces: int = 32
-    # Size of the last coefficients of a settled piece, as a fraction of the largest coefficient.
+    # A piece is settled if its last coefficients are below this fraction of the largest coefficient.
     # Halving or doubling the value gives the same results.
     settled: float = 1e-11
     # A piece that adds less than this fraction to ∫h² counts as settled.
@@ -89,7 +89,7 @@ class PiecewiseSettings:
     # The change is relative to the value of the function.
     # Halving or doubling the value gives the same results.
     step: float = 1e-6
-    # Pieces on the other side of a pole belong to the pole up to this distance from it.
+    # Pieces within this distance of a pole, on the side without a power law, belong to the pole.
     # Halving or doubling the value gives the same results.
     gap: float = 2.0**-40
     # Number of probe points among which the largest value of a product is sought.

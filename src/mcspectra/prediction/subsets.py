@@ -178,7 +178,7 @@ class SubsetSettings:
         For Latin hypercubes and lattices only the variance within cells remains.
         Halving or doubling either value changes variances by less than 0.01 %.
     start
-        Spread of the initial coefficients of a new product. The constant of the product is 1.
+        Spread of the coefficients with which a new product starts. Its constant is 1.
     adds_up
         If one offset moves all points, the residual of the fit is multiplied by this factor.
         The factor widens only the interval.
@@ -190,7 +190,7 @@ class SubsetSettings:
         times the squared number of products.
     draws
         Number of sets that are drawn if sets are random before their shift or scramble.
-        The spread of the variances of the drawn sets is part of the interval.
+        The interval includes the spread of the variances over the drawn sets.
     digits
         Least number of cells into which digits divide an axis.
         If there are more than this number of points n, digits divide an axis into n cells or more.
@@ -305,7 +305,7 @@ def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
         half = (SUBSET_SETTINGS.adds_up if together else 1.0) * tail + math.sqrt(
             max(ones[0] + more, 0.0) * tail
         )
-        # The energy of interactions is known from pairs, or as the whole energy minus that of axes
+        # Energy of interactions: from pairs, or the whole energy minus the energy of single axes
         single = first[:, -1].sum(axis=0)
         of_whole = (
             p.variance - float(single[0]),
@@ -742,7 +742,7 @@ def _fitted(
         own = np.prod(np.delete(means, i, axis=0), axis=0) @ factors[i] + sums[i]
         main.append(own + np.concatenate([beside.mean(axis=0)[None], beside]))
 
-    # Energy of several axes: the energy beyond that of single axes, minus the part due to errors
+    # Energy of several axes: of g without its functions of single axes, minus the part of errors
     at_all = zip(axes, main, np.moveaxis(every, -1, 0), strict=True)
     alone = np.sum([a.at(m[0], t.ravel()).reshape(t.shape) for a, m, t in at_all], axis=0)
     left = ((all_values - alone - (all_values - alone).mean()) ** 2).mean(axis=1)

@@ -98,7 +98,7 @@ class TorusSettings:
         Exact coefficients cost a few operations each.
         A table has `nodes` nodes per wavelength of the box.
     nodes
-        Number of nodes of the finer table per wavelength of the highest frequency.
+        Number of nodes per wavelength of the highest frequency, in the finer table.
         If g jumps, half this value changes variances by 0.4 % and multiplies the error by 4 to 30.
         Twice this value changes variances by 0.1 %.
     least_nodes
@@ -177,7 +177,7 @@ class DrawnSettings:
         Number of Newton steps, after which the fit has converged.
         Values from 6 to 24 give the same results.
     least_box, box
-        Half width of the box of a homogeneous set: least value, and value in units of n^(1/d).
+        Half width of the box for homogeneous sets: least value, and value in units of n^(1/d).
         Halving or doubling this value changes the variance by less than 0.3 %.
         Half the half width triples the error of the variance.
     """
@@ -566,7 +566,7 @@ def of_moves(law: Law, known: Known, stream: Stream) -> Predicted:
     The interval comes from the variances of successive parts of the offsets, with Student's t.
 
     Sampling the pairs E g(u) g(u + x_k) over independent u would need more evaluations.
-    The square of the mean over one moved set averages over all pairs of points of the set.
+    The squared mean over one moved set is an average over all pairs of points.
 
     Raises
     ------

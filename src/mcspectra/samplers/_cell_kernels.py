@@ -54,7 +54,7 @@ _SOLVED = 1e-3  # relative residual of the linear equations; enough for Newton s
 _LONGER = 4.0  # largest ratio of successive step lengths, because short steps come in series
 _HALVINGS = 40
 _UNLIMITED = 2**62
-_PRODUCTS = 4  # cost of a product in the linear solver, relative to that of visiting a site
+_PRODUCTS = 4  # cost of a product in the linear solver; visiting a site has cost 1
 
 
 @kernel
@@ -403,7 +403,7 @@ def balance(
     Newton steps start at `weights`, or at 0 if `weights` leave a cell empty.
     The steps end after a given number, or when all areas are right within the tolerance.
     The steps also end when the areas no longer improve, or when the work exceeds `most_work`.
-    The work includes that of the linear solver; `Diagram` defines the unit of work.
+    The work includes the linear solver; `Diagram` defines the unit of work.
     No step is taken if some sites are so close that a cell is empty with equal weights.
 
     The weights maximize a concave function, the dual of a transport cost (see `transport_cost`).

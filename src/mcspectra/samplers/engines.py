@@ -42,7 +42,7 @@ _UNIFORM = ("TRUE", "SHIFT", "DS", "LMS DS", "DP", "LMS DP", "NUS")  # values of
 _NOT_POINTS = ("DummySampler", "MPMC")  # MPMC downloads its points
 _TABLES = {"generating_matrices": "generating_matrices", "generating_vector": "generating_vectors"}
 """Options of QMCPy that name a file, and the folder with QMCPy's own files."""
-_TEXT_RATIO = 16  # Bytes of memory for each byte of a file of QMCPy
+_TEXT_RATIO = 16  # Bytes of memory per byte of a table file
 
 
 @final

@@ -194,7 +194,7 @@ class Korobov(_Lattice):
     -----
     The search minimizes P_2, as in `Rank1Lattice` but with equal weights γ_j = 1.
     Candidates are all a ≤ n/2 coprime to n, since n − a gives the reflected lattice.
-    The search tries all of them if that takes at most 2^24 values of B_2 (n up to 4,096 in 2-D).
+    The search tries all candidates if it takes at most 2^24 values of B_2 (n ≤ 4,096 in 2-D).
     Otherwise the search tries at least 16 evenly spaced values of a.
     The generator for each pair (n, d) is kept in memory.
 

@@ -399,7 +399,8 @@ class Fixed(Law):
     vector
         Generating vector z of a rank-1 lattice {k z / n}; None for other sets.
     sides, corner
-        Number of grid cells along each axis, and position of the point in units of its cell.
+        Number of grid cells along each axis, and the position of each point within its cell,
+        in units of cells.
         None for sets that are not grids.
     even
         Whether the evenness of the set depends only on differences of points on the torus.
@@ -757,7 +758,7 @@ def scrambled(law: Law, kind: Scramble, bases: Sequence[int], *, shifts: bool = 
 
 
 def as_scrambled(law: Law) -> Law:
-    """Convert the law of an orthogonal array with s parts per stratum to that of a scrambled net.
+    """Convert the law of an orthogonal array with s parts per stratum to a scrambled net's law.
 
     The second digits are permuted within each first digit [Tang1993]_.
     The digits of one realization therefore describe all realizations.

@@ -373,7 +373,7 @@ class LarcherPillichshammer(PlaneSampler, _BinaryNet):
     """Larcher and Pillichshammer's (0, m, 2)-net of n = 2^m points, deterministic (2-D).
 
     The first coordinate is i/n. The matrix of the second coordinate is the upper triangle of ones.
-    The star discrepancy is smaller than that of hammersley.
+    The star discrepancy is smaller than the star discrepancy of hammersley.
     Randomize with owen or digital-shift.
 
     References

@@ -225,7 +225,7 @@ def _fill_pmj(keys: Array, out: Array) -> None:
             words[j, 0] = mix_bits(k0, k1, j) >> _S11
         level = 0
         while 1 << level < n:
-            # Choose column and row of the quarter of a cell for each point of the pass.
+            # For each point of the pass, choose a quarter of its cell: column and row.
             # The second point of a cell is diagonal to its first.
             # The third point takes one of the other two quarters.
             size, side = 1 << level, level // 2 + 1

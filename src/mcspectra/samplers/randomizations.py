@@ -317,7 +317,7 @@ class Mirror(Randomization):
         return Mirrored(n=n, dims=law.dims, inner=law, mode=self.mode)  # type: ignore[arg-type]
 
     def count_inside(self, sampler: Sampler, n: int) -> int:
-        """Return the number of points before mirroring; the uniform mode makes n images of them."""
+        """Return the number of points before mirroring; in uniform mode, n counts all images."""
         return n // self._images(sampler)
 
     def apply(self, points: Array, stream: Stream, first: int) -> Array:

@@ -2,7 +2,7 @@
 
 Lloyd's method repeatedly moves each point to the centroid of its Voronoi cell.
 Blue noise through optimal transport instead uses the power diagram whose cells have equal areas.
-The points descend along the gradient of the cost of transporting the uniform density to them.
+Moving the points lowers the cost of transporting the uniform density to the points.
 The gradient for a point is 2/n times its distance from the centroid of its cell [deGoes2012]_.
 Gaussian blue noise lowers an energy of pairs.
 Farthest-point optimization moves each point to the place farthest from all others.

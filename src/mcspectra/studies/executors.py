@@ -393,7 +393,7 @@ class Dask:
 
     def _send(self, pending: _Pending) -> None:
         serial = next(self._serials)
-        # Dask keeps statistics per first entry of a task's key: the same entry for all tasks
+        # Dask keeps statistics for each first entry of task keys, so all tasks share this entry
         key = (self._name, pending.task.key, str(serial))
         arguments = (self._compute, self._text, pending.task, self._options.time_limit)
         future = self._client.submit(compute_elsewhere, *arguments, key=key, pure=False, retries=0)

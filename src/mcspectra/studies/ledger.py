@@ -265,7 +265,8 @@ class _Header(msgspec.Struct, frozen=True, kw_only=True):
     """The note that no run changes: the study, the number of cells, and a digest of all paths."""
 
     study: StudyNote
-    cells: Annotated[int, msgspec.Meta(ge=0, le=2**26)]  # Verification may list all cells
+    # The number is limited, because verifying a damaged file may list all cells
+    cells: Annotated[int, msgspec.Meta(ge=0, le=2**26)]
     plan: str
 
 

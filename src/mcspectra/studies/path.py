@@ -9,7 +9,7 @@ The cost of the given path is 1.
 The number of random numbers grows with the iterations of the integrator's loop.
 Each iteration traces one ray and at most one shadow ray.
 A change that needs a pilot is compared with the given path at an equal total of paths.
-The total number of paths includes those of the pilot.
+The total number of paths includes the paths of the pilot.
 
 If each path samples one light, the best probabilities p_j are proportional to √(p_j E f_j²).
 Here p_j E f_j² is the second moment of light j's contribution, if light j is always chosen.
@@ -121,7 +121,7 @@ def analyse_path(
         Coordinates of the pixel. Alternatively, ``x`` alone is the name of a pixel
         (see `named_pixels`).
     samplers
-        Samplers or their spec strings, all different. ``remedies`` uses the last one.
+        Samplers or their spec strings, all different. ``remedies`` uses the last sampler.
     counts, realizations
         Counts n of paths per estimate, at least two, ascending; number of estimates for each n.
     remedies
@@ -270,7 +270,7 @@ def shares_by_light(f: PathPixel, paths: int, stream: Stream) -> xr.Dataset | No
         ``light_probability``, the current selection probability of the light;
         ``light_selection``, its improved selection probability.
         ``selection_ratio``: variance with the improved selection over that with the current one.
-        The variances are those of new random paths.
+        Both variances are measured with new random paths.
         None for one light, for more than 64 lights, or for a pixel without noise.
 
     Raises
