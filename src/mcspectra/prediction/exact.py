@@ -113,7 +113,7 @@ class ExactSettings:
     """
 
     # An error below this fraction of ∫g²/n is accepted for every tolerance.
-    # Halving or doubling the value gives the same results.
+    # Halving or doubling this value gives the same results.
     negligible: float = 1e-9
     # The error of the higher order is at most the difference of two orders times this factor.
     # At a jump both orders have errors of about the same size.
@@ -162,13 +162,13 @@ class ExactSettings:
     # Number of points evaluated at a time. The number has no effect on the result.
     at_once: int = 2**20
     # A variance within cells is treated as rounding below this fraction of ∫h².
-    # Halving or doubling the value gives the same results.
+    # Halving or doubling this value gives the same results.
     nothing: float = 1e-12
     # Number of octaves of offsets that resolve a cusp. The octaves have the ratio 8.
-    # Halving or doubling the value gives the same results.
+    # Halving or doubling this value gives the same results.
     cusps: int = 10
     # Points are a grid if n times their coordinates differ from integers by less than this.
-    # Halving or doubling the value gives the same results.
+    # Halving or doubling this value gives the same results.
     even: float = 1e-6
     # Relative error of a product's variance if points are rounded to cells of 2^-15.
     # Smaller tolerances raise an error.

@@ -369,7 +369,7 @@ def _missed(known: Known, square: Array) -> Array:
 
 
 def _merged(moment: Array, sides: tuple[int, ...]) -> Array:
-    """Return means over coarser cells of moments (Q, cells of each axis, channels)."""
+    """Average moments over coarser cells; the moments are (Q, cells of each axis, channels)."""
     for axis, side in enumerate(sides, start=1):
         shape = (*moment.shape[:axis], side, -1, *moment.shape[axis + 1 :])
         moment = moment.reshape(shape).mean(axis=axis + 1)

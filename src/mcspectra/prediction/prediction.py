@@ -524,7 +524,7 @@ def _one_offset(law: Law) -> bool:
 
 
 def _latin(law: Law) -> bool:
-    """Return whether points are a Latin hypercube in several dims, with exact sums over axes."""
+    """Return whether points are a Latin hypercube in several dims: sums over axes are exact."""
     return isinstance(law, PairedAxes) and law.latin and law.dims > 1
 
 

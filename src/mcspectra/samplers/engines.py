@@ -214,7 +214,7 @@ def _made_engine(
 
 
 def _usual_dims(source: Any, arguments: Mapping[str, Any]) -> int:
-    """Return the number of dims of an engine that is created without this argument."""
+    """Return the number of dims of an engine that is created without a number of dims."""
     if isinstance(source, str | type):
         cls = _engine_classes()[source] if isinstance(source, str) else source
         d = inspect.signature(cls).parameters.get("d")

@@ -543,7 +543,7 @@ class Decorrelate(Randomization):
 
 
 def _steps_of(frame: Array, dims: int) -> Array:
-    """Return the points of the R-sequence [Roberts2018]_ of these numbers (k,): (k, dims)."""
+    """Return the points (k, dims) of the R-sequence [Roberts2018]_ at the given indices (k,)."""
     from mcspectra.samplers.lattice import golden_steps
 
     steps = frame.astype(np.uint64)[:, None] * golden_steps(dims)  # modulo 2^64

@@ -58,7 +58,7 @@ class _MatchedSampler(PlaneSampler, OptimisedSampler):
     def misfit(self, points: object) -> float:
         """Return the root-mean-square difference between the power of `points` and the target.
 
-        The mean is over frequencies, each of which has the mean power of its ring.
+        The mean is over all frequencies; the power of a frequency is the mean power of its ring.
         The points have shape (n, 2).
         """
         x = as_unit_points(points, dims=2)
