@@ -1395,7 +1395,7 @@ def _within(counts: Sequence[int], points: int) -> ExtrapolationSettings:
 def _places(sampler: Sampler, counts: Sequence[int]) -> list[int]:
     """Return a smaller count, the given counts, and two larger counts.
 
-    The smaller count is added only to a single given count. Missing counts are 0.
+    A smaller count is added only if a single count is given. Missing counts are 0.
     """
     last = counts[-1]
     half = sampler.nearest_count(max(1, last // 2)) if len(counts) == 1 else last

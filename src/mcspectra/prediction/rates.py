@@ -283,7 +283,7 @@ def slowest_of_jumps(g: Integrand, laws: Sequence[Law], settings: JumpSettings =
     A jump across an axis cuts one of n strata. Sets with stratified projections have the rate −2.
     A jump at a stratum border at all counts cuts no stratum.
     On the torus, g may also jump at the border of the cube.
-    Lattices resolve a straight line as well as an axis.
+    Lattices resolve jumps along straight lines as well as jumps across axes.
     For disks, lattices reach −1 − 1/d only in the mean over n.
     """
     d, law = g.dims, laws[-1]
@@ -428,7 +428,7 @@ def rates_of(
     end = line_fit(x[-late:], y[-late:], np.ones(late)).slope
     steps = np.diff(y) / np.diff(x)
     near_enough, log = min(settings.near, 0.4 / dims), (dims - 1) / x[-late:].mean()
-    corners = slowest.exponent == -2.0 and dims in (2, 3)  # Jumps across several axes
+    corners = slowest.exponent == -2.0 and dims in (2, 3)  # Jumps across axes meet
     if end <= slowest.exponent + near_enough + corners * log and slowest.sure:
         limit = slowest.exponent
     elif len(x) > 2 and np.ptp(steps[1 - late :]) <= settings.agree:

@@ -186,8 +186,7 @@ class SubsetSettings:
     resolved
         Relative errors of curves between their nodes, for smooth curves and for curves with jumps.
     most_work
-        Largest work, 1.7e10: the number of pairs of points, times the number of axes,
-        times the squared number of products.
+        Largest work: pairs of points, times axes, times the squared number of products; 1.7e10.
     draws
         Number of sets that are drawn if sets are random before their shift or scramble.
         The interval includes the spread of the variances over the drawn sets.
@@ -485,8 +484,8 @@ def pair_sums(
 ) -> Array:
     """Sum covariances over all points b with the points a of each row: (rows, variants + 1).
 
-    The inputs are codes (n, d, digits), rows (rows,), first (d, differences, variants),
-    rest (d, differences, q), means (d, q) and weights (q,).
+    Shapes of the inputs: codes (n, d, digits), rows (rows,), first (d, differences, variants).
+    Shapes of the other inputs: rest (d, differences, q), means (d, q), weights (q,).
     Each row begins with Σ_i first_i for every variant, the covariances of single axes.
     The last entry is Σ_q weight Σ_{|v| ≥ 2} Π_{i∈v} rest_i Π_{i∉v} mean_i.
     Mode 0 counts common digits, mode 1 uses bits that differ, and mode 2 the torus of `cells`.

@@ -4,9 +4,9 @@ The covariance C_ml of such sets is diagonal. With the power P(m) = ⟨|S_m|²�
 
     Var = Σ_{m≠0} |g_m|² P(m) = Σ_{m in C} |g_m|² P(m) + (∫g² − I² − Σ_{m in C} |g_m|²) / n + …,
 
-where C is the set of counted frequencies. The set C consists of three parts:
-a box; strips along the axes, which hold the energy of functions that are not periodic;
-and multiples of a few integer vectors, which hold the energy of jumps along diagonals.
+where C is the set of counted frequencies. The set C has three parts. The first part is a box.
+The second part, strips along the axes, holds the energy of functions that are not periodic.
+The third part, multiples of a few integer vectors, holds the energy of jumps along diagonals.
 Outside C, P tends to 1/n.
 The error of the tail is the difference between P and 1/n at the box's border, weighted by |g_m|².
 

@@ -36,9 +36,10 @@ from mcspectra.samplers.external import OneByOne, qualified_name
 __all__ = ["QmcpySampler", "ScipySampler", "is_engine", "is_generator"]
 
 _RANDOMNESS = ("rng", "seed")  # names of the argument for the generator: seed before scipy 1.15
-_SET_ELSEWHERE = ("dimension", "replications", "seed")  # arguments that this class sets
+_SET_ELSEWHERE = ("dimension", "replications", "seed")  # arguments that QmcpySampler sets itself
 _UNBIASED = ("Halton", "LatinHypercube", "Sobol")  # scrambled engines of scipy with uniform points
-_UNIFORM = ("TRUE", "SHIFT", "DS", "LMS DS", "DP", "LMS DP", "NUS")  # values of QMCPy's `randomize`
+# Values of QMCPy's argument `randomize` with which points are uniform
+_UNIFORM = ("TRUE", "SHIFT", "DS", "LMS DS", "DP", "LMS DP", "NUS")
 _NOT_POINTS = ("DummySampler", "MPMC")  # MPMC downloads its points
 _TABLES = {"generating_matrices": "generating_matrices", "generating_vector": "generating_vectors"}
 """Options of QMCPy that name a file, and the folder with QMCPy's own files."""

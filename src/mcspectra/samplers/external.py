@@ -76,7 +76,7 @@ SEED_BITS = 31
 _NET_BASES = (2, 3, 5)
 _LEAST_CELLS, _LEAST_CELLS_OF_FEW = 8, 16  # least number of balanced elementary intervals
 _FEW = 64  # sets with fewer points than this need more intervals
-_MOST_WORK = 2**26  # largest product of points and interval shapes; takes about a second
+_MOST_WORK = 2**26  # largest number of points times interval shapes; about a second
 _WORD = 53  # number of bits of a coordinate
 _OFF_LATTICE = 0.01  # rounding tolerance of coordinates of a lattice, in units of 1/n
 

@@ -206,7 +206,7 @@ class _Point(Motif):
 @final
 @dataclass(frozen=True)
 class UniformPoint(_Point):
-    """A uniform point of the cell."""
+    """Motif of one uniform point in the cell."""
 
     def axis(self, a: Array) -> Array:
         """Return χ(a) = sinc(πa) exp(−iπa)."""
@@ -399,8 +399,7 @@ class Fixed(Law):
     vector
         Generating vector z of a rank-1 lattice {k z / n}; None for other sets.
     sides, corner
-        Number of grid cells along each axis, and the position of each point within its cell,
-        in units of cells.
+        Number of grid cells along each axis, and each point's position within its cell, in cells.
         None for sets that are not grids.
     even
         Whether the evenness of the set depends only on differences of points on the torus.

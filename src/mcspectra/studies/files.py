@@ -8,7 +8,7 @@ Unknown keys, wrong types and values out of range are errors that name the place
 Relative paths in specs are relative to the folder of the file.
 
 A study is read in four steps. The first two apply changes of the command line and expand grids.
-The last two check types, and check rules that concern several keys.
+The last two steps check types, and rules that concern several keys.
 """
 
 from __future__ import annotations

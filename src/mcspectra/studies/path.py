@@ -64,8 +64,7 @@ PATH_SAMPLERS = ("random", "latin-hypercube", "rank1-lattice | shift", "sobol | 
 """Samplers that are compared by default; they support any count in any number of dims."""
 
 _EFFORTS = {
-    # Counts n, realizations, realizations for the ANOVA, paths for the shares of lights,
-    # and whether variances are predicted
+    # Counts n, realizations, ANOVA realizations, paths for shares of lights, whether to predict
     "quick": ((16, 64, 256, 1024), 200, 10_000, 2**14, False),
     "full": ((16, 64, 256, 1024, 4096), 1000, 100_000, 2**17, True),
 }
@@ -276,7 +275,7 @@ def shares_by_light(f: PathPixel, paths: int, stream: Stream) -> xr.Dataset | No
     Raises
     ------
     ParameterError
-        If a light cannot be dimmed.
+        If the radiance of a light cannot be dimmed.
     """
     names = emitter_names(f.scene)
     if not 1 < len(names) <= _MOST_LIGHTS:
