@@ -810,7 +810,10 @@ class Prediction(Counted, frozen=True, kw_only=True):
     def _cost(
         self, estimator: AbstractEstimator, sampler: Sampler, n: int, known: Sequence[Known]
     ) -> float:
-        """Return the evaluations of the requested methods; `auto` counts the first method tried."""
+        """Return the number of evaluations of the requested methods.
+
+        With `auto`, only the first method that is tried counts.
+        """
         source, cost = estimator.randomized(sampler), 0.0
         for count, each in zip(estimator.counts, known, strict=True):
             law = source.law(n * count)

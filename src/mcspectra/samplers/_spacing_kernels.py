@@ -37,8 +37,8 @@ __all__ = [
 _FINEST = 2**40
 _NOWHERE = 9.0  # coordinate that marks an empty cell, farther away than any radius
 _AXES = 3  # largest number of axes of buckets and grids; with more, cells are mostly empty
-# A new point lowers the bounds of cells up to 7 cells away. The cells are narrow:
-# a quarter of the points' spacing. The nearest point is therefore usually less than 7 cells away.
+# A new point lowers bounds up to 7 cells away. The width of a cell is a quarter of the spacing.
+# The nearest point is therefore usually less than 7 cells away.
 _REACH = 7
 _ROUNDING = 1e-9  # fraction of a cell added to bounds, because of rounding
 _FAR = 16.0  # larger than any squared distance in the domain, in up to 4 dims
