@@ -193,8 +193,8 @@ def exact_variance(
     ----------
     estimator, sampler, n
         Any estimator with one of the following samplers.
-        The samplers random, jittered, regular and uniform-jitter are allowed,
-        alone or with the randomization shift, strata-shift or mirror.
+        The samplers random, jittered, regular and uniform-jitter are allowed.
+        They may have one of the randomizations shift, strata-shift and mirror.
         The samplers antithetic-jittered and latin-hypercube are also allowed.
         The sampler latin-hypercube may also have shift.
         Nets and sequences, such as sobol or halton, are allowed with the randomization owen.

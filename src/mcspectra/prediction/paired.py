@@ -23,7 +23,7 @@ If more parts of u are not means, λ decreases with powers of 1/s.
 The fit of `mcspectra.prediction.subsets` adds functions of single axes and their products.
 The variance of the fit is known.
 The rest is estimated from random pairs of points that share strata of two or three axes.
-From g and from the fit, their functions of single axes are subtracted.
+First, the functions of single axes are subtracted from g and from the fit.
 The estimate is the mean product of g at two points, minus the mean product of the fit.
 Energies of g minus the fit in more than three axes are not estimated and widen the interval.
 """

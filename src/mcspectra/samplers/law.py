@@ -5,9 +5,9 @@ The variance of an estimator combines the spectrum of its integrand with the sam
     Var(I_n) = Σ_m Σ_l conj(f_m) f_l C_ml,     C_ml = ⟨S_m conj(S_l)⟩ − ⟨S_m⟩ conj⟨S_l⟩,
 
 The covariance C_ml is a property of the sampler's law.
-A sampler states its law once, in `Sampler.law`. All else is computed by functions of the law:
-closed forms, exact variances, predictions, rates and the fitting basis.
-These functions dispatch on the class at the root of a law, and recurse.
+A sampler states its law once, in `Sampler.law`. All else is computed by functions of the law.
+Examples are closed forms, exact variances, predictions, rates, and the fitting basis.
+The functions dispatch on the class at the root of a law, and recurse.
 No function tests a sampler's name.
 
 A law is a small tree of frozen classes. Leaves describe how points are drawn:
@@ -335,7 +335,7 @@ class PairedAxes(Law):
     parts
         Number of parts of each stratum; each part contains at most one point.
     patterns
-        Groups of the pairs of different points.
+        Groups of ordered pairs of different points, by the relation of the points on each axis.
     base
         Base in which every realization is a scrambled net [Tang1993]_; None if there is none.
     """

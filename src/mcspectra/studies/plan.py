@@ -70,10 +70,10 @@ MOST_EVALUATIONS = 10**15
 """Maximum number of evaluations of a study without --force: half a year on a hundred cores."""
 
 # Planning time in seconds: per spec, per estimator with densities, per density in several dims.
-# The fourth time is for each density in one dim, because its warp is searched for gaps
+# The fourth value is the time per density in one dim, because its warp is searched for gaps
 _SPEC, _WEIGHTED, _DENSITY, _WARP = 1e-4, 6e-4, 5e-4, 2e-3
 # Planning time in seconds per pair of estimator and sampler, and per cell.
-# The third time is for each item of a list in an analysis, such as a count
+# The third value is the time per item of a list in an analysis, such as a count
 _PAIR, _CELL, _COUNT = 3e-6, 2.5e-5, 3e-6
 NOTED_SECONDS = 5.0
 """Planning time in seconds above which a message announces the wait."""
