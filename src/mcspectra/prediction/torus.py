@@ -641,8 +641,8 @@ def moves_at_once(law: Law) -> bool:
 def moves_resolve(law: Law, known: Known) -> bool:
     """Return whether `of_moves` resolves a set in 1 to 3 dims better than other methods.
 
-    This holds for shifted lattices if the coefficients of g are not exact.
-    The same is true for nets in base 2 with a digital shift, whose weights depend on g.
+    Random moves are better for shifted lattices if the coefficients of g are not exact.
+    They are also better for nets in base 2 with a digital shift, whose weights depend on g.
     """
     if law.dims > 3 or not moves_at_once(law):
         return False
