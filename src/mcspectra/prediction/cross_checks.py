@@ -11,8 +11,8 @@ The sum over pairs has the terms A(x_i − x_k), where A is the autocorrelation 
 A is tabulated on the torus and interpolated linearly.
 
 An average of A over directions, g(|h|), would be exact for isotropic sets only.
-For smooth integrands and shifted Latin hypercubes of 16 points,
-this average over directions overestimates the variance by factors of 1.7 to 3.7.
+For shifted Latin hypercubes, it overestimates the variance by factors of 1.7 to 3.7.
+These factors were found with smooth integrands and 16 points.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class CheckSettings:
         In 6 dims and more there would be fewer than three frequencies along each axis.
     cells
         Number of cells along each axis, by number of dims, for samples of the autocorrelation of g.
-        The error of ∫g² due to sampling cancels.
+        The sampling error of the table's ∫g² cancels.
         A linear interpolant of a wave of frequency k has the relative error (2πk/cells)²/8.
         The relative error is 5e-6 k² in 2-D and 5e-9 k² in 1-D.
     most_points
@@ -142,7 +142,7 @@ def of_homogenized(
             "The homogenized formula holds for uniform points that are the same after any "
             f"translation, not for {given.spec} with {sampler.spec}; add shift."
         )
-    FrequencyGrid(estimator.domain_dims, width)  # Raises if there are too many frequencies
+    FrequencyGrid(estimator.domain_dims, width)  # An error if there are too many
     m, f = _coefficients(given, width)
     try:
         known = closed_form_power(sampler, n, m)
@@ -175,7 +175,7 @@ def of_terms(
     """Return the results of all methods that use `terms_for`, by name.
 
     The method terms is the sum of the three terms. The method measured is the sample variance.
-    If the method homogenized takes its power from realizations, the power term is added.
+    The method homogenized, here the power term, is included if its power comes from realizations.
     """
     share: Any = np.nan
     if estimator.domain_integrand is not None:
@@ -269,7 +269,7 @@ def of_pairs(
     ------
     NoClosedForm
         If the set is not stationary, has over 2 dims, or is a shifted grid or lattice.
-        The same holds if a quadrature does not converge to 1e-6.
+        The error is also raised if a quadrature does not converge to 1e-6.
     """
     estimator.check_independent()
     source, realizations = estimator.randomized(sampler), asked.realizations
@@ -291,7 +291,7 @@ def of_pairs(
     for technique, count in enumerate(estimator.counts):
         g = estimator.primary_integrand(technique)
         if exact:
-            # Random points use all their pairs. Jittered points use the pairs in different cells
+            # For random points, all pairs count; for jittered points, pairs in different cells
             (square, square_error), points = square_integral(g), n * count
             sides: Any = getattr(source.law(points), "sides", (1,) * g.dims)
             squares = []  # Σ_j (∫_cell j g)²

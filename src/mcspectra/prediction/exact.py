@@ -1,19 +1,19 @@
 """Exact variances of random and stratified sampling and of scrambled nets, by quadrature.
 
-The formulas for strata and for nested uniform scrambling are in docs/theory.md,
-in the sections "Exact variances of strata" and "Gains of scrambled nets".
+The formulas for strata and for nested uniform scrambling are in docs/theory.md:
+see the sections "Exact variances of strata" and "Gains of scrambled nets".
 Strata may have a common offset. Further samplers have these formulas:
 
 * Digital shift in base 2, for coordinates that are multiples of 2^-L. The shift has L random bits.
   Below these bits is an offset δ that is uniform in a cell and the same for all points.
   For given δ, the values of g on the grid have the Walsh spectrum ĝ_m(δ).
-  The points have ŝ_m = (1/n) Σ_k wal_m(x_k).
-  For digital nets |ŝ_m|² is 1 on the dual net and 0 elsewhere. Then
+  The points have the Walsh coefficients ŝ_m = (1/n) Σ_k wal_m(x_k).
+  For digital nets |ŝ_m|² is 1 on the dual net and 0 elsewhere. The variance is
 
       Var = E_δ [Σ_{m ≠ 0} ĝ_m² ŝ_m²] + Var_δ ĝ_0.
 * Latin hypercubes: along each axis, two points lie in two different strata out of n.
   Let ω² be the mean variance within n^d cells.
-  Let σ²_v be the ANOVA parts of the cell means, for the subsets v of the axes. Then
+  Let σ²_v be the ANOVA variances of the cell means, for the subsets v of the axes. The variance is
 
       Var = (1/n) [ω² + Σ_{v ≠ ∅} (1 + (n − 1) (−1/(n − 1))^|v|) σ²_v],
 
@@ -113,7 +113,7 @@ class ExactSettings:
     """
 
     # An error below this fraction of ∫g²/n is accepted for every tolerance.
-    # Halving or doubling the value gives the same results.
+    # Halving or doubling this value gives the same results.
     negligible: float = 1e-9
     # The error of the higher order is at most the difference of two orders times this factor.
     # At a jump both orders have errors of about the same size.
@@ -136,12 +136,12 @@ class ExactSettings:
     # Factor for the reported error of ∫h² next to a pole.
     # The factor changes intervals, but not variances.
     doubt: float = 3.0
-    # `rounding` is the relative rounding error of ∫g², and `exact` that of sums along an axis.
+    # Relative rounding errors: of ∫g² (`rounding`), and of sums along an axis (`exact`).
     rounding: float = 4e-15
     exact: float = 1e-9
-    # Largest number of cells of an axis. The variance of halton | shift at n = 1024 depends on it:
-    # half the value changes the variance by 2e-4, twice the value by 5e-5.
-    # `most_pairs` limits the time. It bounds the pairs of points times the dims.
+    # Largest number of cells of an axis. It matters for halton | shift at n = 1024:
+    # half this number changes the variance by 2e-4, and twice this number by 5e-5.
+    # `most_pairs` limits the time. It bounds the number of pairs of points, times the dims.
     most_cells: int = 2**18
     most_pairs: float = 2.0**32
     # Number of quadrature nodes per cell, and a smaller number for more than 2^14 cells.
@@ -151,10 +151,10 @@ class ExactSettings:
     few_nodes: int = 6
     deep: int = 14
     # Relative error of the power beyond the last octave.
-    # There the power is assumed to equal its mean over the last octave.
+    # At these frequencies, the power is assumed to equal its mean over the last octave.
     # This error changes intervals, but not variances.
     white: float = 0.02
-    # Rounding error of a mean of a curve h over a set, as a fraction of √∫h².
+    # Rounding error of the mean of a curve h over a set, as a fraction of √∫h².
     # Rounding error of the variance of means over sets, as a fraction of ∫h²/n.
     # Halving or doubling the values gives the same results.
     rounded_mean: float = 1e-15
@@ -162,13 +162,13 @@ class ExactSettings:
     # Number of points evaluated at a time. The number has no effect on the result.
     at_once: int = 2**20
     # A variance within cells is treated as rounding below this fraction of ∫h².
-    # Halving or doubling the value gives the same results.
+    # Halving or doubling this value gives the same results.
     nothing: float = 1e-12
     # Number of octaves of offsets that resolve a cusp. The octaves have the ratio 8.
-    # Halving or doubling the value gives the same results.
+    # Halving or doubling this value gives the same results.
     cusps: int = 10
     # Points are a grid if n times their coordinates differ from integers by less than this.
-    # Halving or doubling the value gives the same results.
+    # Halving or doubling this value gives the same results.
     even: float = 1e-6
     # Relative error of a product's variance if points are rounded to cells of 2^-15.
     # Smaller tolerances raise an error.
@@ -193,13 +193,14 @@ def exact_variance(
     ----------
     estimator, sampler, n
         Any estimator with one of the following samplers.
-        The samplers random, jittered, regular and uniform-jitter are allowed, alone or with
-        shift, strata-shift or mirror. So are antithetic-jittered and latin-hypercube.
+        The samplers random, jittered, regular and uniform-jitter are allowed.
+        They may have one of the randomizations shift, strata-shift and mirror.
+        The samplers antithetic-jittered and latin-hypercube are also allowed.
         The sampler latin-hypercube may also have shift.
         Nets and sequences, such as sobol or halton, are allowed with the randomization owen.
         In base 2, the randomization digital-shift is also allowed.
         Latin hypercubes and nets need about n cells per side.
-        This limits n to some thousands in 2-D and some tens in 3-D.
+        The number of cells limits n to some thousands in 2-D and some tens in 3-D.
         Sums and products of functions of one axis work in any dims.
         Such sums and products also work with orthogonal arrays and shifted sets.
     dims
@@ -207,8 +208,8 @@ def exact_variance(
         The default is the number of dims of the sampler, unless the sampler is a spec.
     tolerance
         Largest relative error of the variance, 1e-12 to 1.
-        If f has jumps that it does not declare and that are not across an axis,
-        the least possible tolerance is 1e-3 with random points, and about 0.1 with strata.
+        Undeclared jumps of f that are not across an axis limit the tolerance:
+        the least value is 1e-3 with random points, and about 0.1 with strata.
         The message of the error gives a tolerance that is possible.
         With 1e-3 or more in at least 4 dims, f may be fitted by a sum of products.
         The factors of these products are functions of one axis.
@@ -228,8 +229,8 @@ def exact_variance(
     ------
     NoClosedForm
         If the variance is not known for this sampler, or the quadrature does not converge.
-        Quadratures may not converge at discontinuities that are not axis-aligned,
-        unless f is integrated in closed form.
+        Quadratures may not converge at discontinuities that are not axis-aligned.
+        This does not matter if f is integrated in closed form.
         If g is equal at all points of the probe, but not declared constant.
     ParameterError
         If `tolerance` is not a number from 1e-12 to 1.
@@ -238,11 +239,11 @@ def exact_variance(
     -----
     Undeclared jumps and poles of g across an axis are found along lines. Cells are cut there.
 
-    If ∫g has no closed form, the sums of the quadrature are compared with other integrals.
-    These integrals are checked at 2^17 probe points.
-    The points find a slab across an axis in which g differs, if its width is 2^-17 or more.
+    If ∫g has no closed form, the quadrature is compared with ∫g and ∫g² by other rules.
+    The other rules are checked at 2^17 probe points.
+    The probe points find a slab across an axis in which g differs, if its width is 2^-17 or more.
     The probe points hit any other region of volume v with probability 1 − exp(−2^17 v).
-    For v = 8e-5 this is 1 − 5e-5. Narrower peaks and their variance may be missed.
+    For v = 8e-5 this probability is 1 − 5e-5. Narrower peaks and their variance may be missed.
     Regions that only the probe finds are examined at 2^18 other points and enter the error.
 
     ∫g² is infinite if g grows across an axis like t^-½ or faster (exponent at least 0.4995).
@@ -302,7 +303,7 @@ def of_integrand(
     """Return variance and a bound of its error, (channels or 1,). It is 0 at rounding level.
 
     The error is the difference between two orders plus the `blindness` of the higher order.
-    For random points the error is that of ∫g².
+    For random points, the error is the error of ∫g².
     If higher orders of the quadrature would suffice, the orders are raised once.
     If `most` is lower, other methods follow, and the orders are not raised.
 
@@ -310,11 +311,11 @@ def of_integrand(
     ------
     NoClosedForm
         If `exact_variance` would raise, or the error exceeds `tolerance` times the variance.
-        The same holds if a rule would take more than about `most` evaluations.
+        The error is also raised if a rule would take more than about `most` evaluations.
     """
     g, lines = looked_at(g), False
     if not (in_closed_form(g) or g.costly):
-        # Lines cost little. They resolve poles and waves that cells do not resolve
+        # Integrals along lines cost little, and resolve poles and waves that cells do not resolve
         lines = bool(beyond_points(g).any()) or (most >= MOST_EVALUATIONS and g.dims > 1)
         if lines and separated(g):
             with contextlib.suppress(NoClosedForm):
@@ -661,7 +662,8 @@ def _of_projections(law: Law, inner: Fixed, g: Separable) -> tuple[float, float]
                 power = np.abs(sums[most + 1 :]) ** 2
                 energy = energy[1 : most + 1] / np.sinc(m / size) ** 2
                 tail = max(curve.square - float(energy.sum()), 0.0)
-                last = slice(most // 2, most)  # Last octave, whose mean power the tail gets
+                # The mean power of the last octave is used for the tail
+                last = slice(most // 2, most)
                 weight = n * float(energy[last] @ power[last]) / max(energy[last].sum(), 1e-300)
                 error += (abs(weight - 1.0) + _SETTINGS.white) * tail / n if size == finest else 0.0
                 found.append(float(energy @ power) + weight * tail / n)
@@ -825,7 +827,7 @@ def _latin(law: Law, g: Integrand, rule: Rule, *, shifted: bool) -> tuple[Array,
     if shifted:  # The mean over all cells is a smooth function of the offset
         nodes, weights = offset_rule(g, fine, rule.order // 2 + 2)
     one = float(len(nodes) * rule.each(g))
-    # Cells next to 0 and 1 are cut, so that 1-D and 2-D have more pieces than cells
+    # Shifted cells at 0 and 1 are cut into pieces, which matters for the cost in 1-D and 2-D
     most = rule.most / one / (1 if in_closed_form(g) or g.dims > 2 else 2)
     side = next((m for m in range(n, 1, -1) if n % m == 0 and m**g.dims <= most), 1)
     if side < n:
@@ -857,7 +859,7 @@ def _nested(net: Fixed, bases: tuple[int, ...], g: Integrand, rule: Rule) -> tup
     for axis, base in enumerate(bases):
         level, limit = 0, math.floor(_SETTINGS.most_bits / math.log2(base))
         # Rounding may move coordinates just below a multiple of b^-level.
-        # Such coordinates count as the multiple, as in spectra.gain
+        # A coordinate just below a multiple counts as the multiple, as in spectra.gain
         x = points[:, axis] + (0.0 if base & (base - 1) == 0 else 2.0**-50)
         while len(np.unique(np.floor(x * base**level))) < n:
             level += 1
@@ -927,7 +929,7 @@ def level_variances(means: Array, bases: tuple[int, ...], axis: int = 0) -> Arra
 
     Means have shape (b_0^L_0, b_1^L_1, …, channels), where b_i is the base of axis i.
     The result has shape (L_0 + 1, L_1 + 1, …, channels).
-    At level 0 of all axes it holds the square of the mean.
+    At level 0 of all axes, the result is the square of the mean.
     The means are split along `axis` into the contributions of each digit.
     The later axes are split in the same way, one after the other.
     """

@@ -40,7 +40,7 @@ _LOW = 0.125
 @final
 @dataclass(frozen=True, kw_only=True)
 class ImageErrorSettings:
-    """Limits of the sums over spectra of error images.
+    """Limits for predictions of the spectra of error images.
 
     Attributes
     ----------
@@ -56,9 +56,9 @@ class ImageErrorSettings:
         A loss of 1 % of the power is less than the standard error of 16 images.
     beyond
         A note reports a band if more than this fraction of its power lies beyond the half width.
-        Power of this size beyond the half width can change the order of masks.
+        Power of this size beyond the half width can change the ranking of masks.
     precision
-        Relative error of the transforms, far below that of the images.
+        Relative error of the transforms, far below the relative error of the images.
     """
 
     most_dims: int = 3
@@ -97,8 +97,8 @@ def image_error_spectrum(
     half_width
         Frequencies m in {−half_width … half_width}^d are predicted term by term.
         The rest of ∫f² is treated as if points were random and pixels independent.
-        The default is 24. With closed-form coefficients it is doubled as needed:
-        until the rest is under 1 % of every band, or there are 2^21 frequencies.
+        The default is 24. With closed-form coefficients, it is doubled as needed.
+        Doubling ends when the rest is under 1 % of every band, or at 2^21 frequencies.
     images
         Number of independent images, at least 2.
         Each image has its own shared set and its own position of the mask.
@@ -111,12 +111,12 @@ def image_error_spectrum(
         The result has the dim radius, in cycles per pixel.
         ``predicted_power`` comes from coefficients of f and spectra of the sets.
         ``measured_power`` comes from f at the points of the sets.
-        Its interval is ``measured_power_ci``. Both powers have the units of f².
-        White noise has the variance of a pixel at every frequency.
+        The interval of the measured power is ``measured_power_ci``. Both powers are in units of f².
+        For white noise, the power at every frequency is the variance of a pixel.
         ``tail_term`` is the part of the prediction beyond the half width.
         If that part is large, the attribute ``note`` reports it.
-        ``low_share`` ranks masks. It is the predicted power below 1/8 cycle per pixel
-        in units of the mean power. White noise has a ``low_share`` of 1.
+        ``low_share`` ranks masks: it is the predicted power below 1/8 cycle per pixel.
+        The unit of ``low_share`` is the mean power. White noise has a ``low_share`` of 1.
 
     Raises
     ------

@@ -46,7 +46,7 @@ class Predicted:
     variance
         The predicted variance. It is positive.
     error
-        Half of its 95 % interval. It covers quadrature, sampled spectra and the tail.
+        Half of its 95 % interval, for errors of quadrature, of sampled spectra and of the tail.
     how
         Short description, such as the number of sets.
     share

@@ -85,10 +85,10 @@ class LevelsSettings:
     block
         Number of evaluations per call, 16 MB in 2-D. It has no effect on the result.
     clear, doubt
-        The part of ∫g² that tables miss is added if it exceeds this number of its errors.
+        The part of ∫g² that tables miss is added if it exceeds its own error by this factor.
         `doubt` is the uncertainty of the weight of this part.
-        Such a part lies at poles within one cell, and has a gain between 0 and about 1.
-        Half of `clear` adds noise of 0.015 % of a variance; twice the value changes nothing.
+        The missed part lies at poles within one cell, and has a gain between 0 and about 1.
+        Half of `clear` adds noise of 0.015 % to a variance; twice `clear` changes nothing.
     most_error, noise
         The method raises an error above this half interval, relative to the variance.
         Other methods then have smaller relative errors, below 0.2.
@@ -125,8 +125,8 @@ def of_levels(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG
     Parameters
     ----------
     law
-        Law of the sets in 1 to 3 dims: fixed sets with nested or linear scrambling,
-        or strata that are not shifted at random.
+        Law of the sets, in 1 to 3 dims. Fixed sets must have nested or linear scrambling.
+        Strata must not be shifted at random.
     known
         The integrand g, and the tables made for other counts and samplers.
     stream
@@ -339,7 +339,7 @@ def _strata(
 
     If there is a single stratum, all n values lie in it.
 
-    `whole` states that g is the same for all n. Then it is worthwhile to compute ∫g² separately.
+    With `whole`, g is the same for all n. A separate computation of ∫g² then serves all counts.
     """
     # Choose cells that divide the strata, up to the number of cells in the settings
     sizes = sides
@@ -369,7 +369,7 @@ def _missed(known: Known, square: Array) -> Array:
 
 
 def _merged(moment: Array, sides: tuple[int, ...]) -> Array:
-    """Return means over coarser cells of moments (Q, cells of each axis, channels)."""
+    """Average moments over coarser cells; the moments are (Q, cells of each axis, channels)."""
     for axis, side in enumerate(sides, start=1):
         shape = (*moment.shape[:axis], side, -1, *moment.shape[axis + 1 :])
         moment = moment.reshape(shape).mean(axis=axis + 1)
@@ -379,7 +379,7 @@ def _merged(moment: Array, sides: tuple[int, ...]) -> Array:
 def _predicted(
     scaled: Array, n: int, square: Array, how: str, *, rest: Any = 0.0, doubt: Any = 0.0
 ) -> Predicted:
-    """Return the prediction from n times the variance by one or two rules, (Q, channels)."""
+    """Make a prediction from n times the variance, by one or two rules: (Q, channels)."""
     rounding = _ROUNDING * square
     value = np.where(scaled[-1] > rounding, scaled[-1], 0.0)
     error = np.abs(scaled[-1] - scaled[0]) + doubt + rounding + 1e-9 * value

@@ -1,4 +1,4 @@
-"""Variances of orthogonal arrays, from the energies of an integrand between strata of its axes.
+"""Variances of orthogonal arrays, from energies of an integrand within and between strata.
 
 Along each axis g is a sum of four parts: its mean, the means over strata (β),
 the means over parts of a stratum (δ), and the remainder within parts.
@@ -16,14 +16,15 @@ Let E_u be the energy of g with part u_i along axis i. Then
 
 Here p runs over the patterns of pairs of points, which state a relation for each axis.
 Arrays of strength 2 have λ = −1 if u has one β or two β, and all other parts are means.
-If every part of a stratum has one point, λ = −1 also for a single δ with means.
+If every part of a stratum has one point, λ = −1 also if u has one δ, and all other parts are means.
 Energies with λ = −1 add no variance [Owen1992]_.
 If more parts of u are not means, λ decreases with powers of 1/s.
 
 The fit of `mcspectra.prediction.subsets` adds functions of single axes and their products.
 The variance of the fit is known.
 The rest is estimated from random pairs of points that share strata of two or three axes.
-The estimate is the mean product of g without its single axes, minus the mean product of the fit.
+First, the functions of single axes are subtracted from g and from the fit.
+The estimate is the mean product of g at two points, minus the mean product of the fit.
 Energies of g minus the fit in more than three axes are not estimated and widen the interval.
 """
 
@@ -109,8 +110,8 @@ def of_arrays(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG
             ("arrays", c, s, parts, at),
             functools.partial(_energies, p, c, s, parts, offsets, known),
         )
-        # Compute n Var of single axes, of the fit in several axes, and of the rest.
-        # The result for single axes has entries for all profiles together and for each group
+        # Compute n Var for functions of single axes, for the fit in several axes, and for the rest.
+        # The result for single axes has an entry for all profiles, and one for each group of them
         alone = sums.single @ np.array([1.0, 1.0 + part, 1.0 + one])
         several = _of_products(array, sums)
         beside = more @ np.array([1.0, two, both, three])
@@ -126,7 +127,7 @@ def of_arrays(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG
 
 
 def evaluations() -> float:
-    """Return the number of evaluations of g for one prediction, besides those for the fit."""
+    """Return the number of evaluations of g for one prediction, without those for the fit."""
     return float(2 * sum(_SETTINGS.pairs) * _SETTINGS.replicates)
 
 
@@ -163,7 +164,10 @@ def _factor(relation: Relation, part: str, strata: int, parts: int) -> float:
 
 
 def _weight(law: PairedAxes, along: Sequence[str]) -> float:
-    """Return λ of parts along the first axes and means along the others, 0 for too few axes."""
+    """Return λ for parts along the first axes and means along the others.
+
+    The result is 0 if there are fewer axes than parts.
+    """
     s, m, missing = law.strata[0], law.parts[0], law.dims - len(along)
     if missing < 0:
         return 0.0
@@ -187,7 +191,7 @@ class _Sums:
         Means of the factors, (dims, products).
     covariances
         Three kinds of covariances: of the factors, of means over parts, and of means over strata.
-        The shape of all three is (dims, 3, products, products).
+        The array of all three kinds has shape (dims, 3, products, products).
     """
 
     single: Array
@@ -196,7 +200,7 @@ class _Sums:
 
 
 def _of_products(law: PairedAxes, sums: _Sums) -> float:
-    """Return n times the variance of a sum of products minus its single axes."""
+    """Return n times the variance of a sum of products, without its functions of single axes."""
     s, m = law.strata[0], law.parts[0]
     whole, parts, strata = np.moveaxis(sums.covariances, 1, 0)
     kept = {"self": whole, "apart": -strata / (s - 1), "same": strata}
@@ -224,7 +228,7 @@ def _energies(
     """Return energies of single axes and moments of the fit, and energies of g minus the fit.
 
     The energies of g minus the fit have shape (replicates, 4).
-    Their first column holds the energy of several axes, the others the entries of `_MULTIPLES`.
+    Column 0 holds the energy of several axes, and the other columns the entries of `_MULTIPLES`.
     """
     singles, means, covariances = np.zeros((len(p.main[0]), 3)), list[Array](), list[Array]()
     own, centers = len(p.main[0]), list[Array]()
@@ -254,7 +258,7 @@ def _energies(
     others = np.stack([np.prod(np.delete(sums.means, i, axis=0), axis=0) for i in range(d)])
 
     def left(x: Array) -> Array:
-        """Return g minus its single axes, and the products minus their single axes: (2, …)."""
+        """Return g and the products, both without their functions of single axes: (2, …)."""
         flat = x.reshape(-1, d)
         alone, products, single = np.zeros(len(flat)), np.ones(1), np.zeros(1)
         for i, (axis, main, factors) in enumerate(zip(p.axes, p.main, p.factors, strict=True)):

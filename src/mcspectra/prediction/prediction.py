@@ -1,13 +1,13 @@
-"""Predictions of the variance at every n, by the most trusted method, a given one, or by all.
+"""Predictions of the variance at every n, by the most trusted method, a given method, or all.
 
 `METHODS` lists the methods in their order of trust.
-Methods up to ``extrapolated`` work in primary space.
-In primary space each technique has its own integrand on the unit cube,
-and the variances of independent techniques add up.
+The methods from the first to ``extrapolated`` work in primary space.
+In primary space each technique has its own integrand on the unit cube.
+The variances of independent techniques add up.
 
 ``auto`` tries the methods that apply.
-``auto`` returns the first prediction with a narrow enough interval,
-or else the prediction with the narrowest interval.
+``auto`` returns the first prediction with a narrow enough interval.
+If no interval is narrow enough, it returns the prediction with the narrowest interval.
 The last of these methods, ``extrapolated``, measures small sets of the sampler.
 The remaining methods check a prediction.
 """
@@ -114,7 +114,7 @@ The variance from jumps at the faces of the cube is proportional to c(1 − c).
 _MEMORY = 2**29
 """Largest memory, in bytes, of coefficients and transforms of all regions."""
 _OVERHEAD = 1e6
-"""Work of a prediction apart from evaluations, in units of evaluations."""
+"""Work of a prediction besides evaluations of g, as an equivalent number of evaluations."""
 
 
 @final
@@ -125,7 +125,7 @@ class QuadratureSettings:
     Attributes
     ----------
     tolerance
-        Largest relative error of a quadrature that precedes all other methods.
+        Largest relative error with which a quadrature takes precedence over all other methods.
         If g jumps, the intervals of the other methods are no narrower than this.
         Tolerances were tested on a jump along a line with 5 samplers at n = 64.
         A tolerance of 0.003 rejects one more quadrature, and 0.03 accepts one more.
@@ -134,7 +134,7 @@ class QuadratureSettings:
         This number is a sixteenth of the limit of `exact_variance`.
         Values from 2^20 to 2^24 give the same results for the same samplers.
     most_breaks
-        Randomly shifted strata in several dims are integrated up to this number of breaks of g.
+        Largest number of breaks of g for the quadrature of shifted strata in several dims.
         Offsets are cut at each break along each axis, so their number grows with the power d.
     """
 
@@ -183,9 +183,9 @@ class AutoSettings:
 class TableSettings:
     """Settings for a table of g at the centers of cells, measured with sets of the sampler.
 
-    The changes stated below were measured in three cases at n = 64:
-    a jump along a line and a smooth g, both in 2-D with pmj02,
-    and a Gaussian of width 0.1 in 3-D with latin-hypercube.
+    The changes stated below were measured in three cases at n = 64.
+    Two cases are a jump along a line and a smooth g, both in 2-D with pmj02.
+    The third case is a Gaussian of width 0.1 in 3-D with latin-hypercube.
     The half intervals of these cases are about 3 %.
 
     Attributes
@@ -222,9 +222,9 @@ class TableSettings:
 class ExtrapolationSettings:
     """Settings for the measured counts, and for the line through their variances.
 
-    The changes stated below were measured in three cases:
-    a jump along a plane in 4-D and a smooth g in 2-D with sobol | owen at n = 256 and 1024,
-    and a smooth g in 4-D with latin-hypercube at n = 100.
+    The changes stated below were measured in three cases.
+    Two cases, at n = 256 and 1024 with sobol | owen, are a jump in 4-D and a smooth g in 2-D.
+    The jump is along a plane. The third case is a smooth g in 4-D with latin-hypercube at n = 100.
 
     Attributes
     ----------
@@ -248,7 +248,7 @@ class ExtrapolationSettings:
         Realizations of each small count. The relative error of a variance is √(2/2000) = 3 %.
     near_sets, near_points
         Least number of realizations of a count close to n, and least total number of points.
-        The number of realizations satisfies both requirements.
+        The number of realizations is so large that both limits are reached.
         Halving or doubling both settings changes variances by less than 4 %.
         These changes are well within the intervals of 14 to 60 %.
     most_factor
@@ -275,20 +275,20 @@ class EvaluationLimits:
     ----------
     evaluations
         Default for the most evaluations. A function that takes 4 µs per point needs one second.
-        An interval then extends from the variance divided by a factor to the variance times it.
+        An interval then reaches from the variance divided by a factor to the variance times it.
         The factor of such an interval is 1.5 at measured counts, and 2 at n = 4,096.
     predictions
         Least number of evaluations per technique at which methods other than measurements are used.
         Predictions by these other methods need 1.2 to 13 million evaluations.
         These numbers are for smooth functions and jumps in 1-D to 4-D with four samplers.
     sets, least_sets
-        Number of realizations of each count above which larger counts are measured as well.
+        If every count has more than this number of realizations, larger counts are also measured.
         `least_sets` is the least number of realizations of any count.
         Variances of 100 and of 16 realizations have standard errors of 14 % and 35 %.
     first, least_counts
         Smallest measured count, and least number of measured counts.
         Two counts determine a line, and one or two further counts determine its error.
-        The predicted count is excluded.
+        The count whose variance is predicted is not measured.
     beyond
         Ratio of the largest measured count to the largest requested count.
     probe
@@ -388,8 +388,8 @@ def of_table(law: Law, known: Known, stream: Stream, settings: TableSettings = _
     if not (moments.resolved & (moments.variance > rounding_floor(moments.mean))).all():
         raise NoClosedForm(f"{sets} sets do not resolve the variance of {law.name}.")
     tail = missed / n
-    # The whole tail is also an error: within cells, the points may be as good as at larger scales,
-    # or only as good as random points
+    # The whole tail is also an error, because the quality of points within cells is unknown:
+    # they may be as good as at larger scales, or only as good as random points
     error = CONFIDENCE_Z * moments.relative_se * moments.variance + tail + miss / n
     share = 1.0 - np.minimum(missed / known.square[0], 1.0)
     return Predicted(moments.variance + tail, error, f"{sets} sets", share, tail)
@@ -415,7 +415,7 @@ def extrapolated(
     """Fit a line to log variances measured at the small counts closest to n, but not at n."""
     # Use counts near n at which sets are as regular as at n.
     # If n is a power of two, these counts are powers of two.
-    # Otherwise they differ from n by multiples of a power of two that divides n
+    # For any other n, the counts differ from n by multiples of a power of two that divides n
     step = min(n & -n, 1 << max(0, (n // settings.near).bit_length() - 1))
     near = [n + k * step for k in (-2, -1, 1, 2)]
     if n & (n - 1) == 0:
@@ -428,7 +428,7 @@ def extrapolated(
         if count == n or len(found) == settings.fitted:
             continue
         with contextlib.suppress(CountError):
-            # If there is one technique, use its nearest counts without further warnings
+            # Counts of a single technique are allowed; a check would only repeat its warnings
             if sum(estimator.counts) > 1:
                 estimator.check_sampler(sampler, count)
             close = counts[count]
@@ -480,7 +480,7 @@ class Method:
         Name, and short description of the computation.
     predict
         Function that predicts the variance of the mean of g over points with a given law.
-        It predicts one technique, and raises `NoClosedForm` if the method does not apply.
+        The function predicts one technique; if it does not apply, it raises `NoClosedForm`.
         Methods that work on whole estimators only have no such function.
     applies
         Whether ``auto`` tries the method for a law and an integrand, decided without evaluations.
@@ -492,10 +492,10 @@ class Method:
         Largest half interval, relative to the variance, with which ``auto`` accepts the prediction.
         The next method is then not tried.
     cost
-        Approximate or largest number of evaluations of g, unless another count has made them.
+        Approximate or largest number of evaluations of g. Several counts may share evaluations.
     of_estimator
         Function that predicts the variance of a whole estimator.
-        It is used if a method is requested by name and cannot predict techniques separately.
+        The function is used for a method requested by name that cannot predict single techniques.
     realized
         Whether the method uses realizations of the estimates. Methods share realizations.
     """
@@ -524,7 +524,7 @@ def _one_offset(law: Law) -> bool:
 
 
 def _latin(law: Law) -> bool:
-    """Return whether points are a Latin hypercube in several dims, with exact sums over axes."""
+    """Return whether points are a Latin hypercube in several dims: sums over axes are exact."""
     return isinstance(law, PairedAxes) and law.latin and law.dims > 1
 
 
@@ -810,7 +810,10 @@ class Prediction(Counted, frozen=True, kw_only=True):
     def _cost(
         self, estimator: AbstractEstimator, sampler: Sampler, n: int, known: Sequence[Known]
     ) -> float:
-        """Return evaluations of the requested methods, or for `auto` of the method tried first."""
+        """Return the number of evaluations of the requested methods.
+
+        With `auto`, only the first method that is tried counts.
+        """
         source, cost = estimator.randomized(sampler), 0.0
         for count, each in zip(estimator.counts, known, strict=True):
             law = source.law(n * count)
@@ -820,7 +823,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
         return cost
 
     def _terms(self, subject: Subject, n: int) -> tuple[Terms, Need, str]:
-        """Return the analysis of sampled methods, its resources, and why it lacks frequencies."""
+        """Return the analysis that samples spectra, its resources, and why it lacks frequencies."""
         asked = terms_for(subject.estimator, n, self.half_width, self.realizations)
         without, refusal = msgspec.structs.replace(asked, half_width=0), ""
         if self.method != "measured":
@@ -849,7 +852,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
         own, other = (Stream.from_rng(np.random.SeedSequence([stream.key, k])) for k in (0, 1))
 
         # Counts of a sampler. With auto they include counts for rates and their limit.
-        # The value 0 stands for no count
+        # A value of 0 means that there is no count
         counts = [_places(s, self.counts) if auto else [0, *self.counts, 0, 0] for s in samplers]
         wanted = [(s, name, n) for s, each in enumerate(counts) for name in names for n in each]
         alone = {method.name for method in METHODS if method.predict or method.of_estimator}
@@ -948,7 +951,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
             for texts in (cells.methods, cells.hows, cells.notes)
         )
 
-        # Collect the notes. With all methods, the reasons are only in `how`
+        # Collect the notes. If all methods are requested, reasons are only in `how`
         said = list(dict.fromkeys(filter(None, notes)))
         if predictor.measured is not None:
             said.append(
@@ -1030,8 +1033,8 @@ def predict(
     Parameters
     ----------
     estimator
-        An estimator. For plain sampling it may be an integrand, its spec string,
-        or a vectorized function of points (…, d).
+        An estimator. For plain sampling, an integrand or its spec string is enough.
+        A vectorized function of points (…, d) is also accepted.
     samplers
         One sampler or a list without duplicates.
     counts
@@ -1084,10 +1087,10 @@ def predict(
 
         ``energy_share(n)`` is the part of ∫g² that was summed term by term.
         Methods that sum over frequencies use ∫f² instead; methods without terms have share 1.
-        ``tail_variance(n)`` is the variance that represents the rest.
+        ``tail_variance(n)`` is the part of the variance that comes from the rest of ∫g².
 
         ``local_rate(n)`` is the slope from the count before.
-        At the first count it is the slope to the next count.
+        At the first count, ``local_rate`` is the slope to the next count.
         Counts whose interval reaches 0 have no rates.
         ``predicted_rate`` is the slope over all counts, fitted as in `convergence`.
         ``limit_rate`` is the exponent that rates tend to.
@@ -1096,12 +1099,12 @@ def predict(
         ``limit_rate`` and ``bend_n`` are NaN if unknown or if `method` is not ``"auto"``.
 
         The coordinate ``method`` is the name of the method at each n. ``"none"`` means no value.
-        With ``"all"`` it is a dim.
+        With ``"all"``, ``method`` is a dim.
         The coordinate ``how`` has details of each value, such as the number of sets.
         If a value is missing, ``how`` has the reason.
         A list of samplers adds the dim sampler. Several channels add the dim channel.
         A variance at rounding level is NaN, and the attribute ``note`` reports it.
-        The method exact returns 0 for such a variance.
+        For a variance at rounding level, the method exact returns 0.
 
 
     Raises
@@ -1120,8 +1123,8 @@ def predict(
     f is evaluated at quadrature nodes and on grids that `predict` chooses.
     The method ``moves`` applies up to 8,192 random shifts or scrambles to a fixed set.
     Lattices with shift and nets with digital-shift use ``moves`` in 1 to 3 dims.
-    Other shifted or scrambled sets use it if sums of products leave a half interval over 3 %.
-    Linear scrambles replace nested scrambles, because their pairs have the same law.
+    Other moved or scrambled sets use ``moves`` if sums of products leave a half interval over 3 %.
+    Linear scrambles replace nested scrambles, because pairs of points have the same law.
 
     For samplers without known structure, in 1 to 3 dims, the method ``table`` is used.
     The method ``table`` measures variances on a table of f.
@@ -1130,15 +1133,15 @@ def predict(
     If f is cheap, counts close to n are used instead, but never n itself.
     Such measurements are also made if jumps and kinks across many axes leave a wide interval.
     An interval is wide if it exceeds a fifth of the predicted variance.
-    Then the narrower of the two intervals is used.
+    Of the two results, the result with the narrower interval is then used.
 
     The limit of the rate is known in theory for random points, and for jumps in up to 5 dims.
     Random points have the limit −1.
     Strata of the cube and jumps along curves have the limit −1 − 1/d.
     For other sets it is −2 if g jumps across an axis, unless the jumps are always at cell borders.
-    These limits are used if the last slopes are no slower.
+    These limits are used if the last slopes are at least as steep.
 
-    Otherwise the slopes over the last octaves must agree.
+    Without such a limit, the slopes over the last octaves must agree.
     The octaves extend to 4 times the last count, or to n = 2^16 for strata.
     This extension is made only in 1 to 3 dims, and only if no sets have to be drawn.
     The limit is then a nearby exponent of theory: −1 − k/d with an integer k, −2 or −3.
@@ -1180,8 +1183,8 @@ class Predictor:
     ) -> None:
         """Set up a predictor.
 
-        If `measured` is given, it holds settings by sampler.
-        Variances are then measured within a limit of evaluations.
+        If `measured` is given, it holds settings by sampler, and variances are measured.
+        The measurements use at most `limit` evaluations.
         """
         self.estimator, self.measured, self._limit = estimator, measured, limit
         self._known = knowledge(estimator)
@@ -1203,7 +1206,7 @@ class Predictor:
                 raise NoClosedForm(f"a deterministic sampler {NO_VARIANCE}")
             known, stream = self._known, self._stream
             if self.measured is not None:
-                if name == _LIMIT:  # Measurements end at the requested counts
+                if name == _LIMIT:  # Larger counts than requested are not measured
                     raise NoClosedForm("a measurement does not extend beyond the requested counts")
                 reason, lost = known[0].once("doubt", self._doubted) or ("", False)
                 if lost:
@@ -1240,7 +1243,7 @@ class Predictor:
                     predicted(source.law(n * c), each, stream.child(t), name)
                     for t, (c, each) in places
                 ]
-            # The energy share of the sum is a weighted mean over techniques; ∫g² are the weights
+            # The energy share of the sum is the mean over techniques, weighted by their ∫g²
             squares = [np.ones(len(parts[0].variance))]
             if len(parts) > 1:
                 squares = [each.square[0] for each in known]
@@ -1276,7 +1279,7 @@ class Predictor:
         )
 
     def _doubted(self) -> tuple[str, bool] | None:
-        """Return why random points do not bound the variance; see `tails.doubt`."""
+        """Return why values at random points do not bound the variance; see `tails.doubt`."""
         estimator, channels = self.estimator, max(1, self.estimator.channels)
         count = max(1, int(LIMITS.probe * self._limit) // estimator.cost)
         rng, dims = self._stream.child(len(estimator.counts)).generator(0), estimator.dims
@@ -1335,7 +1338,7 @@ def predicted(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
         except NoClosedForm as refusal:
             reason = refusal
             continue
-        # The error is at least that of the regions which only the probe points resolve
+        # The error covers at least the regions which only the probe points resolve
         if np.isfinite(found.variance).all():
             error = np.maximum(found.error, known.unseen / law.n)
             if not found.poles:
@@ -1356,7 +1359,7 @@ def predicted(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
 def _of_the_set_inside(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
     """Predict the variance for the set before folding or mirroring, with another integrand.
 
-    `mcspectra.prediction.exact` explains the integrand that belongs to the inner set.
+    See `mcspectra.prediction.exact` for this other integrand.
     """
     assert isinstance(law, Folded | Mirrored)
     if isinstance(law, Folded):
@@ -1395,7 +1398,7 @@ def _within(counts: Sequence[int], points: int) -> ExtrapolationSettings:
 def _places(sampler: Sampler, counts: Sequence[int]) -> list[int]:
     """Return a smaller count, the given counts, and two larger counts.
 
-    The smaller count is added only to a single given count. Missing counts are 0.
+    A smaller count is added only if a single count is given. Missing counts are 0.
     """
     last = counts[-1]
     half = sampler.nearest_count(max(1, last // 2)) if len(counts) == 1 else last

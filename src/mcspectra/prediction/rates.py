@@ -68,7 +68,7 @@ class DecaySettings:
     Attributes
     ----------
     octaves
-        Number of octaves of |m| at the end of the spectrum that the line is fitted to.
+        The line is fitted to this number of octaves of |m|, at the end of the spectrum.
         For 12 test functions, two octaves give the same exponents to 0.15 and double the intervals.
         With four, a Gaussian of width 0.1 appears to decay like |m|^-12 instead of |m|^-5.
     least_shells
@@ -78,7 +78,7 @@ class DecaySettings:
         Largest change of the exponent over these octaves.
         A fit with a larger change is reported as not settled.
         For test functions with jumps and kinks, the exponent changes by at most 0.9.
-        It changes by 8.6 for a Gaussian of width 0.1, whose kink at the border is still hidden.
+        The change is 8.6 for a Gaussian of width 0.1, whose kink at the border is still hidden.
     widths, width
         Default half widths by number of dims, and the default for all other numbers of dims.
         The half width is larger in 1-D, because 1-D spectra have few frequencies per shell.
@@ -118,8 +118,8 @@ class JumpSettings:
         A line crosses few jumps, and it suffices to find one of them on one line.
         Values from 2 to 8 give the same results.
     halvings
-        Number of bisections of a large step. 512 points and 30 halvings reduce it to 2e-12.
-        Over that distance a slope of 1e7 changes g by less than `least`.
+        Number of bisections of a large step. Its width is 1/512 before and 2e-12 after 30 halvings.
+        Over 2e-12, a slope of 1e7 changes g by less than `least`.
         With 15 halvings, a Gaussian of width 0.02 appears to jump.
     beside
         Distance from a break at which g is evaluated on both sides.
@@ -169,13 +169,13 @@ class LimitSettings:
         Largest difference of the local slopes within these octaves.
         Values from 0.2 to 0.4 give the same results. With 0.1, one limit of 64 is not found.
     leaves
-        A theoretical exponent is excluded if the slopes move away from it
+        Two conditions exclude a theoretical exponent: the slopes move away from it,
         and the last slope differs from it by more than this number.
         Values from 0.025 to 0.1 give the same results.
     still
         Largest change of three slopes that count as constant.
-        A constant slope may be a limit that the theory does not list,
-        such as −1 − (1 − 2a)/d next to a pole t^-a.
+        A constant slope may be a limit that the theory does not list.
+        An example is −1 − (1 − 2a)/d next to a pole t^-a.
         Values from 0.005 to 0.02 give the same results.
     change
         Difference between the first slope and the limit above which a curve may bend.
@@ -184,7 +184,7 @@ class LimitSettings:
         Largest candidate change of the exponent at a bend. Exponents lie between −1 and −5.
         Values from 4 to 8 give the same results.
     tried
-        Number of candidate positions of a bend, and of candidate changes.
+        Numbers of candidates for the position of a bend, and for the change of the exponent.
         Positions are 0.1 octaves apart over 10 octaves. Bends are known to this accuracy.
     better
         A curve bends if its scatter about the best bent curve is small.
@@ -213,7 +213,7 @@ def predicted_rate(b: float, decay: float | str, dims: int) -> float:
     ----------
     b
         Exponent of the power of the points at low frequencies.
-        It is 0 for random and Poisson disk sets, 2 for jittered sets and infinite for step noise.
+        The exponent is 0 for random and Poisson disk sets, 2 for jittered sets, ∞ for step noise.
         Sets that are optimized for smooth functions have larger exponents than jittered sets.
     decay
         The decay γ: averaged over directions, |f_m|² is proportional to |m|^-γ.
@@ -283,7 +283,7 @@ def slowest_of_jumps(g: Integrand, laws: Sequence[Law], settings: JumpSettings =
     A jump across an axis cuts one of n strata. Sets with stratified projections have the rate −2.
     A jump at a stratum border at all counts cuts no stratum.
     On the torus, g may also jump at the border of the cube.
-    Lattices resolve a straight line as well as an axis.
+    Lattices resolve jumps along straight lines as well as jumps across axes.
     For disks, lattices reach −1 − 1/d only in the mean over n.
     """
     d, law = g.dims, laws[-1]
@@ -402,14 +402,14 @@ def rates_of(
 
         Limit: the theoretical bound, if it is certain and the last slope is at least as steep.
         The last slope is over the last four octaves.
-        Otherwise, in up to 3 dims, the limit is a theoretical exponent close to the last slope,
-        provided that this slope hardly changes.
+        Otherwise, in up to 3 dims, the limit is a theoretical exponent close to the last slope.
+        This requires that the slope hardly changes.
         These exponents are −1 − k/d, −2 or −3.
         Here k is 0 for white power, 1 for a jump, 2 for strata and 3 for a kink.
         The exponent −3 may have a factor (log n)^(d − 1).
 
-        Bend: the n at which the power law of smaller n meets the power law of the limit,
-        if their exponents differ by more than 0.3.
+        Bend: the n at which the power law of smaller n meets the power law of the limit.
+        A bend is reported if the two exponents differ by more than 0.3.
 
         The last value states why there is no limit.
     """
@@ -428,7 +428,7 @@ def rates_of(
     end = line_fit(x[-late:], y[-late:], np.ones(late)).slope
     steps = np.diff(y) / np.diff(x)
     near_enough, log = min(settings.near, 0.4 / dims), (dims - 1) / x[-late:].mean()
-    corners = slowest.exponent == -2.0 and dims in (2, 3)  # Jumps across several axes
+    corners = slowest.exponent == -2.0 and dims in (2, 3)  # Jumps across axes meet
     if end <= slowest.exponent + near_enough + corners * log and slowest.sure:
         limit = slowest.exponent
     elif len(x) > 2 and np.ptp(steps[1 - late :]) <= settings.agree:

@@ -49,28 +49,28 @@ class PiecewiseSettings:
     """
 
     # Number of Legendre coefficients of a piece, and of initial pieces of an axis.
-    # Halving or doubling the value gives the same results.
+    # Halving or doubling this value gives the same results.
     order: int = 16
     pieces: int = 32
-    # Size of the last coefficients of a settled piece, as a fraction of the largest coefficient.
-    # Halving or doubling the value gives the same results.
+    # A piece is settled if the ratio of its last coefficients to its largest one is below this.
+    # Halving or doubling this value gives the same results.
     settled: float = 1e-11
     # A piece that adds less than this fraction to ∫h² counts as settled.
-    # Halving or doubling the value gives the same results.
+    # Halving or doubling this value gives the same results.
     negligible: float = 1e-15
     # A piece narrower than this contains a kink or a jump.
-    # Halving or doubling the value gives the same results.
+    # Halving or doubling this value gives the same results.
     kink: float = 2.0**-12
     # Largest size of the last coefficients next to a kink, as a fraction of √∫h².
-    # Halving or doubling the value gives the same results.
+    # Halving or doubling this value gives the same results.
     small: float = 1e-9
     # Rounding error of a node as a fraction of its coordinate: four units in the last place.
-    # Halving or doubling the value gives the same results.
+    # Halving or doubling this value gives the same results.
     rounded: float = 2.0**-51
     # Largest number of nodes of an axis, which limits the evaluations.
     most_nodes: int = 2**17
     # Pieces of this width are not halved again, because the nodes would differ by rounding only.
-    # Halving or doubling the value gives the same results.
+    # Halving or doubling this value gives the same results.
     least: float = 2.0**-50
     least_at_0: float = 2.0**-64
     # The exponent of a pole is fitted at the distances 2^-k, for the k given here.
@@ -80,31 +80,30 @@ class PiecewiseSettings:
     near_0: tuple[int, ...] = (40, 45, 50, 55, 60)
     inside: tuple[int, ...] = (20, 23, 26, 29, 32)
     # Smallest exponent of a pole. Polynomials resolve weaker poles.
-    # Halving or doubling the value gives the same results.
+    # Halving or doubling this value gives the same results.
     pole: float = 0.02
     # Relative error of the distances to a pole that is not at 0.
     # This error changes intervals, but not variances.
     place: float = 2.0**-16
     # Smallest change of a function from one distance to the next that counts as a pole.
     # The change is relative to the value of the function.
-    # Halving or doubling the value gives the same results.
+    # Halving or doubling this value gives the same results.
     step: float = 1e-6
-    # Largest distance from a pole at which pieces on its other side still belong to the pole.
-    # Halving or doubling the value gives the same results.
+    # Pieces within this distance of a pole, on the side without a power law, belong to the pole.
+    # Halving or doubling this value gives the same results.
     gap: float = 2.0**-40
     # Number of probe points among which the largest value of a product is sought.
-    # Halving or doubling the value gives the same results.
+    # Halving or doubling this value gives the same results.
     candidates: int = 2**10
     # Number of points in the first test, and number of points with large values.
-    # Halving or doubling the value gives the same results.
+    # Halving or doubling this value gives the same results.
     lines: int = 16
     # Relative rounding error of g in the test of a sum or product.
-    # Halving or doubling the value gives the same results.
+    # Halving or doubling this value gives the same results.
     same: float = 1e-7
-    # If more than this fraction of the points share a value of g,
-    # this value is taken for a constant that is added to a product.
+    # A value that g has at more than this fraction of the points is the constant c of a product.
     # An example is the value 0 of an indicator function.
-    # Halving or doubling the value gives the same results.
+    # Halving or doubling this value gives the same results.
     common: float = 0.1
 
 
@@ -172,7 +171,7 @@ class PiecewiseCurve:
     def cells(
         self, count: int, offset: float = 0.0, order: int = _SETTINGS.order
     ) -> tuple[Array, Array]:
-        """Return means over cells minus `mean`, and mean squares about them, (count,) each.
+        """Return means over cells minus `mean`, and variances within cells, (count,) each.
 
         The cells begin at (j + offset)/count on the torus.
         The offset is in units of the axis, from 0 to 1/count.

@@ -156,7 +156,7 @@ class SubsetSettings:
         Halving or doubling this value gives the same results.
     stands_out
         A profile jumps where its step is this many times as large as the neighboring steps.
-        It has a kink where its slope changes this many times as much as at neighboring nodes.
+        A profile has a kink where its slope changes this many times as much as at nodes nearby.
         Halving or doubling this value changes only the result for the ball.
     halvings
         Number of bisections of a jump. They reduce steps of 1/128 to 2^-47.
@@ -178,7 +178,7 @@ class SubsetSettings:
         For Latin hypercubes and lattices only the variance within cells remains.
         Halving or doubling either value changes variances by less than 0.01 %.
     start
-        Spread of the initial coefficients of a new product. The constant of the product is 1.
+        Spread of the coefficients with which a new product starts. Its constant is 1.
     adds_up
         If one offset moves all points, the residual of the fit is multiplied by this factor.
         The factor widens only the interval.
@@ -186,10 +186,10 @@ class SubsetSettings:
     resolved
         Relative errors of curves between their nodes, for smooth curves and for curves with jumps.
     most_work
-        Largest work: the number of pairs times axes times squared products, 1.7e10.
+        Largest work: pairs of points, times axes, times the squared number of products; 1.7e10.
     draws
         Number of sets that are drawn if sets are random before their shift or scramble.
-        The spread of the variances of the drawn sets is part of the interval.
+        The interval includes the spread of the variances over the drawn sets.
     digits
         Least number of cells into which digits divide an axis.
         If there are more than this number of points n, digits divide an axis into n cells or more.
@@ -242,9 +242,9 @@ def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
     Parameters
     ----------
     law
-        Law of one of these sets: independent points, strata, Latin hypercubes,
-        or sets that are statistically the same after any translation.
-        Nested scrambles, linear scrambles and digital shifts in base 2 are also possible.
+        Law of independent points, of strata, or of Latin hypercubes.
+        Sets that are statistically the same after any translation are also possible.
+        So are nested scrambles, linear scrambles, and digital shifts in base 2.
     known
         The integrand, in at least two dims. It takes about 2^20 evaluations.
         The evaluations are made once for all counts and samplers.
@@ -254,7 +254,7 @@ def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
     Returns
     -------
     Predicted
-        `share` is the part of single axes and products. `tail` is the part outside the fit.
+        `share` is the part of ∫g² in the fit. `tail` is the variance of the part outside the fit.
 
     Raises
     ------
@@ -292,7 +292,7 @@ def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
         sums = [
             pair_sums(x, rows, mode, pairs.bases[0], first, rest, means, weights) for x in codes
         ]
-        # Each row belongs to a set. The columns are for single axes, and then for products
+        # Each row belongs to a set. Columns are for functions of single axes, and then for products
         by_set = np.array(sums).mean(axis=1) / n
         sets, mean = by_set[:, 0] + by_set[:, -1], by_set.mean(axis=0)
         ones, more = mean[:-1], mean[-1]
@@ -304,7 +304,7 @@ def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
         half = (SUBSET_SETTINGS.adds_up if together else 1.0) * tail + math.sqrt(
             max(ones[0] + more, 0.0) * tail
         )
-        # The energy of interactions is known from pairs, or as the whole energy minus single axes
+        # Energy of interactions: from pairs, or the whole energy minus the energy of single axes
         single = first[:, -1].sum(axis=0)
         of_whole = (
             p.variance - float(single[0]),
@@ -484,8 +484,8 @@ def pair_sums(
 ) -> Array:
     """Sum covariances over all points b with the points a of each row: (rows, variants + 1).
 
-    The inputs are codes (n, d, digits), rows (rows,), first (d, differences, variants),
-    rest (d, differences, q), means (d, q) and weights (q,).
+    Shapes of the inputs: codes (n, d, digits), rows (rows,), first (d, differences, variants).
+    Shapes of the other inputs: rest (d, differences, q), means (d, q), weights (q,).
     Each row begins with Σ_i first_i for every variant, the covariances of single axes.
     The last entry is Σ_q weight Σ_{|v| ≥ 2} Π_{i∈v} rest_i Π_{i∉v} mean_i.
     Mode 0 counts common digits, mode 1 uses bits that differ, and mode 2 the torus of `cells`.
@@ -701,8 +701,8 @@ def _fitted(
             [t[1:] for t in tested], axis=0
         ).sum(0)
         missed = scale**2 * float(((values[-1] / scale - sums) ** 2).mean())
-        # Energy of the fit that its test points do not show is also missed,
-        # except for the sampling error, which the variance of g at these points shows
+        # Energy of the fit that its test points do not show also counts as missed.
+        # The same difference for g at these points is sampling error and is subtracted
         curves = [w @ c for w, c in zip(weights, cells, strict=True)]  # Rows: sum, products
         averages = np.stack([c.mean(axis=1) for c in curves])
         squares = np.stack([c @ c.T / c.shape[1] for c in curves])
@@ -718,7 +718,7 @@ def _fitted(
         if missed < residual:
             best, residual = weights, missed
 
-    # Single axes of the fit, plus the deviation of the profiles from the fit
+    # Functions of single axes: from the fit, plus the deviation of the profiles from the fit
     curves = [w @ b for w, b in zip(best, bases, strict=True)]
     sums, factors = [scale * f[0] for f in curves], [f[1:] for f in curves]
     factors[0] = scale * factors[0]
@@ -741,7 +741,7 @@ def _fitted(
         own = np.prod(np.delete(means, i, axis=0), axis=0) @ factors[i] + sums[i]
         main.append(own + np.concatenate([beside.mean(axis=0)[None], beside]))
 
-    # Energy of several axes: the energy beyond single axes, minus the contribution of errors
+    # Energy of several axes: of g without its functions of single axes, minus the part of errors
     at_all = zip(axes, main, np.moveaxis(every, -1, 0), strict=True)
     alone = np.sum([a.at(m[0], t.ravel()).reshape(t.shape) for a, m, t in at_all], axis=0)
     left = ((all_values - alone - (all_values - alone).mean()) ** 2).mean(axis=1)
@@ -799,9 +799,10 @@ def _least_squares(
 
 
 def pairs_of(law: Law, stream: Stream) -> tuple[_Pairs, Array, Array]:
-    """Return the kind of pairs of points, codes (sets, n, d, digits), and representative rows.
+    """Return how pairs of points are compared, the points' digits, and indices of some points.
 
-    The pairs of these rows with all points have the same distribution as all pairs.
+    The digits have shape (sets, n, d, digits).
+    The pairs of these points with all points have the same distribution as all pairs.
 
     Raises
     ------

@@ -4,12 +4,11 @@ The covariance C_ml of such sets is diagonal. With the power P(m) = ⟨|S_m|²�
 
     Var = Σ_{m≠0} |g_m|² P(m) = Σ_{m in C} |g_m|² P(m) + (∫g² − I² − Σ_{m in C} |g_m|²) / n + …,
 
-where C is the set of counted frequencies. The set C consists of three parts:
-a box; strips along the axes, which hold the energy of functions that are not periodic;
-and multiples of a few integer vectors, which hold the energy of jumps along diagonals.
+where C is the set of counted frequencies. The set C has three parts. The first part is a box.
+The second part, strips along the axes, holds the energy of functions that are not periodic.
+The third part, multiples of a few integer vectors, holds the energy of jumps along diagonals.
 Outside C, P tends to 1/n.
-The error of the tail is the difference between P and 1/n at the border of the box,
-weighted by |g_m|².
+The error of the tail is the difference between P and 1/n at the box's border, weighted by |g_m|².
 
 P may have a closed form. For a set that is shifted as a whole, P comes from one transform.
 Otherwise P is the mean over drawn sets.
@@ -89,8 +88,8 @@ class TorusSettings:
 
     The changes stated below were measured in seven cases in 2-D and 3-D at n = 64 and 256.
     The integrands are a jump along a line, smooth functions and a disk.
-    The samplers are jittered, latin-hypercube, halton and rank1-lattice under shift, and
-    poisson-disk.
+    The samplers are poisson-disk, and four samplers under shift:
+    jittered, latin-hypercube, halton and rank1-lattice.
 
     Attributes
     ----------
@@ -99,7 +98,7 @@ class TorusSettings:
         Exact coefficients cost a few operations each.
         A table has `nodes` nodes per wavelength of the box.
     nodes
-        Number of nodes of the finer table per wavelength of the highest frequency.
+        Number of nodes per wavelength of the highest frequency, in the finer table.
         If g jumps, half this value changes variances by 0.4 % and multiplies the error by 4 to 30.
         Twice this value changes variances by 0.1 %.
     least_nodes
@@ -111,7 +110,7 @@ class TorusSettings:
     precision
         Relative error of the Fourier transforms, far below the error of the variance.
     shells
-        Number of shells of the box, each √2 wide, whose power tests whether the tail is white.
+        Number of shells of the box, in steps of √2, whose power tests whether the tail is white.
         The shells begin at an eighth of the half width.
         Halving or doubling this value changes no variance. Errors change by factors of 0.5 to 3.
     vague
@@ -178,7 +177,7 @@ class DrawnSettings:
         Number of Newton steps, after which the fit has converged.
         Values from 6 to 24 give the same results.
     least_box, box
-        Half width of the box of a homogeneous set: least value, and value in units of n^(1/d).
+        Half width of the box for homogeneous sets: least value, and value in units of n^(1/d).
         Halving or doubling this value changes the variance by less than 0.3 %.
         Half the half width triples the error of the variance.
     """
@@ -212,7 +211,7 @@ class DualSettings:
         Number of frequencies of the dual lattice in a box.
         Halving or doubling this value changes the variance by less than 0.04 %.
     periods, strip
-        `periods` is the end of the strips in units of n, and `strip` their number of frequencies.
+        `periods` is the end of the strips in units of n. A strip has `strip` frequencies.
         Halving or doubling either value changes the variance by less than 0.03 %.
     jump
         Largest ratio of the energies Σ |g_m|² of two successive octaves of frequency.
@@ -236,8 +235,8 @@ class MovesSettings:
     """Settings for the offsets that move a set.
 
     The changes stated below were measured in three cases.
-    With rank1-lattice | shift the case is a jump along a line,
-    with kronecker | shift a ball in 4-D, and with sobol | digital-shift a smooth function.
+    The sampler rank1-lattice | shift samples a jump along a line.
+    The sampler kronecker | shift samples a ball in 4-D; sobol | digital-shift a smooth function.
 
     Attributes
     ----------
@@ -485,7 +484,7 @@ def of_torus(law: Law, known: Known, stream: Stream) -> Predicted:
 
 
 def lattice_basis(points: Array) -> Array | None:
-    """Return n times a basis of a lattice, an upper triangle of int64, or None for other sets."""
+    """Return n times a basis of a lattice, upper triangular int64, or None for other sets."""
     n, dims = points.shape
     exact = np.remainder(points - points[0], 1.0) * n
     if np.abs(exact - np.rint(exact)).max() > _DUALS.whole:
@@ -503,7 +502,7 @@ def lattice_basis(points: Array) -> Array | None:
 
 
 def _dual(basis: Array, n: int) -> Array:
-    """Return a basis of the dual lattice, a lower triangle of int64."""
+    """Return a basis of the dual lattice, as a lower triangular matrix of int64."""
     return np.asarray(np.rint(n * np.linalg.inv(basis).T), np.int64)
 
 
@@ -567,7 +566,7 @@ def of_moves(law: Law, known: Known, stream: Stream) -> Predicted:
     The interval comes from the variances of successive parts of the offsets, with Student's t.
 
     Sampling the pairs E g(u) g(u + x_k) over independent u would need more evaluations.
-    The square of the mean over one moved set averages over all pairs of points of the set.
+    The squared mean over one moved set is an average over all pairs of points.
 
     Raises
     ------
@@ -642,8 +641,8 @@ def moves_at_once(law: Law) -> bool:
 def moves_resolve(law: Law, known: Known) -> bool:
     """Return whether `of_moves` resolves a set in 1 to 3 dims better than other methods.
 
-    This holds for shifted lattices if the coefficients of g are not exact.
-    The same is true for nets in base 2 with a digital shift, whose weights depend on g.
+    Random moves are better for shifted lattices if the coefficients of g are not exact.
+    They are also better for nets in base 2 with a digital shift, whose weights depend on g.
     """
     if law.dims > 3 or not moves_at_once(law):
         return False
@@ -666,8 +665,8 @@ def _drawn(
 
     The first sets are transformed at all frequencies.
     Further sets are transformed only at low frequencies, which hold the energy of smooth functions.
-    Sets are added until the error is small compared with the variance,
-    or the total number of points is reached.
+    Sets are added until the error is small compared with the variance.
+    The total number of points is limited.
     If power depends only on the length of m, a smooth law may fit the measured power.
     This smooth law then replaces the measured power.
     """

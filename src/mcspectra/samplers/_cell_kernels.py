@@ -51,10 +51,10 @@ __all__ = [
 _CORNERS = 64  # largest number of corners of a Voronoi cell; six on average
 _LOAD = 2.0  # number of sites per cell of the grid; 1 to 3 take the same time
 _SOLVED = 1e-3  # relative residual of the linear equations; enough for Newton steps
-_LONGER = 4.0  # largest ratio of a step to the previous step, because short steps come in series
+_LONGER = 4.0  # largest ratio of successive step lengths, because short steps come in series
 _HALVINGS = 40
 _UNLIMITED = 2**62
-_PRODUCTS = 4  # cost of a product in the linear solver, relative to the visit of a site
+_PRODUCTS = 4  # cost of a product in the linear solver; visiting a site has cost 1
 
 
 @kernel
@@ -123,7 +123,7 @@ def _measure(i: int, points: Array, buckets: Any, cell: Array, spare: Array, hol
         cell[k, 1] = 0.5 if k < 2 else -0.5
         cell[k, 3] = -1.0
 
-    # Cut the cell by the points (or images of points) in rings of buckets
+    # Cut the cell by the points (or their periodic images) in rings of buckets
     ring, far = 0, 0.5
     while ring == 0 or (ring - 1.0) ** 2 < 4.0 * far * side * side:
         for a in range(-ring, ring + 1):
@@ -209,7 +209,7 @@ class Diagram(NamedTuple):
     offsets
         Offsets of the centroids from the sites, (n, 2).
     rows, neighbors, couplings
-        Cell i has the faces rows[i, 0] … rows[i, 1] − 1. The neighbor of a face is the site beyond.
+        Cell i has the faces rows[i, 0] … rows[i, 1] − 1. The neighbor is the site beyond the face.
         The coupling of a face is length / (2 distance).
         Per unit of the neighbor's weight, the area of cell i decreases by the coupling.
     work
@@ -403,7 +403,7 @@ def balance(
     Newton steps start at `weights`, or at 0 if `weights` leave a cell empty.
     The steps end after a given number, or when all areas are right within the tolerance.
     The steps also end when the areas no longer improve, or when the work exceeds `most_work`.
-    This work includes the linear solver; `Diagram` defines the unit.
+    The work includes the linear solver; `Diagram` defines the unit of work.
     No step is taken if some sites are so close that a cell is empty with equal weights.
 
     The weights maximize a concave function, the dual of a transport cost (see `transport_cost`).

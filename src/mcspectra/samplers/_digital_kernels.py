@@ -24,9 +24,10 @@ __all__ = [
 
 @kernel
 def direction_numbers(polynomials: Array, initial: Array, out: Array) -> None:
-    """Continue Sobol' direction numbers by their recurrence; out uint32 (d, 32), 2^31 means ½.
+    """Compute Sobol' direction numbers by their recurrence: out uint32 (d, 32), where 2^31 means ½.
 
-    polynomials (d,): bit k is the coefficient of x^k; initial (d, s): the odd m_1 … m_s.
+    Bit k of an entry of polynomials (d,) is the coefficient of x^k.
+    Each row of initial (d, s) has the odd numbers m_1 … m_s, which start the recurrence.
     """
     for j in range(out.shape[0]):
         degree = 0
@@ -46,7 +47,7 @@ def direction_numbers(polynomials: Array, initial: Array, out: Array) -> None:
 
 @kernel
 def double_words(columns: Array, words: Array) -> None:
-    """Write points 0, 1, … of a binary net as words (n,); each index bit doubles their number."""
+    """Write points 0, 1, … of a binary net as words (n,); each pass doubles the number of words."""
     k, size = 0, 1
     while size < words.size:
         new = words[size : 2 * size]
@@ -72,7 +73,7 @@ def fill_base(columns: Array, base: int, out: Array) -> None:
 
     The kernel counts like an odometer. A column is added whenever its digit increases by one.
     A return from base − 1 to 0 also counts, because it is an increase by one modulo the base.
-    The largest number, base^rows, is at most 2^53.
+    Requires base^rows ≤ 2^53, so that all numbers are exact.
     """
     n, dims = out.shape
     _, places, rows = columns.shape
@@ -99,7 +100,7 @@ def fill_base(columns: Array, base: int, out: Array) -> None:
 
 
 def leading_digits(x: Array, base: int, places: int) -> Array:
-    """First digits of each coordinate as a whole number: int64 (d, n)."""
+    """Return the first digits of each coordinate as a whole number: int64 (d, n)."""
     scale = float(base**places)
     nudge = 0.0 if base & (base - 1) == 0 else scale * 2.0**-52
     return np.minimum(np.floor(x.T * scale + nudge), scale - 1.0).astype(np.int64)

@@ -74,8 +74,8 @@ def translated(points: Array, offsets: Array) -> Array:
 
 @kernel
 def _translate(points: Array, offsets: Array, out: Array) -> None:
-    # x + δ is at most 2 − 2^-52, a float64. For 1 ≤ x + δ < 2 the subtraction is exact,
-    # so the result is below 1.
+    # The sum x + δ is at most 2 − 2^-52, which is a float64.
+    # If the sum is at least 1, subtracting 1 is exact, so the result is below 1.
     count, n, dims = out.shape
     for r in range(count):
         offset, one = offsets[r % offsets.shape[0]], points[r % points.shape[0]]

@@ -1,19 +1,19 @@
-"""Numba kernels that scramble digits: XOR, permutations, nested, hash-based, random matrices.
+"""Numba kernels that scramble digits by XOR, permutations, nested permutations, hashes, matrices.
 
-Notation: R realizations, n points, d dims; ``keys`` uint64 (R, 2) from `Stream.keys`;
-the bases of the digits are int64 (d,), and the results float64 (R, n, d).
+Notation: R realizations, n points, d dims; ``keys`` uint64 (R, 2) from `Stream.keys`.
+The bases of the digits are int64 (d,), and the results float64 (R, n, d).
 The given points are float64 (R, n, d), or (1, n, d) if all realizations share a set.
 
 The first kernels are for base 2. A coordinate is a word of 32 or 53 bits; the highest bit means ½.
 
 In any base b, a coordinate x is read as the whole number v = ⌊x b^m⌋.
 The number of digits m is the smallest with b^m ≥ 2^32.
-Before that, x is increased by 2^-52, because the float for k/b^p may have been rounded down.
+First, x is increased by 2^-52, because the float for k/b^p may have been rounded down.
 
 Let v' be the scrambled number, and t a random number with t < 2^k and b^m 2^k ≤ 2^50.
 The result is (v' + (t + ½) 2^-k)/b^m.
 This result is uniform to 50 bits, and far from every multiple of b^-p.
-Therefore neither rounding nor a float ⌊x b^p⌋ moves it to another interval.
+Therefore neither rounding nor ⌊x b^p⌋ in floating point moves the result to another interval.
 
 Random numbers with addresses below 2^62 or at least 2^63 are used for binary digits.
 Addresses from 2^62 to below 2^63 are used for the nodes of digit trees in other bases.
@@ -180,7 +180,7 @@ def scramble_hashed(keys: Array, points: Array, out: Array) -> None:
         for start in range(0, n, _WORDS):
             words = block[: min(_WORDS, n - start)]
             for j in range(dims):
-                # Separate loops, so that the loop over words alone is vectorized
+                # Three separate loops, so that the compiler vectorizes the one that hashes words
                 add, factor, add_2, factor_2 = hash_keys[j]
                 for i in range(words.size):
                     words[i] = np.uint32(np.int64(one[start + i, j] * _TO_32))
@@ -296,8 +296,8 @@ def _draw_permutation(k0: np.uint64, k1: np.uint64, number: int, order: Array) -
 
 @kernel
 def _draw_images(k0: Any, k1: Any, number: int, places: int, base: int, shift: bool) -> Any:
-    # Make the image of each digit in each place, the lowest place first: int64 (m, b).
-    # Also make one uniform number for the digits below, the same for all points.
+    # Draw the random image of each digit in each place, the lowest place first: int64 (m, b).
+    # Also draw one uniform number for all digits below, the same for all points.
     out = np.empty((places, base), np.int64)
     for k in range(places):
         if shift:
@@ -310,7 +310,7 @@ def _draw_images(k0: Any, k1: Any, number: int, places: int, base: int, shift: b
 
 @kernel
 def _group_images(images: Array, most: int) -> Array:
-    # Tabulate images of groups of digits, with up to `most` entries per table: (groups, b^digits)
+    # Tabulate the images of groups of digits, at most `most` per group: (groups, b^digits)
     places, base = images.shape
     size, digits = base, 1
     while size * base <= most and digits < places:
@@ -328,7 +328,7 @@ def _group_images(images: Array, most: int) -> Array:
 
 @kernel
 def permute_digits(keys: Array, bases: Array, shift: bool, points: Array, out: Array) -> None:
-    """Permute each digit at random, equally for all points (with `shift`, add modulo b).
+    """Permute each digit at random, equally for all points; with `shift`, add a random digit.
 
     The part below the last digit is one uniform number per coordinate, the same for all points.
     """
@@ -512,7 +512,7 @@ def scramble_trees(keys: Array, bases: Array, points: Array, out: Array) -> None
 
 @kernel
 def _draw_triangle(k0: np.uint64, k1: np.uint64, number: int, base: int, out: Array) -> None:
-    # Draw a lower triangular matrix with diagonal from 1 to b − 1; out int64 (m, m) is its columns
+    # Draw a lower triangular matrix with diagonal entries 1 … b − 1; out int64 (m, m), by columns
     for c in range(out.shape[0]):
         for row in range(c, out.shape[0]):
             least = 1 if c == row else 0

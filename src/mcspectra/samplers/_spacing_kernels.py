@@ -37,8 +37,8 @@ __all__ = [
 _FINEST = 2**40
 _NOWHERE = 9.0  # coordinate that marks an empty cell, farther away than any radius
 _AXES = 3  # largest number of axes of buckets and grids; with more, cells are mostly empty
-# A new point lowers the bounds of cells up to 7 cells away. A cell is a quarter of the spacing
-# wide, so the distance to the nearest point is usually shorter than 7 cells.
+# A new point lowers bounds up to 7 cells away. The width of a cell is a quarter of the spacing.
+# The nearest point is therefore usually less than 7 cells away.
 _REACH = 7
 _ROUNDING = 1e-9  # fraction of a cell added to bounds, because of rounding
 _FAR = 16.0  # larger than any squared distance in the domain, in up to 4 dims
@@ -249,7 +249,7 @@ def throw_darts(
 @kernel
 def _lower_ceilings(x: Array, side: int, ceilings: Array) -> None:
     # Lower the bounds of the cells around a new point at x.
-    # No place in a cell is farther from x than the cell's center plus half the diagonal.
+    # Every place in a cell is at most half a diagonal farther from x than the cell's center is.
     # Cells more than `reach` cells away from x keep their bounds.
     dims = x.size
     half = 0.5 * np.sqrt(dims) + _ROUNDING
@@ -266,8 +266,8 @@ def _lower_ceilings(x: Array, side: int, ceilings: Array) -> None:
 
 @kernel
 def _grids(points: Array, placed: int, room: int) -> Any:
-    # Make buckets, with about one point per bucket when full; add the points that are placed.
-    # Also make ceilings: bounds of the squared distance to the nearest point in much smaller cells.
+    # Make buckets for about one point each, and add the points that are already placed.
+    # Also make ceilings: upper bounds of the squared distance to the nearest point, in small cells.
     # In more than three dims, a single bound covers the domain and excludes no candidate.
     dims = points.shape[1]
     buckets = empty_buckets(room, dims, max(1, int(room ** (1.0 / min(dims, _AXES)))))
@@ -281,7 +281,10 @@ def _grids(points: Array, placed: int, room: int) -> Any:
 
 @kernel
 def pick_candidates(keys: Array, candidates: int, out: Array) -> None:
-    """Fill out (R, n, d): point i is the best of candidates·i, farthest from earlier points."""
+    """Fill out (R, n, d) with points that are each the best of random candidates, on the torus.
+
+    Point i is the one of candidates·i random points that is farthest from all earlier points.
+    """
     count, n, dims = out.shape
     x = np.empty(dims)
     for r in range(count):
@@ -349,7 +352,7 @@ def fill_holes(points: Array, placed: int, wrap: bool) -> None:
     """Place all points (n, d) but the first `placed`, each as far as possible from all others.
 
     The method is branch and bound, on the torus or in the cube.
-    No place in a box is farther from all points than the box's center plus half the diagonal.
+    Every place in a box is at most half a diagonal farther from all points than the box's center.
     Boxes wait in a heap, with the largest bound on top.
     New points only lower bounds, so stale bounds are updated when their box is popped.
     """

@@ -171,8 +171,8 @@ class Sampler(Component, ABC):
     def law(self, n: int) -> Law:
         """Return the joint distribution of the points of one realization of `n` points.
 
-        All predictions follow from this joint distribution, the law of the sampler:
-        closed forms of spectra and covariances, exact variances, and rates.
+        All predictions follow from this joint distribution, the law of the sampler.
+        They are closed forms of spectra and covariances, exact variances, and rates.
         A prediction is refused if the law is not known well enough.
         See `mcspectra.samplers.law`.
 
@@ -205,7 +205,7 @@ class Sampler(Component, ABC):
         return ()
 
     def as_chain(self, n: int) -> Sampler:  # noqa: ARG002
-        """Return the chain of steps that this sampler abbreviates for n points, or this sampler."""
+        """Return an equivalent chain of samplers for n points; without one, return this sampler."""
         return self
 
     @property
@@ -263,7 +263,7 @@ class Sampler(Component, ABC):
         """Make realizations first … first + count − 1: float64 (count, n, dims)."""
 
     def _before(self, randomization: Randomization) -> Sampler:
-        """Return the sampler to which `randomization` is applied; given points may be reused."""
+        """Return the sampler to which `randomization` is applied; given sets may be reused."""
         del randomization
         return self
 
@@ -413,7 +413,7 @@ class Randomized(Sampler):
     """The sampler that the last step is applied to."""
 
     def __post_init__(self) -> None:
-        # Derive the declarations from the inner sampler and the last step
+        # Derive the declared properties from the inner sampler and the last randomization
         *rest, last = self.steps
         inner = replace(self, steps=tuple(rest)) if rest else self.base
         settle(
@@ -455,7 +455,7 @@ class Randomized(Sampler):
 
     @property
     def powers_only(self) -> bool:
-        """Inherited from the inner sampler if strata or elementary intervals remain, else False."""
+        """The inner sampler's value if strata or elementary intervals remain, else False."""
         return self.base.powers_only and self.structure in (Structure.STRATA, Structure.DIGITS)
 
     def digit_strata(self, n: int, base: int) -> bool:

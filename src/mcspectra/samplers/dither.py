@@ -2,7 +2,7 @@
 
 Void and cluster fills the cells of a fine grid one by one, always at the emptiest place.
 Low-discrepancy blue noise starts from a blue-noise set.
-It moves the points within their cells, so that they form a low-discrepancy set.
+The method then moves the points within their cells, so that they form a low-discrepancy set.
 
 A spatio-temporal mask fills the cells of T frames of s × s cells, which also repeat in time.
 Two cells of one frame repel each other by a Gaussian in space.
@@ -23,8 +23,8 @@ Arrays ``points`` float64 (s, s, 2) have one point in each of s × s cells, in u
 the point of cell (i, j) is in [i, i+1) × [j, j+1), on the torus.
 
 The width of the Gaussian is 1.5 cells, as in Ulichney's paper.
-If the spacing of the ones exceeds three cells, the width grows with the spacing,
-because a Gaussian must reach the next point to locate it.
+If the spacing of the ones exceeds three cells, the width grows with the spacing.
+The reason is that voids are found only if the Gaussian of each point reaches the next point.
 """
 
 from __future__ import annotations
@@ -56,12 +56,12 @@ _MOST_SIDE = 2048
 _MOST_FRAMES, _MOST_CELLS = 256, 2**22  # the largest masks take about a minute
 _ONES = 0.1  # fraction of ones in the first pattern of a mask, Ulichney (1993)
 _SIGMA = 1.5  # width of the Gaussian in cells, Ulichney (1993)
-_SIGMA_PER_SPACING = 0.47  # width per spacing; 1.5 cells for one point in ten cells (Ulichney)
+_SIGMA_PER_SPACING = 0.47  # width of the Gaussian per spacing of the ones; 1.5 cells at 10 % ones
 # Width of the Gaussian in time, in frames, as in the authors' program [Wolfe2022]_.
-# Widths that grow with the distance of the ones in time give peaks at single frequencies
+# A width that grows with the distance of the ones in time gives peaks at single frequencies
 _SIGMA_TIME = 1.9
 _WIDTHS = 6.0  # cutoff radius of the Gaussian, in widths; its value there is 1.5e-8
-_CLEAR = 1e-9  # smallest gain of energy above rounding; ensures that relaxation ends
+_CLEAR = 1e-9  # smallest gain of energy, above rounding errors, so that relaxation ends
 _CLUSTER, _VOID = 0, 1
 _REPELLING = 0.5  # width in cells of the Gaussians by which points repel each other
 _REACH = 2  # number of cells on either side whose points contribute to the energy
@@ -117,7 +117,7 @@ def spatiotemporal_mask(size: int, frames: int, keys: Array) -> Array:
     Notes
     -----
     The energy has separate kernels for space and time.
-    A Gaussian over space and time together would make frames white if taken one by one.
+    With one Gaussian over space and time together, each single frame would be white noise.
     A mask of 64 × 64 cells and 16 frames takes about a second.
 
     References
@@ -200,7 +200,7 @@ def _spread(cell: Any, sign: float, weights: Any, energy: Array) -> None:
 
 @kernel
 def _find_heads(i: int, pattern: Array, energy: Array, heads: Array) -> None:
-    # Store the columns of the tightest cluster and of the largest void in row i in heads.
+    # For row i, store in heads the columns of the tightest cluster and of the largest void.
     high, low = -np.inf, np.inf
     heads[_CLUSTER, i] = heads[_VOID, i] = -1
     for j in range(pattern.shape[1]):
@@ -333,7 +333,7 @@ def _rank_all(grid: Any, order: Array) -> None:
 
 @kernel
 def _jitter_cells(k0: np.uint64, k1: np.uint64, cells: Array, side: int, out: Array) -> None:
-    # Fill out (n, 2) with uniform points in cells (n,), moved together by random whole cells.
+    # Fill out (n, 2) with uniform points in cells (n,); one random shift by whole cells moves all.
     number = side * side  # the first pattern used the random numbers below side²
     down, across = _mix_below(k0, k1, number, side), _mix_below(k0, k1, number + 1, side)
     for p in range(cells.size):

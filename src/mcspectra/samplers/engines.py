@@ -36,13 +36,14 @@ from mcspectra.samplers.external import OneByOne, qualified_name
 __all__ = ["QmcpySampler", "ScipySampler", "is_engine", "is_generator"]
 
 _RANDOMNESS = ("rng", "seed")  # names of the argument for the generator: seed before scipy 1.15
-_SET_ELSEWHERE = ("dimension", "replications", "seed")  # arguments that this class sets
+_SET_ELSEWHERE = ("dimension", "replications", "seed")  # arguments that QmcpySampler sets itself
 _UNBIASED = ("Halton", "LatinHypercube", "Sobol")  # scrambled engines of scipy with uniform points
-_UNIFORM = ("TRUE", "SHIFT", "DS", "LMS DS", "DP", "LMS DP", "NUS")  # values of QMCPy's `randomize`
+# Values of QMCPy's argument `randomize` with which points are uniform
+_UNIFORM = ("TRUE", "SHIFT", "DS", "LMS DS", "DP", "LMS DP", "NUS")
 _NOT_POINTS = ("DummySampler", "MPMC")  # MPMC downloads its points
 _TABLES = {"generating_matrices": "generating_matrices", "generating_vector": "generating_vectors"}
 """Options of QMCPy that name a file, and the folder with QMCPy's own files."""
-_TEXT_RATIO = 16  # Bytes of memory for each byte of such a file
+_TEXT_RATIO = 16  # Bytes of memory per byte of a table file
 
 
 @final
@@ -53,8 +54,8 @@ class ScipySampler(OneByOne):
     Attributes
     ----------
     engine
-        Name of a class in `scipy.stats.qmc`, or a subclass of its QMCEngine,
-        or a function that makes an engine from a generator.
+        Name of a class in `scipy.stats.qmc`, or a subclass of its QMCEngine.
+        A function that makes an engine from a generator is also accepted.
     dims
         Number of dims, the engine's ``d``.
     scramble
@@ -105,14 +106,14 @@ class ScipySampler(OneByOne):
         ----------
         engine
             For an instance, only its class and arguments are used.
-            Its generator and its position in the sequence are ignored.
+            The instance's generator and its position in the sequence are ignored.
         arguments
             Arguments of a class, such as its number of dims or ``scramble``.
 
         Raises
         ------
         ParameterError
-            If `engine` has another type, or the arguments of an instance cannot be found.
+            If `engine` has a wrong type, or the arguments of an instance cannot be found.
         """
         if isinstance(engine, _engine_base()):
             if arguments:
@@ -214,7 +215,7 @@ def _made_engine(
 
 
 def _usual_dims(source: Any, arguments: Mapping[str, Any]) -> int:
-    """Return the number of dims of an engine that is created without this argument."""
+    """Return the number of dims of an engine that is created without a number of dims."""
     if isinstance(source, str | type):
         cls = _engine_classes()[source] if isinstance(source, str) else source
         d = inspect.signature(cls).parameters.get("d")
@@ -268,8 +269,8 @@ class QmcpySampler(OneByOne):
 
     Notes
     -----
-    QMCPy keeps up to 63 binary digits. Coordinates that round up to 1.0
-    are replaced by the largest double below 1. Larger coordinates are errors.
+    QMCPy keeps up to 63 binary digits, so coordinates may round up to 1.0.
+    The largest double below 1 replaces 1.0. Larger coordinates are errors.
     Points of QMCPy's own classes count as uniform after some randomizations:
     shifts, digital shifts, digital permutations and nested scrambling.
     Options that name tables are read from QMCPy's folder or from a file, never from the network.
@@ -313,7 +314,7 @@ class QmcpySampler(OneByOne):
         Raises
         ------
         ParameterError
-            If `generator` has another type, or does not accept the arguments.
+            If `generator` has a wrong type, or does not accept the arguments.
         MissingDependency
             If QMCPy is not installed.
         """
@@ -347,7 +348,7 @@ class QmcpySampler(OneByOne):
 
     @property
     def spec(self) -> str:
-        """Spec string; for an instance, or a class outside QMCPy, its own description."""
+        """Spec string; an instance, or a class outside QMCPy, is described by its own text."""
         if isinstance(self.generator, str):
             return format_call(self)
         made = self._pattern
@@ -370,7 +371,7 @@ class QmcpySampler(OneByOne):
                     "alone."
                 )
             try:
-                return source._spawn(seed, source.d)  # QMCPy's method ``spawn`` does the same
+                return source._spawn(seed, source.d)  # QMCPy's own ``spawn`` also calls this
             except Exception as error:
                 raise ParameterError(
                     f"This {name} cannot be copied: {reason_of(error, 200)}."
@@ -410,9 +411,9 @@ class QmcpySampler(OneByOne):
 
 
 def _local_table(name: str, folder: Path) -> str:
-    """Return the name by which QMCPy opens a table of its own, or a file, without the network.
+    """Return a name under which QMCPy opens one of its tables, or a file, without the network.
 
-    QMCPy looks in its own folder, on the network, and last among the files.
+    QMCPy looks for a name in its own folder, then on the network, and last among local files.
     """
     if Path(name).name == name and (folder / name).is_file():
         return name

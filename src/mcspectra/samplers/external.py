@@ -76,7 +76,7 @@ SEED_BITS = 31
 _NET_BASES = (2, 3, 5)
 _LEAST_CELLS, _LEAST_CELLS_OF_FEW = 8, 16  # least number of balanced elementary intervals
 _FEW = 64  # sets with fewer points than this need more intervals
-_MOST_WORK = 2**26  # largest product of points and interval shapes; takes about a second
+_MOST_WORK = 2**26  # largest number of points times interval shapes; about a second
 _WORD = 53  # number of bits of a coordinate
 _OFF_LATTICE = 0.01  # rounding tolerance of coordinates of a lattice, in units of 1/n
 
@@ -85,7 +85,7 @@ _own: set[str] = set()
 
 
 def as_label(name: str, given: object) -> str:
-    """Check a short printable text of a field."""
+    """Check that the text of a field is short and printable, and return it."""
     if isinstance(given, str) and len(given) <= 80 and given.isprintable():
         return given
     raise ParameterError(
@@ -141,7 +141,7 @@ class GivenPoints(Sampler):
         If points are given, the path is only a name for them.
     points
         The sets, shape (R, n, d) or (n, d), in [0,1). They are copied and read-only.
-        If the sets have several counts, `points` has the sets with the fewest points.
+        If sets have different numbers of points, `points` holds the sets with the fewest points.
     cycle
         Whether the R given sets are used cyclically: realization r is set r mod R.
         Without a randomization, the sets are only repeated:
@@ -221,7 +221,7 @@ class GivenPoints(Sampler):
 
     @classmethod
     def from_sets(cls, sets: Iterable[object], name: str) -> GivenPoints:
-        """Make a sampler from arrays (n, d) of a source called `name`."""
+        """Make a sampler from arrays (n, d); messages call their source `name`."""
         made: Any = _by_count([(name, points) for points in sets])
         return cls(path=name, points=made)
 
@@ -273,9 +273,8 @@ class GivenPoints(Sampler):
 def net_quality(points: Array, like: tuple[int, int] | None = None) -> tuple[int, int] | None:
     """Return base and quality t of a digital net in base 2, 3 or 5; None for other sets (n, d).
 
-    A set of b^m points is a (t, m, d)-net if each elementary interval of volume b^(t − m)
-    contains b^t points. Every set is a net for t = m.
-    Therefore a set counts as a net only if m − t is large enough.
+    A (t, m, d)-net has b^m points: b^t points in each elementary interval of volume b^(t − m).
+    Every set is a net for t = m, so a set counts as a net only if m − t is large enough.
     The least m − t is 3 in base 2, and 2 in bases 3 and 5.
     Below 64 points, the least m − t is 4 in base 2 and 3 in base 3 (or m if m is smaller).
     If the same file has a larger net `like` in this base, a t no larger than the net's t suffices.
@@ -304,7 +303,7 @@ def recognized(points: Array, bases: tuple[int, ...] | None) -> Fixed:
 
     The set is a net in the given bases, unless `bases` is None.
     The set is digital if its digits form a group.
-    It is a lattice if its differences form a group on the torus.
+    The set is a lattice if its differences form a group on the torus.
     """
     n, dims = points.shape
 
@@ -376,7 +375,7 @@ def _as_paths(given: object) -> tuple[str, ...]:
 
 
 def _read(paths: Sequence[str]) -> Iterator[tuple[str, Array]]:
-    """Yield all sets of all files in order, with file names; compare n with the name."""
+    """Yield all sets of all files in order, with file names; check the n in a file's name."""
     for file, n in (found for path in paths for found in matching_files(path)):
         for points in read_points(file):
             if n is not None and len(points) != n:
@@ -401,7 +400,7 @@ def _by_count(sets: Iterable[tuple[str, object]]) -> dict[int, Array]:
             )
         found.setdefault(len(points), []).append(points)
     if not found:
-        return {0: _as_sets([])}  # raises an error, because there are no points
+        return {0: _as_sets([])}  # this call raises the error that there are no points
     return {n: _as_sets(np.stack(found[n])) for n in sorted(found)}
 
 
@@ -739,7 +738,7 @@ def allow_code(*names: str) -> None:
     The name ``'./mine'`` allows this program with any arguments.
     The name ``'module:function'`` allows the spec ``python('module:function')``.
     Samplers that are made from their classes in Python need no permission.
-    Their specs are also allowed from then on.
+    The specs of such samplers are also allowed from then on.
 
     Raises
     ------

@@ -57,8 +57,8 @@ class PerturbedLattice(GridSampler):
         Standard deviation of each coordinate's displacement, as a multiple of the spacing 1/s.
     correlation
         Exponent β, −2 ≤ β ≤ 2; 0 makes displacements independent.
-        The power spectrum of the displacements is proportional to |k|^(−β),
-        so the power of the points grows like |m|^(2−β).
+        The power spectrum of the displacements is proportional to |k|^(−β).
+        The power of the points therefore grows like |m|^(2−β).
 
     Notes
     -----
@@ -115,7 +115,7 @@ class PerturbedLattice(GridSampler):
         fill_normals(keys, self.dims, moves)
         field = moves.reshape(count, n, self.dims)
 
-        # Filter the white noise, so that its power is proportional to |k|^(−β); the variance stays
+        # Filter the white noise to power proportional to |k|^(−β), without changing its variance
         if self.correlation != 0.0 and n == 1:
             field = np.zeros_like(field)  # the only frequency of the field is 0
         elif self.correlation != 0.0:
@@ -174,7 +174,7 @@ class StealthyHyperuniform(OptimisedSampler):
     Notes
     -----
     Limited-memory BFGS starts from independent uniform points.
-    It lowers the sum of n|S_m|² over the constrained frequencies to below 1e-22.
+    The descent lowers the sum of n|S_m|² over the constrained frequencies to below 1e-22.
     The start is random and the sum is invariant under translation, so every point is uniform.
 
     References
@@ -298,7 +298,8 @@ class Determinantal(Sampler):
     See Hough et al., algorithm 18, and Lavancier et al., algorithm 1.
     The process is stationary. Its pair density is n² − |K(x, y)|², and its power is
     n⟨|S_k|²⟩ = 1 − #{(m, m') in M × M: m − m' = k}/n.
-    It is thus hyperuniform with power ∝ |k|: variances of smooth integrands fall as n^(−1−1/d).
+    The process is thus hyperuniform, with power ∝ |k|.
+    Variances of smooth integrands fall as n^(−1−1/d).
 
     References
     ----------
@@ -380,8 +381,8 @@ def _append(re: Array, im: Array, basis: tuple[Array, Array], i: int, cr: Array,
 
 @kernel
 def _draw(k0: np.uint64, k1: np.uint64, m: Array, basis: tuple[Array, Array], out: Array) -> None:
-    # Draw one realization. When a point is found, other proposals are kept for later points,
-    # because the tests that a proposal has passed remain valid.
+    # Draw one realization. When a point is found, other proposals are kept for later points:
+    # the tests that a proposal has passed remain valid.
     n, dims = out.shape
     x, most, within = np.empty((_BATCH, dims)), np.empty(_BATCH), np.empty(_BATCH)
     re, im = np.empty((_BATCH, n)), np.empty((_BATCH, n))
@@ -410,8 +411,8 @@ def _draw(k0: np.uint64, k1: np.uint64, m: Array, basis: tuple[Array, Array], ou
                 if within[p] < most[p]:
                     within[p] += _add_block(re[p], im[p], vr, vi, cr[p, block], ci[p, block])
 
-        # Accept the remaining proposals in order. Each accepted point adds a vector to the basis,
-        # and one more coefficient to the projections of the later proposals.
+        # Accept the remaining proposals in order. Each accepted point adds a vector to the basis.
+        # The projections of later proposals then have one more coefficient.
         for p in range(_BATCH):
             if i == n or within[p] >= most[p]:
                 continue

@@ -87,8 +87,8 @@ class Rank1Lattice(_Lattice):
 
     The minimum is over all z_j ≤ n/2 coprime to n.
     The search tries all z_j if this takes at most 2^24 values of B_2 (n up to 5,792).
-    Otherwise it tries at least 16 evenly spaced values of z_j.
-    Vectors are kept in memory by (n, d).
+    Otherwise the search tries at least 16 evenly spaced values of z_j.
+    The vector for each pair (n, d) is kept in memory.
 
     References
     ----------
@@ -126,7 +126,7 @@ def _built_vector(n: int, dims: int) -> tuple[int, ...]:
     candidates = _candidates(n, _EVALUATIONS // n)
     product, vector = np.ones(n), []
     for j in range(1, dims + 1):
-        # All first components give the same points, so take 1
+        # In one dim all components give the same points, so the first component is 1
         options = candidates if j > 1 else candidates[:1]
         errors = [product @ bernoulli[k * z % n] for z in options]
         best = int(options[_first_least(errors)])
@@ -143,9 +143,11 @@ def nested_lattices(sampler: Sampler, n: int, parts: int, *, at_once: bool = Fal
     sampler
         A `Rank1Lattice` with randomizations. If it has a vector, it is returned as it is.
     n, parts
-        Number of points, a multiple of `parts`. Points 0, k, 2k, … are a lattice for each k = 2, 4,
-        … up to `parts`, a power of two, or with `at_once` for k = parts only. The smallest
-        lattice is the default lattice of n/parts points.
+        Number of points n, a multiple of `parts`.
+        By default, `parts` is a power of two.
+        For each power of two k up to `parts`, the points 0, k, 2k, … form a lattice.
+        With `at_once`, these points form a lattice for k = parts only.
+        The smallest lattice is the default lattice of n/parts points.
     """
     plain = sampler.plain
     if not isinstance(plain, Rank1Lattice) or plain.vector is not None:
@@ -162,7 +164,7 @@ def nested_lattices(sampler: Sampler, n: int, parts: int, *, at_once: bool = Fal
 
 @lru_cache(maxsize=256)
 def _extended_vector(inner: tuple[int, ...], n: int, parts: int) -> tuple[int, ...]:
-    """Return the vector for n points of least P_2 that is `inner` modulo n/parts."""
+    """Return the vector of least P_2 for n points, among those equal to `inner` modulo n/parts."""
     k, bernoulli, factors = np.arange(n), _bernoulli(n), np.arange(parts) * (n // parts)
     product, vector = np.ones(n), []
     for j, z in enumerate(inner, 1):
@@ -192,9 +194,9 @@ class Korobov(_Lattice):
     -----
     The search minimizes P_2, as in `Rank1Lattice` but with equal weights γ_j = 1.
     Candidates are all a ≤ n/2 coprime to n, since n − a gives the reflected lattice.
-    The search tries all of them if that takes at most 2^24 values of B_2 (n up to 4,096 in 2-D).
-    Otherwise it tries at least 16 evenly spaced values of a.
-    Generators are kept in memory by (n, d).
+    The search tries all candidates if it takes at most 2^24 values of B_2 (n ≤ 4,096 in 2-D).
+    Otherwise the search tries at least 16 evenly spaced values of a.
+    The generator for each pair (n, d) is kept in memory.
 
     References
     ----------
@@ -289,8 +291,8 @@ class Kronecker(FixedSet):
     Attributes
     ----------
     alpha
-        The vector α, one number per dim. The default is the vector of the R-sequence: α_j = φ^(−j),
-        where φ is the root greater than 1 of φ^(d+1) = φ + 1; in 1-D, φ is the golden ratio.
+        The vector α, one number per dim. The default is the vector of the R-sequence: α_j = φ^(−j).
+        The number φ > 1 is the root of φ^(d+1) = φ + 1; in 1-D, φ is the golden ratio.
 
     Notes
     -----
@@ -371,7 +373,7 @@ def golden_steps(dims: int) -> Array:
 
 @kernel
 def _fill_kronecker(steps: Array, out: Array) -> None:
-    # Fill out (n, d) with 0, α, 2α, … modulo 1 = 2^64 units; steps uint64 (d,)
+    # Fill out (n, d) with 0, α, 2α, … modulo 1; steps uint64 (d,) is α in units of 2^-64
     n, dims = out.shape
     for j in range(dims):
         multiple = np.uint64(0)

@@ -5,10 +5,10 @@ The variance of an estimator combines the spectrum of its integrand with the sam
     Var(I_n) = Σ_m Σ_l conj(f_m) f_l C_ml,     C_ml = ⟨S_m conj(S_l)⟩ − ⟨S_m⟩ conj⟨S_l⟩,
 
 The covariance C_ml is a property of the sampler's law.
-A sampler states its law once, in `Sampler.law`. All else is computed by functions of the law:
-closed forms, exact variances, predictions, rates and the fitting basis.
-These functions dispatch on the class at the root of a law, and recurse.
-These functions never test a sampler's name.
+A sampler states its law once, in `Sampler.law`. All else is computed by functions of the law.
+Examples are closed forms, exact variances, predictions, rates, and the fitting basis.
+The functions dispatch on the class at the root of a law, and recurse.
+No function tests a sampler's name.
 
 A law is a small tree of frozen classes. Leaves describe how points are drawn:
 
@@ -89,7 +89,7 @@ __all__ = [
 _MOST_TERMS = 2**32
 """Largest number of terms of a sum over points and frequencies: about half a minute."""
 _MOST_COUNTS = 2**28
-"""Largest product of points and levels in comparisons of digits: about a minute."""
+"""Largest number of points, times levels of digits, in comparisons of digits: about a minute."""
 _TERMS_AT_ONCE = 2**22
 """Number of terms held in memory at a time: 64 MB of complex numbers."""
 
@@ -206,7 +206,7 @@ class _Point(Motif):
 @final
 @dataclass(frozen=True)
 class UniformPoint(_Point):
-    """A uniform point of the cell."""
+    """Motif of one uniform point in the cell."""
 
     def axis(self, a: Array) -> Array:
         """Return χ(a) = sinc(πa) exp(−iπa)."""
@@ -335,7 +335,7 @@ class PairedAxes(Law):
     parts
         Number of parts of each stratum; each part contains at most one point.
     patterns
-        Groups of the pairs of different points.
+        Groups of ordered pairs of different points, by the relation of the points on each axis.
     base
         Base in which every realization is a scrambled net [Tang1993]_; None if there is none.
     """
@@ -399,7 +399,7 @@ class Fixed(Law):
     vector
         Generating vector z of a rank-1 lattice {k z / n}; None for other sets.
     sides, corner
-        Number of grid cells along each axis, and position of the point in units of its cell.
+        Number of grid cells along each axis, and each point's position within its cell, in cells.
         None for sets that are not grids.
     even
         Whether the evenness of the set depends only on differences of points on the torus.
@@ -442,7 +442,7 @@ class Fixed(Law):
         Raises
         ------
         ParameterError
-            If counting would take more than about a minute.
+            If counting the points would take more than about a minute.
         """
         work = float(self.n) * float(levels + 1) ** self.dims
         if work > _MOST_COUNTS:
@@ -497,7 +497,7 @@ class Choice(Law):
     laws
         The laws to choose from, or a random selection of them if there are many.
     sets
-        Number of laws before such a selection; None if it is unlimited.
+        Number of laws before a random selection; None if it is unlimited.
     """
 
     laws: tuple[Law, ...]
@@ -660,8 +660,8 @@ class Scrambled(Law):
         The law of the set before the digits are randomized.
     kind
         Kind of randomization.
-        Nested and linear scrambles give the same variances,
-        because pairs of points have the same distribution after both scrambles.
+        Pairs of points have the same distribution after nested and after linear scrambles.
+        Both kinds therefore give the same variances.
     bases
         Base of the digits of each coordinate.
     shifts
@@ -757,7 +757,7 @@ def scrambled(law: Law, kind: Scramble, bases: Sequence[int], *, shifts: bool = 
 
 
 def as_scrambled(law: Law) -> Law:
-    """Convert the law of an orthogonal array with s parts per stratum to that of a scrambled net.
+    """Convert the law of an orthogonal array with s parts per stratum to a scrambled net's law.
 
     The second digits are permuted within each first digit [Tang1993]_.
     The digits of one realization therefore describe all realizations.
@@ -795,7 +795,7 @@ def bases_to_scramble(laws: Sequence[Law]) -> tuple[int, ...] | None:
     The result is None for lattices, which scrambling breaks, and for sets that are not nets.
     For lattices and for sets that are not nets, a shift is the better randomization.
     A set of a few points can be both a net and a lattice.
-    The other sets then decide between scrambling and a shift.
+    For such a set, the other sets decide between scrambling and a shift.
     """
     found = {law.bases if isinstance(law, Fixed | Unknown) else None for law in laws}
     if len(found) > 1 or all(isinstance(law, Fixed) and law.even for law in laws):
@@ -811,14 +811,17 @@ def is_power(n: int, base: int) -> bool:
 
 
 def mean_of_terms(n: int, nu: Array, terms: Callable[[Array], Array]) -> Array:
-    """Return the mean of `terms` over n points at frequencies (..., d), in blocks (F, d).
+    """Return the mean of the function `terms` over n points, at frequencies (..., d).
+
+    The function gets frequencies in blocks (F, d).
 
     Raises
     ------
     NoClosedForm
         If there are too many terms.
     """
-    if float(n) * max(64, nu[..., 0].size) > _MOST_TERMS:  # count 64 or more: points take memory
+    # At few frequencies the points need the most memory, so count at least 64 frequencies
+    if float(n) * max(64, nu[..., 0].size) > _MOST_TERMS:
         raise NoClosedForm(
             f"The exact transform of {n} points at {nu[..., 0].size} frequencies would take more "
             f"than {_MOST_TERMS:.2g} terms; use ",

@@ -90,11 +90,11 @@ class Sobol(_BinaryNet):
     -----
     The points are in natural order, not in the order of the Gray code:
     dimension 0 is the van der Corput sequence of the index.
-    Counts that are not powers of the base cause a warning,
-    because their sets are not balanced in elementary intervals.
+    Counts that are not powers of the base cause a warning:
+    sets of such counts are not balanced in elementary intervals.
 
-    A file has one line per dim. Its entries are the number of the dim, a polynomial's degree s,
-    the polynomial itself (a), and the numbers m_1 … m_s. Headings and text after ``#`` are ignored.
+    A file has one line per dim: number of the dim, degree s, polynomial a, numbers m_1 … m_s.
+    Headings and text after ``#`` are ignored.
     In base 2, a contains the inner coefficients (as in Joe and Kuo's table).
     Degree 0 is van der Corput's sequence; it is inserted if the numbers of the dims begin at 2.
     In base 3, the digits of a are all coefficients, and p_i is the coefficient of x^i.
@@ -245,7 +245,7 @@ class Niederreiter(_BinaryNet):
     Coordinate j belongs to the j-th irreducible polynomial p over the field of two elements:
     the polynomials are x, x + 1, x² + x + 1, … The degree of polynomial j is e_j.
     Row q·e_j + u of the matrix, u < e_j, holds the coefficients of x^-1, x^-2, … in x^u / p^(q+1).
-    This is the order of Bratley, Fox and Niederreiter.
+    The rows have the order of Bratley, Fox and Niederreiter.
 
     The sequence has quality parameter t = Σ (e_j − 1).
     An axis of degree e > 1 is sure to be balanced only at n = 2^k with k divisible by e.
@@ -339,13 +339,13 @@ class JoinedPairs(_BinaryNet):
     Notes
     -----
     The matrices of the points are C_1, C_2, C_1 U and C_2 U with an upper triangular matrix U.
-    The digits of a number i of a point are thus changed to U times these digits,
-    which is only another order of the points of the plane.
-    Both pairs of coordinates are therefore as evenly spread as the plane's points.
-    In contrast, coordinates 3 and 4 of Sobol' points are no (0, m, 2)-net for most m.
+    For coordinates 3 and 4, the digits of a point's index are multiplied by U.
+    The multiplication changes only the order of the points in the plane.
+    Coordinates 3 and 4 are therefore as evenly spread as coordinates 1 and 2.
+    In contrast, coordinates 3 and 4 of Sobol' points do not form a (0, m, 2)-net for most m.
 
-    The first ten columns of U are those of least quality parameter t of Sobol' points in four dims
-    among 3000 random matrices: t = 1, 2 and 3 for 16, 64 and 256 points.
+    The first ten columns of U are the best of 3000 random choices for Sobol' points in the plane.
+    These columns give the least quality parameter t: 1, 2 and 3 for 16, 64 and 256 points.
     """
 
     max_dims: ClassVar[int | None] = 4
@@ -354,7 +354,7 @@ class JoinedPairs(_BinaryNet):
 
     @property
     def spec(self) -> str:
-        """The plane's spec; a spec string cannot recreate these points."""
+        """Spec of the net in two dims; no spec string describes these points in four dims."""
         return str(self.plane.spec)
 
     def direction_numbers(self, n: int) -> Array:
@@ -373,7 +373,7 @@ class LarcherPillichshammer(PlaneSampler, _BinaryNet):
     """Larcher and Pillichshammer's (0, m, 2)-net of n = 2^m points, deterministic (2-D).
 
     The first coordinate is i/n. The matrix of the second coordinate is the upper triangle of ones.
-    The star discrepancy is smaller than that of hammersley.
+    The star discrepancy is smaller than the star discrepancy of hammersley.
     Randomize with owen or digital-shift.
 
     References
@@ -501,18 +501,18 @@ class DigitalNet(_AnyBaseNet):
         The base b; a file that states its base overrides it.
     digits
         Number of rows of matrices that are given as columns. Each column has this number of digits.
-        Its highest digit comes first. The default is the number of columns.
+        The highest digit of a column comes first. By default there are as many rows as columns.
     dims
-        Number of dims, by default the number of matrices. If it is smaller, the last are ignored.
+        Number of dims, by default the number of matrices. Matrices beyond it are ignored.
 
     Notes
     -----
-    There are two formats of files. LatNet Builder, the Magic Point Shop and QMCPy use the first:
+    Files have one of two formats. LatNet Builder, the Magic Point Shop and QMCPy use the first:
     each of the first four lines has a number (base, dims, largest n, digits).
     After that, each line has the columns of one matrix, as whole numbers.
     Text after the four numbers and lines that start with ``#`` are ignored.
-    MatBuilder uses the second format: square matrices of digits, one below the other,
-    each line has one row of a matrix. These files do not state the base, so give it as `base`.
+    MatBuilder uses the second format: square matrices of digits, one below the other.
+    Each line has one row of a matrix. Such files do not state the base, so give it as `base`.
 
     References
     ----------
@@ -624,7 +624,7 @@ def _matrix(j: int, matrix: tuple[Any, ...], base: int, digits: int | None) -> A
 def _net_of_file(path: str, given: int) -> tuple[int, Array]:
     """Return base and columns (d, m, rows) of a file of matrices; `given` is the default base."""
     with opened(path, "generator matrices") as (stream, size, name, _):
-        check_decoded_size(name, size, 128 * size)  # size of the decoded text and the integers
+        check_decoded_size(name, size, 128 * size)  # memory of the decoded text and the integers
         lines = stream.read().decode().splitlines()
     kept = [line.partition("#")[0].split() for line in lines]
     kept = [words for words in kept if words]

@@ -58,7 +58,7 @@ class OptimisedSampler(Sampler, ABC):
         With K, only K sets are made, the same for every seed.
         Realization r is then set r mod K under a random translation of the torus.
         Estimated means and variances remain correct on average.
-        However, the sample has only K sets, also for standard errors of spectra.
+        However, the sample has only K sets, on which standard errors of spectra are based.
     """
 
     costly: ClassVar[bool] = True
@@ -113,7 +113,10 @@ class OptimisedSampler(Sampler, ABC):
 
 @lru_cache
 def _source(cls: type) -> str:
-    """Return name and digest of an external class's module, as its `version` may be outdated."""
+    """Return name and digest of an external class's module.
+
+    The digest is needed because the author may forget to change the class's `version`.
+    """
     if cls.__module__.startswith("mcspectra."):
         return ""
     try:

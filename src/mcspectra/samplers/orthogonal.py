@@ -37,8 +37,8 @@ class LatinHypercube(Sampler):
 
     Notes
     -----
-    Strength 2 is Tang's construction: an orthogonal array divides each coordinate into p parts,
-    and the p points in each part are shuffled over p sub-strata.
+    Strength 2 is Tang's construction: an orthogonal array divides each coordinate into p parts.
+    The p points in each part are shuffled over p sub-strata.
     With strength 2, the sampler equals orthogonal-array with its default jitter.
 
     References
@@ -113,10 +113,10 @@ class OrthogonalArray(Sampler):
     jitter
         Position of a point within its stratum (one of s) of each axis.
         ``"jittered"``: uniform in the stratum.
-        ``"multi-jittered"``: the points of each stratum are shuffled over its sub-strata,
-        so each of n intervals of the axis contains one point [Tang1993]_.
-        ``"correlated-multi-jittered"``: the sub-strata follow the levels on the next t − 1 axes,
-        with one shuffle for all strata.
+        ``"multi-jittered"``: the points of each stratum are shuffled over its sub-strata.
+        Each of n intervals of the axis then contains one point [Tang1993]_.
+        ``"correlated-multi-jittered"``: sub-strata are chosen by the levels on the next t − 1 axes.
+        All strata share one shuffle.
 
     Notes
     -----

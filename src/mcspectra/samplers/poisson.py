@@ -7,8 +7,9 @@ For "exact" Poisson disks, n determines r in advance, and dart throwing stops at
 If a set jams earlier (see `PoissonDisk.radius`), it is discarded and a new set is started.
 This restart keeps the distribution invariant under translation.
 
-Darts are thrown only where they can be accepted. The cells of a grid have diagonal r,
-so that each cell has at most one point. Cells that may have room are kept in a list.
+Darts are thrown only where they can be accepted, in the cells of a grid.
+The cells have diagonal r, so that each cell has at most one point.
+Cells that may have room for a point are kept in a list.
 From time to time, the cells of the list are halved along every axis.
 Parts that a disk covers are dropped [Ebeida2012]_.
 Accepted darts are still uniform on the uncovered region, so the law does not change.
@@ -17,8 +18,8 @@ The set is maximal when no cell remains.
 For "maximal" sets, increasing radii are tried, until the darts jam with at most n points.
 The missing points, a few percent, are placed one by one at the center of the largest empty disk.
 The radius of this disk is the largest minimum distance at which one more point fits.
-At the end no further disk fits,
-because the last point was put at the place farthest from all others [Schloemer2011]_.
+At the end no further disk fits: the last point is at the place farthest from all others
+[Schloemer2011]_.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ Disks: TypeAlias = tuple[float, int, int, Array, bool, int]
 Throw: TypeAlias = Callable[[Any, Any, int, Array], tuple[int, int]]
 """Function that fills an array of points (n, d).
 
-Its other arguments are the keys of a realization, and the index of the next random number.
+The other arguments are the keys of a realization, and the index of the next random number.
 The function returns the number of points placed, and the new index."""
 
 DENSEST = (1.0, 2.0 / 3.0**0.5, 2.0**0.5, 2.0, 2.0 * 2.0**0.5, 8.0 / 3.0**0.5, 8.0, 16.0)

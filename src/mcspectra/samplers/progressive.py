@@ -5,7 +5,7 @@ Before pass k, each of 2^k equal intervals of an axis has one point, in one half
 Pass k puts one point into the other half of each interval.
 The assignment of new points to intervals determines the further stratification.
 The position of a point within its half is random.
-This makes the sequence Owen-scrambled without digit permutations [Helmer2021]_.
+Random positions make the sequence Owen-scrambled without permutations of digits [Helmer2021]_.
 
 Notation of the kernels: ``keys`` uint64 (R, 2) from `Stream.keys`; ``out`` float64 (R, n, 2).
 A coordinate is a word of 53 bits; its level-ℓ bit is worth 2^-(ℓ+1).
@@ -35,9 +35,9 @@ _PASSES = 31
 _SETS = 16  # number of random sets that represent the distribution of pmj
 _ONE, _S11 = np.uint64(1), np.uint64(11)
 _EVEN_BITS = np.uint64(0x5555555555555555)
-_BITS = 5  # number of bits below the cell's bits that are chosen; finer bits matter little
+_BITS = 5  # number of optimized bits below the bits of the cell; finer bits matter little
 _UNIT_53 = 2.0**-53
-_CHOICES, _SHUFFLES = 1 << 40, 1 << 41  # first random numbers of choices and of shuffles
+_CHOICES, _SHUFFLES = 1 << 40, 1 << 41  # indices of random numbers for choices and shuffles
 
 
 class _PlaneSequence(PlaneSampler):
@@ -81,8 +81,8 @@ class PMJ(_PlaneSequence):
     sequence: ClassVar[bool] = True
 
     def _law(self, n: int) -> Law:
-        # Sets are Owen-scrambled by construction. Which digits of two points agree is random;
-        # the mean over a few random sets represents all sets.
+        # Sets are Owen-scrambled by construction, but it is random which digits of points agree.
+        # The mean over a few random sets represents all sets.
         sets = (Fixed(n=n, dims=2, bases=(2, 2), seed=k).of(self) for k in range(_SETS))
         return Choice(n=n, dims=2, laws=tuple(scrambled(each, "nested", (2, 2)) for each in sets))
 
@@ -136,8 +136,8 @@ class PMJ02BlueNoise(_PlaneSequence):
     Notes
     -----
     The random bits of pmj02 are chosen by descent, pass by pass, from coarse to fine.
-    The bits of a whole strip of the square are flipped if this lowers an energy,
-    the sum of distance^-8 over all pairs on the torus.
+    The bits of a whole strip of the square are flipped if this lowers an energy.
+    The energy is the sum of distance^-8 over all pairs on the torus.
     In the whole set, the nearest two points are two to three times as far apart as in pmj02.
     The first points of a set are also a (0,2)-sequence, but spread no better than in pmj02.
     The mean is unbiased up to the width of the intervals, because each interval has one point.
@@ -166,14 +166,12 @@ def pairings() -> Array:
     The basis of the polynomials is 1, t, b, b·t, b², b²·t, … with b = t² + t.
     The digits of x are the polynomial's coefficients in powers of t.
     The digits of y are its coefficients in powers of t + 1.
-    These are the first two axes of Sobol'.
+    Such x and y are the first two coordinates of Sobol' points.
 
     Multiples of b^m do not change the first m digits of x or y.
     Each block of 4^m points therefore has one point in each of 2^m × 2^m cells.
-    Partners on the first axis have coordinates x that differ only in digit k.
-    Their polynomials therefore differ by t^k.
-    Partners on the second axis have coordinates y that differ only in digit k.
-    Their polynomials therefore differ by (t + 1)^k.
+    Partners on the first axis differ only in digit k of x, so their polynomials differ by t^k.
+    Partners on the second axis differ only in digit k of y: their polynomials differ by (t + 1)^k.
     """
     even = 0x5555555555555555
     out = np.empty((2, _PASSES), np.uint64)
@@ -227,7 +225,7 @@ def _fill_pmj(keys: Array, out: Array) -> None:
             words[j, 0] = mix_bits(k0, k1, j) >> _S11
         level = 0
         while 1 << level < n:
-            # Choose column and row of the quarter of a cell for each point of the pass.
+            # For each point of the pass, choose a quarter of its cell: column and row.
             # The second point of a cell is diagonal to its first.
             # The third point takes one of the other two quarters.
             size, side = 1 << level, level // 2 + 1
@@ -287,7 +285,7 @@ def _gain(i: int, axis: int, bit: Any, members: Any, words: Array, owner: Array)
             there = np.float64(word) * _UNIT_53
             far = np.float64(words[1 - axis, other]) * _UNIT_53 - across
             before = _pair_energy(there - here, far)
-            if word >> shift == strip:  # the other point is in the strip and moves
+            if word >> shift == strip:  # the other point also lies in the strip, so it also moves
                 there = np.float64(word ^ bit) * _UNIT_53
                 gain += 0.5 * (before - _pair_energy(there - moved, far))
             else:
@@ -297,7 +295,7 @@ def _gain(i: int, axis: int, bit: Any, members: Any, words: Array, owner: Array)
 
 @kernel
 def _try_flips(axis: int, level: int, size: int, words: Array, owner: Array) -> None:
-    # Swap the halves of a strip of width 2^-level if this lowers the energy of `size` points.
+    # For strips of width 2^-level, swap the halves if this lowers the energy of `size` points.
     order = np.empty(size, np.int64)
     shift = np.uint64(53 - level)
     bit = _ONE << np.uint64(52 - level)

@@ -49,15 +49,15 @@ class RadicalInverses(FixedSet):
 
     @property
     def scrambles(self) -> int:  # type: ignore[override]
-        """Number of built-in randomizations; later randomizations use later streams."""
+        """Number of built-in randomizations; further randomizations use other random streams."""
         return int(self.scramble != "none")
 
     def draw_nested(self, n: int, stream: Stream, first: int, count: int) -> Array:
-        """Draw points with nested scrambling, from the top of their trees: (count, n, dims)."""
+        """Draw points with nested scrambling, from the top of digit trees: (count, n, dims)."""
         return _nested(self.digit_bases, n, stream.keys(first, count))
 
     def as_chain(self, n: int) -> Sampler:  # noqa: ARG002
-        """Return the chain of steps for which the parameter `scramble` is short."""
+        """Return the sampler and the randomization that the parameter `scramble` stands for."""
         if self.scramble == "none":
             return self
         plain: Sampler = replace(self, scramble="none")  # type: ignore[type-var]
@@ -198,7 +198,7 @@ class Hammersley(RadicalInverses):
         return np.concatenate([nths, rest], axis=2)
 
     def as_chain(self, n: int) -> Sampler:
-        """Return the chain for n = 2^m; other n have no chain, so return this sampler."""
+        """Return the equivalent chain of samplers for n = 2^m, and this sampler for other n."""
         return self if n & (n - 1) else RadicalInverses.as_chain(self, n)
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:

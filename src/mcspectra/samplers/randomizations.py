@@ -1,7 +1,7 @@
 """Randomizations that move all points of a set: shifts, rotations, mirror images, pixels.
 
 A reflection is u → 1 − 2^-53 − u, because 1 − u would leave [0,1) for u = 0.
-It maps multiples of 2^-53 one to one to multiples of 2^-53; float64 points are such multiples.
+The reflection is one to one on the multiples of 2^-53, and float64 points are such multiples.
 """
 
 from __future__ import annotations
@@ -234,7 +234,7 @@ def _seen(points: Array, center: Array, turn: Array, reach: float, found: Array)
 @kernel
 def _clip_all(keys: Array, points: Array, out: Array) -> None:
     # Fill out (R, n, 2) with the points in the window.
-    # Its edge passes through the point that is the (n + 1)-th nearest to the window's center.
+    # The window's edge passes through the point that is (n + 1)-th nearest to the window's center.
     count, n, _ = points.shape
     found = np.empty((25 * n, 3))
     numbers = np.empty(5)
@@ -263,7 +263,7 @@ def _clip_all(keys: Array, points: Array, out: Array) -> None:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Mirror(Randomization):
-    """Mirroring: put samples into one random mirror image of the integrand, into all, or fold them.
+    """Mirroring: put samples into a random mirror image of the integrand, into all, or fold them.
 
     Attributes
     ----------
@@ -283,7 +283,7 @@ class Mirror(Randomization):
 
     Uniform samples remain exactly uniform. Each half-open cell of a grid maps to the opposite cell.
 
-    Random reflection and folding destroy strata, elementary intervals and differences.
+    Random reflection and folding destroy strata, elementary intervals, and differences of points.
     The uniform mode preserves strata and intervals; each then has 2^d times as many points.
 
     References
@@ -317,7 +317,7 @@ class Mirror(Randomization):
         return Mirrored(n=n, dims=law.dims, inner=law, mode=self.mode)  # type: ignore[arg-type]
 
     def count_inside(self, sampler: Sampler, n: int) -> int:
-        """Return the number of points before mirroring; the uniform mode makes n images of them."""
+        """Return the number of points before mirroring; in uniform mode, n counts all images."""
         return n // self._images(sampler)
 
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
@@ -453,7 +453,7 @@ class Decorrelate(Randomization):
             )
 
     def fit(self, sampler: Sampler) -> Randomization:
-        """Check that the mode accepts the sampler, and that a mask is not used in other bases."""
+        """Check that the mode accepts the sampler, and that a mask is used in base 2 only."""
         Randomization.fit(self, sampler)
         self._step().fit(sampler)
         if self.advance and not sampler.sequence:
@@ -471,7 +471,7 @@ class Decorrelate(Randomization):
 
     def law_of(self, law: Law, n: int) -> Law:
         """Return the law of one pixel; pixels share one set."""
-        if self.advance:  # each frame has other points
+        if self.advance:  # each frame uses other points of the sequence
             return Randomization.law_of(self, law, n)
         return self._step().law_of(law, n)
 
@@ -543,7 +543,7 @@ class Decorrelate(Randomization):
 
 
 def _steps_of(frame: Array, dims: int) -> Array:
-    """Return the points of the R-sequence [Roberts2018]_ of these numbers (k,): (k, dims)."""
+    """Return the points (k, dims) of the R-sequence [Roberts2018]_ at the given indices (k,)."""
     from mcspectra.samplers.lattice import golden_steps
 
     steps = frame.astype(np.uint64)[:, None] * golden_steps(dims)  # modulo 2^64

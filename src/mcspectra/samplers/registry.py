@@ -100,15 +100,15 @@ def as_sampler(source: Any, dims: int | None = None) -> Sampler:
     Parameters
     ----------
     source
-        A sampler, a spec string, an array of points (n, d) or (R, n, d),
-        an engine of `scipy.stats.qmc`, a generator of QMCPy, or the class of either.
+        A sampler, a spec string, or an array of points (n, d) or (R, n, d).
+        Engines of `scipy.stats.qmc`, generators of QMCPy, and their classes are also accepted.
     dims
         Required number of dims.
 
     Raises
     ------
     ParameterError
-        If `source` has another type, or another number of dims.
+        If `source` has a wrong type or a wrong number of dims.
     """
     if isinstance(source, str):
         return sampler(source, dims)

@@ -2,7 +2,7 @@
 
 Lloyd's method repeatedly moves each point to the centroid of its Voronoi cell.
 Blue noise through optimal transport instead uses the power diagram whose cells have equal areas.
-This descent lowers the cost of transporting the uniform density to the points.
+Moving the points lowers the cost of transporting the uniform density to the points.
 The gradient for a point is 2/n times its distance from the centroid of its cell [deGoes2012]_.
 Gaussian blue noise lowers an energy of pairs.
 Farthest-point optimization moves each point to the place farthest from all others.
@@ -52,7 +52,7 @@ _MOST_WORK = 2**32
 _REPORTS = 50
 _CHUNK = 4096  # number of moves between reports of progress
 _CUTOFF = 6.0  # cutoff distance in σ: exp(−18) = 1.5e-8, as for the spectrum
-_SERIES_END = 6.0  # cutoff of the Fourier series in many dims, at terms of e^(−½ 6²)
+_SERIES_END = 6.0  # cutoff of the Fourier series in many dims: terms below e^(−½ 6²) are dropped
 _CELLS = 4  # number of cells along a cutoff distance
 
 
@@ -174,8 +174,8 @@ def relax(
 def transport_cost(points: object) -> float:
     """Return the cost of transporting the uniform density to the points, with equal masses.
 
-    The unit square is partitioned into equal parts, one for each point. The cost is W₂²,
-    the smallest mean square distance on the torus between points and their parts.
+    The unit square is partitioned into equal parts, one for each point.
+    The cost W₂² is the smallest mean square distance on the torus between points and their parts.
     In 1-D it is computed by sorting, in 2-D by the power diagram with equal areas.
     A square grid has n · cost = 1/6. The lower bound is the cost of a hexagonal grid:
     n · cost = 0.1604 (5/(18√3)).
@@ -188,9 +188,9 @@ def transport_cost(points: object) -> float:
     Raises
     ------
     DomainError
-        If there are more than 2 dims or no points in [0,1).
-        Also if the points are so far from uniform that Newton's method takes too long:
-        more than 100 steps, or some seconds. Random points take 10 steps.
+        If there are more than 2 dims, no points, or points outside [0,1).
+        The error is also raised if Newton's method takes more than 100 steps or some seconds,
+        because the points are far from uniform. Random points take 10 steps.
 
     References
     ----------

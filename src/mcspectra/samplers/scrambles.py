@@ -1,7 +1,7 @@
 """Randomizations of digits: they preserve elementary intervals, and strata with suitable sides.
 
-The sides of these strata are powers of the base. Each sampler has a base for its digits:
-usually 2, but for instance primes for halton. All randomizations act in this base.
+The sides of these strata are powers of the base. Each sampler has a base for its digits.
+The base is usually 2; halton, for instance, has primes. All randomizations act in this base.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def _as_base(name: str, base: object) -> Base:
 
 
 class _OfDigits(Randomization):
-    """A randomization of digits in the given `base`; by default in the sampler's base, else 2."""
+    """A randomization of digits in `base`, by default the sampler's base, or 2 if it has none."""
 
     pointwise: ClassVar[bool] = True
     fits: ClassVar[Mapping[Structure, Structure]] = {
@@ -73,7 +73,7 @@ class _OfDigits(Randomization):
         return self if self.base is not None or set(bases) == {2} else replace(self, base=bases)  # type: ignore[type-var]
 
     def counts_near(self, sampler: Sampler, n: int) -> tuple[int | None, int]:
-        """For strata, allow only powers of the base, so that sides of strata are powers too."""
+        """For strata, allow only powers of the base, so that sides of strata are also powers."""
         if not sampler.powers_only:
             return sampler._counts_near(n)
         base, places = self._bases(sampler.dims)[0], 0
@@ -281,7 +281,7 @@ class Lms(_OfDigits):
     """Random linear matrix scrambling: each generator matrix times a random lower triangular one.
 
     The digits of each coordinate are multiplied by a random lower triangular matrix.
-    Its diagonal is nonzero. Arithmetic is modulo the base, which must be a prime. Nets stay nets.
+    The matrix has a nonzero diagonal. Arithmetic is modulo the base, a prime. Nets stay nets.
     Pairs of points of a net have the same law as with owen.
     Variances are therefore the same as with owen, at lower cost.
     There are fewer different sets than with owen, and these sets are more regular.

@@ -187,7 +187,7 @@ class Skip(Randomization):
         return max(sampler.max_count - self.count, 0)
 
     def count_warning(self, sampler: Sampler, n: int) -> str | None:
-        """Return the warning of `sampler`, or a warning if n does not divide the number skipped."""
+        """Return the sampler's warning, or a warning if `count` is not a multiple of n."""
         sentence = sampler._count_warning(n)
         if sentence is None and sampler.structure is Structure.DIGITS and self.count % n:
             return (

@@ -37,7 +37,7 @@ Profile: TypeAlias = Callable[[Array], Array]
 _REACH = 2.0  # largest |m|/√n at which power is matched
 _PCF_REACH = 4.0  # largest |m|/√n for pair correlations; resolves 1/8 of the mean distance
 _TRIED = np.linspace(0.0, 6.0, 601)  # places at which transforms of targets are checked
-_LINE = np.linspace(0.0, 2 * _PCF_REACH, 1601)  # values of |m|/√n up to the largest |m|
+_LINE = np.linspace(0.0, 2 * _PCF_REACH, 1601)  # tabulated values of |m|/√n
 _NEGATIVE = -1e-6  # values below this count as negative; quadrature errors are 1e-9
 _LARGEST_STEP = 1 / math.sqrt(math.pi)
 _MOST_KNOTS, _LARGEST_PLACE = 200, 4.0
@@ -53,12 +53,12 @@ class _MatchedSampler(PlaneSampler, OptimisedSampler):
 
     @abstractmethod
     def _loss(self, n: int) -> RingLoss:
-        """Return the loss that measures the distance of `n` points from the target."""
+        """Return the loss of a set of `n` points: how far its spectrum is from the target."""
 
     def misfit(self, points: object) -> float:
         """Return the root-mean-square difference between the power of `points` and the target.
 
-        The mean is over frequencies, each of which has the mean power of its ring.
+        The mean is over all frequencies; the power of a frequency is the mean power of its ring.
         The points have shape (n, 2).
         """
         x = as_unit_points(points, dims=2)
@@ -86,7 +86,7 @@ class StepBlueNoise(_MatchedSampler):
     ----------
     cutoff
         Cutoff ν in units of √n: mean power is 0 for |m| < ν √n, and 1 above.
-        It is at most 1/√π = 0.564, since a higher cutoff would need a negative density of pairs.
+        The largest ν is 1/√π = 0.564; a higher cutoff would need a negative density of pairs.
     iterations
         Largest number of descent steps.
     sets
@@ -131,10 +131,10 @@ class TargetSpectrum(_MatchedSampler):
     Notes
     -----
     The descent starts from independent uniform points.
-    The descent fits the mean power of rings of frequencies of width one.
+    The descent fits the mean power over rings of frequencies, which have width one.
     Single sets therefore follow the curve more closely than random fluctuations would allow.
-    If the pair correlation of the target (its Hankel transform) is negative somewhere,
-    no point sets have this power, and the target is refused.
+    A target is refused if its pair correlation (its Hankel transform) is negative somewhere.
+    No point sets have the power of such a target.
     `misfit` measures the difference between the power of a set and the target.
 
     References
@@ -169,7 +169,7 @@ class TargetPcf(_MatchedSampler):
         Distances of the knots, r√n: increasing, from 0 to 4.
     pcf
         Pair correlation at the knots: 1 for independent points.
-        It is constant before the first knot, and 1 after the last knot.
+        The curve is constant before the first knot, and 1 after the last knot.
     iterations
         Largest number of descent steps.
     sets

@@ -1,8 +1,8 @@
 """Estimate the time, memory and storage of every cell of a study from short trial runs.
 
-A cell with repeated realizations is run twice with few of them and once with more.
+A cell with many realizations is run twice with few realizations, and once with more.
 The difference of the times gives the time per realization.
-The times of cells that are not run are estimated in proportion to their computed cost.
+The time of a cell without a trial run is estimated in proportion to the cell's cost.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ __all__ = ["CellEstimate", "estimate_study", "wall_time"]
 
 _FEW, _MORE = 4, (36, 324, 2916, 26_244)  # Numbers of realizations in trial runs
 _PATIENCE = 20.0  # Extra seconds that a trial run may take, for example to compile a kernel
-_NOMINAL = 1e-7  # Seconds per unit of cost if no trial run was made
+_NOMINAL = 1e-7  # Assumed seconds per unit of cost if there were no trial runs
 _ARRAY_BYTES = 1500  # Bytes of metadata per stored array
 _CELL_BYTES = 30_000  # Stored bytes of a cell without a trial run
 
@@ -73,7 +73,7 @@ def estimate_study(plan: StudyPlan, *, probe_seconds: float = 10.0) -> list[Cell
     Returns
     -------
     list of CellEstimate
-        One estimate per cell. If an analysis may stop early, its seconds are for all realizations.
+        One estimate per cell. An analysis that may stop early is assumed to use all realizations.
     """
     if not isinstance(plan, StudyPlan):
         raise ConfigError(f"{shown(plan)} is not a plan; pass the result of make_plan.")
@@ -113,7 +113,7 @@ def estimate_study(plan: StudyPlan, *, probe_seconds: float = 10.0) -> list[Cell
         seconds, storage = tried.get(cell.path, guess)
         if seconds > target and name not in cut:
             cut[name] = False
-            with contextlib.suppress(Exception):  # The run reports this error
+            with contextlib.suppress(Exception):  # The study's run will report this error
                 steps = steps_of(cell.analysis, cell.subject, Stream.from_rng(seed))
                 cut[name] = sum(each.blocks for each in next(steps)) > 1
         estimates.append(
@@ -134,7 +134,10 @@ def estimate_study(plan: StudyPlan, *, probe_seconds: float = 10.0) -> list[Cell
 
 
 def wall_time(estimates: Sequence[CellEstimate], workers: int) -> float:
-    """Return the estimated seconds with `workers` workers; at least the longest cell's seconds."""
+    """Return the estimated seconds of a study with this number of workers.
+
+    The estimate is at least the time of the longest cell.
+    """
     seconds = [each.seconds for each in estimates]
     return max(sum(seconds) / workers, max(seconds, default=0.0))
 
@@ -146,7 +149,7 @@ def _measured(cell: StudyCell, seed: int, left: float) -> tuple[float, int] | No
         return None
     few = min(_FEW, realizations)
     try:
-        first, size = _timed(cell, few, seed)  # The first time includes compilation
+        first, size = _timed(cell, few, seed)  # The first run may include compilation
         again, _ = _timed(cell, few, seed)
         if 2 * again > left:
             return first + again * realizations / few, size
@@ -163,7 +166,7 @@ def _measured(cell: StudyCell, seed: int, left: float) -> tuple[float, int] | No
 
 
 def _timed(cell: StudyCell, realizations: int, seed: int) -> tuple[float, int]:
-    """Return the seconds of a run with `realizations`, and the stored bytes of its result."""
+    """Run a cell with `realizations`; return the seconds, and the size of the result in bytes."""
     analysis = msgspec.structs.replace(cell.analysis, realizations=realizations)
     start = time.perf_counter()
     result = replace(cell, analysis=analysis).compute(seed)
@@ -172,7 +175,7 @@ def _timed(cell: StudyCell, realizations: int, seed: int) -> tuple[float, int]:
 
 
 def _medians(values: list[tuple[str, float]]) -> dict[str, float]:
-    """Return the median of each analysis, and the median of all values under the key ``""``."""
+    """Return the median value of each analysis by name; the key ``""`` has the overall median."""
     groups: dict[str, list[float]] = {}
     for analysis, value in values:
         groups.setdefault(analysis, []).append(value)

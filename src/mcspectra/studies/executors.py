@@ -75,7 +75,7 @@ _ADDRESS = re.compile(
 _AHEAD = 2  # Number of tasks submitted to the scheduler per worker thread
 _RESUBMISSIONS = 5  # Maximum number of resubmissions of a lost task
 _POLL = 0.5  # Seconds between checks of the connection or of the threads
-_FRESH = 2.0  # Seconds for which the counted number of workers is reused
+_FRESH = 2.0  # Minimum seconds between two counts of the workers
 _DESERTED = 300.0  # Seconds to wait for a new local worker, or for a result to arrive
 _CLOSING = 5.0  # Seconds to wait for the cluster to close
 
@@ -138,7 +138,7 @@ class Threads:
         Raises
         ------
         ClusterLost
-            If a thread ended, for example for lack of memory, and left its task without an outcome.
+            If a thread died, for example for lack of memory, before its task had an outcome.
         """
         while self._under_way:
             try:
@@ -393,7 +393,7 @@ class Dask:
 
     def _send(self, pending: _Pending) -> None:
         serial = next(self._serials)
-        # Dask keeps statistics by the first entry of a key, so all tasks share this entry
+        # Dask keeps statistics for each first entry of task keys, so all tasks share this entry
         key = (self._name, pending.task.key, str(serial))
         arguments = (self._compute, self._text, pending.task, self._options.time_limit)
         future = self._client.submit(compute_elsewhere, *arguments, key=key, pure=False, retries=0)
@@ -405,7 +405,7 @@ class Dask:
         from distributed import KilledWorker
 
         try:
-            # This may wait. If the worker has died in the meantime, the task is computed again
+            # Fetching a result may take long: if the worker has died, the task is computed again
             outcome, occupied = future.result(timeout=_DESERTED)
         except (concurrent.futures.CancelledError, asyncio.CancelledError):
             return self._resubmit(pending)
@@ -576,7 +576,7 @@ def _local_cluster(options: Cluster, opened: contextlib.ExitStack) -> Any:
 def _muted(opened: contextlib.ExitStack) -> dict[logging.Handler, int]:
     """Keep dask's log off the terminal, because this package reports problems in its own messages.
 
-    When the stack `opened` ends, the returned log levels are set again.
+    The log levels are restored when the context stack `opened` closes.
     After an interruption dask stays silent, because it logs until the process ends.
     """
     levels = {each: each.level for each in logging.getLogger("distributed").handlers}

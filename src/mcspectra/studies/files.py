@@ -8,7 +8,7 @@ Unknown keys, wrong types and values out of range are errors that name the place
 Relative paths in specs are relative to the folder of the file.
 
 A study is read in four steps. The first two apply changes of the command line and expand grids.
-The last two check types, and check rules that concern several keys.
+The last two steps check types, and rules that concern several keys.
 """
 
 from __future__ import annotations
@@ -73,9 +73,9 @@ RESERVED = ("analyses", "scenes", "kind", "analysis")
 _MOST_TEXT = 10**8  # Maximum number of characters that a grid may generate in one table
 _LARGEST_FILE = 4 * 2**20
 _RESERVED_SLUGS = frozenset({"zarr.json", "c"})
-_SINGLE = ("seed", "time_limit")  # These keys of a study take no placeholder
-# Dotted keys have at most 64 parts, because tomllib's time grows with the square of this number.
-# To parse a dotted key with 10⁶ parts takes hours
+_SINGLE = ("seed", "time_limit")  # Keys of a study that accept no placeholder of a grid
+# Dotted keys have at most 64 parts, because tomllib's time grows with the square of their number.
+# A dotted key with 10⁶ parts would take hours to parse
 _DOTTED = re.compile(
     r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){64}""", re.ASCII
 )
@@ -97,7 +97,7 @@ _SAMPLERS = Meta(description="Samplers; by default those of the study.")
 class _StudyTable(
     msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True
 ):
-    """Flags that all tables of a study file share."""
+    """Base of the structs for all tables of a study file; its flags are inherited."""
 
 
 class EstimatorConfig(_StudyTable, frozen=True, kw_only=True, omit_defaults=True):
@@ -237,13 +237,16 @@ def analysis_tables() -> dict[str, type[Analysis]]:
 
 
 def _names() -> frozenset[str]:
-    """Return names of analyses that may be keys of a study because they differ from other keys."""
+    """Return the names of analyses that can be keys of a study; other keys' names cannot."""
     own = {*StudyConfig.__struct_fields__, *EstimatorConfig.__struct_fields__}
     return frozenset(n for n in ANALYSES if _TABLE_NAME.fullmatch(n) and n not in own)
 
 
 def _scene_lists(table: Mapping[str, Any]) -> dict[str, str]:
-    """Return keys of a study that list scenes, with their analyses: ``maps`` lists ``map``."""
+    """Return the keys of a study that list scenes, each with the analysis that it stands for.
+
+    For example, the key ``maps`` stands for the analysis ``map``.
+    """
     names, found = _names(), {}
     for key in table:
         name = key.removesuffix("s")
@@ -432,7 +435,7 @@ def planned_groups(study: Mapping[str, Any]) -> dict[str, tuple[Names, Names]]:
     -------
     dict
         A path is estimator/sampler/analysis. The keys are the names of estimators or scenes.
-        The values are the names of their samplers, and of their analyses with companions.
+        Each value has the names of the samplers, and the names of the analyses with companions.
     """
     found, slugs = dict[str, tuple[Names, Names]](), Slugs()
     known: dict[tuple[str, ...], Names] = {}
@@ -553,7 +556,7 @@ def _struct(table: Any, kind: type[Struct], place: str, beside: tuple[str, ...] 
             raise ConfigError(f"{where}the key {shown(name)} is missing.")
     try:
         return msgspec.convert(clean, kind)
-    except msgspec.ValidationError as error:  # raised for types that options do not check
+    except msgspec.ValidationError as error:  # For types that options do not check
         raise ConfigError(f"{where}{error}.") from None
 
 
@@ -570,7 +573,7 @@ def _shown(value: Any) -> str:
 
 
 def _complaints(e: EstimatorConfig) -> Iterator[str]:
-    """Yield errors in the keys of an estimator; each text is the predicate of a sentence."""
+    """Yield errors in the keys of an estimator, as sentences without a subject."""
     several = e.densities is not None or e.integrands is not None
     if (e.integrand is None) == (e.integrands is None):
         yield "needs either integrand or integrands."
@@ -589,7 +592,7 @@ def _complaints(e: EstimatorConfig) -> Iterator[str]:
     if e.sets is not None and (not several or e.one_sample):
         yield "has sets, which belong to several techniques; leave it out."
 
-    # Check options that choose one technique of several
+    # Check the options of estimators that choose one of several techniques for each sample
     if e.one_sample and e.densities is None:
         yield "has one_sample but no densities to choose from; give densities."
     if not e.one_sample and (e.probabilities is not None or e.selection is not None):
@@ -684,7 +687,7 @@ def expand_grids(table: dict[str, Any], source: str = "study") -> dict[str, Any]
     """Return a study's table with all combinations of its grids written out.
 
     Estimators, maps and samplers are repeated for each combination of their placeholders.
-    Placeholders in the study's tables of analyses also count.
+    Placeholders in the study's tables of analyses also repeat the estimators.
     A text that is only a placeholder becomes the value itself, so a list stays a list.
 
     Parameters
@@ -808,7 +811,7 @@ def _check_used(values: Values, used: Collection[str], place: str) -> None:
 
 
 def _choices(keys: list[str], values: Values, body: Any, place: str) -> Iterator[dict[str, Any]]:
-    """Yield all combinations of values for a body; refuse too many or too long combinations."""
+    """Yield all combinations of values for `body`; raise an error if they are too many or long."""
     number = math.prod(len(values[key]) for key in keys)
     longest = sum(max(len(str(value)) for value in values[key]) for key in keys)
     size = len(repr(body)) + longest * (1 + len([*_placeholders(body, values)]))

@@ -91,7 +91,7 @@ def probed(function: Callable[[Any], Any], *, dims: int, limit: float | None = N
 
 
 def explain(error: BaseException) -> str:
-    """Return one sentence on why a task failed; it gives the names of foreign exceptions."""
+    """Return why a task failed, as one sentence; foreign exceptions are named by their class."""
     name, reason = type(error).__name__, reason_of(error, _LONGEST)
     if reason == name:  # The exception has no text
         return f"It raised {name}."

@@ -150,7 +150,8 @@ _NOT_DAMAGE = {
     15: "its file system has no locks",
 }
 _BAD_PAGES = "pages of the file are damaged or missing"
-_SUPER_JOURNAL = bytes.fromhex("d9d505f920a163d7")  # End of a journal that names another file
+# The last bytes of a journal that names another file
+_SUPER_JOURNAL = bytes.fromhex("d9d505f920a163d7")
 
 _DAMAGE = "its digest does not match"
 _REMEDY = "`mcspectra run` with --resume keeps the sound parts and computes the rest again"
@@ -165,7 +166,7 @@ _Step: TypeAlias = tuple[str, tuple[Any, ...]]
 
 _Note = TypeVar("_Note", bound=msgspec.Struct)
 
-# Types of notes; they are checked when a note is read, since a forged one may hold anything
+# Types of fields of notes, checked when a note is read, because a forged note may hold anything
 _Count: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
 _Time: TypeAlias = Annotated[
     str, msgspec.Meta(pattern=r"\A[0-9]{4}-[0-9]{2}-[0-9]{2}T[0-9]{2}:[0-9]{2}:[0-9]{2}\+00:00\Z")
@@ -261,15 +262,19 @@ class StudyTally(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class _Header(msgspec.Struct, frozen=True, kw_only=True):
-    """Note that runs never change: the study, the number of cells, and a digest of all paths."""
+    """The note that no run changes: the study, the number of cells, and a digest of all paths."""
 
     study: StudyNote
-    cells: Annotated[int, msgspec.Meta(ge=0, le=2**26)]  # Verifying a damaged file lists all
+    # The number is limited, because verifying a damaged file may list all cells
+    cells: Annotated[int, msgspec.Meta(ge=0, le=2**26)]
     plan: str
 
 
 class _Change(NamedTuple):
-    """SQL statements that write a cell; also its failure, or the digest and size of its result."""
+    """SQL statements that write a cell, and the cell's new state.
+
+    The state is an error sentence, or the digest and size of a result.
+    """
 
     path: str
     steps: Iterable[_Step]
@@ -312,7 +317,7 @@ class _Damaged(StoreError):
 
 @final
 class Ledger:
-    """Database of a study, a context manager; `create`, `resume` or `read` opens it.
+    """Database of a study, opened by `create`, `resume` or `read`; it is a context manager.
 
     A background thread commits the pending writes once a second; `close` commits the rest.
 
@@ -657,7 +662,7 @@ class Ledger:
     def _begin(
         self, study: StudyNote, paths: Sequence[str], outdated: Collection[str] | None
     ) -> None:
-        """Take the lock and begin to write; `outdated` is None to accept only a new ledger."""
+        """Take the lock and begin to write. If `outdated` is None, the ledger must be new."""
         self._lock = _locked(self.folder)
         exists, old = self._file.exists(), (self.folder / STORE_NAME).exists()
         if (exists or old) and outdated is None:
@@ -677,7 +682,8 @@ class Ledger:
             self._header = _Header(study=about, cells=len(paths), plan=_plan_digest(paths))
             self.tally = StudyTally(started=_now())
             self._replace(study.config, paths, ())
-            self.__dict__["_listing"] = list(paths), {}  # Avoid reading back up to a million paths
+            # Keep the paths, so that up to a million of them need not be read from the file
+            self.__dict__["_listing"] = list(paths), {}
 
         # Note this process as the writer, and commit pending changes once a second
         host = socket.gethostname()
@@ -959,8 +965,8 @@ class Ledger:
                 if not any(text for _, text in self._texts("note", name, table)):
                     self.damaged[f"note of the {name}"] = _DAMAGE
 
-        # Yield results with right digests. If the row with a digest is lost, the digest of all
-        # finished cells in the tally decides whether the result is right
+        # Yield results with right digests. A result may also be sound if its digest was lost:
+        # the tally's digest of all finished cells decides whether such a result is right
         left, unproven = int(self.tally.digest, 16), list[tuple[str, int, bytes]]()
         made = 0
         for place, path in enumerate(paths):
@@ -1274,7 +1280,7 @@ def _writing(
     kind: type[StoreError] = StorageError,
     remedy: str = "",
 ) -> Iterator[None]:
-    """Turn a write error into one sentence; the default advice is about ledgers."""
+    """Turn a write error into one sentence; by default, its advice is for a ledger."""
     try:
         yield
     except (OSError, sqlite3.Error, MemoryError) as error:

@@ -4,12 +4,12 @@ Method
 ------
 All changes are measured at the same counts and with the same random numbers as the given path.
 The function `mcspectra.improve.remedy.ranked` compares the changes at the largest count.
-The cost of a path with another Russian roulette is its number of random numbers.
+If Russian roulette changes, the cost of a path is measured by its number of random numbers.
 The cost of the given path is 1.
-This number grows with the iterations of the integrator's loop.
+The number of random numbers grows with the iterations of the integrator's loop.
 Each iteration traces one ray and at most one shadow ray.
 A change that needs a pilot is compared with the given path at an equal total of paths.
-The total number of paths includes those of the pilot.
+The total number of paths includes the paths of the pilot.
 
 If each path samples one light, the best probabilities p_j are proportional to √(p_j E f_j²).
 Here p_j E f_j² is the second moment of light j's contribution, if light j is always chosen.
@@ -64,8 +64,7 @@ PATH_SAMPLERS = ("random", "latin-hypercube", "rank1-lattice | shift", "sobol | 
 """Samplers that are compared by default; they support any count in any number of dims."""
 
 _EFFORTS = {
-    # Each effort has the counts n, and three numbers: of realizations, of realizations for
-    # the ANOVA, and of paths for the shares of lights. The last value: predict variances or not
+    # Counts n, realizations, ANOVA realizations, paths for shares of lights, whether to predict
     "quick": ((16, 64, 256, 1024), 200, 10_000, 2**14, False),
     "full": ((16, 64, 256, 1024, 4096), 1000, 100_000, 2**17, True),
 }
@@ -81,8 +80,8 @@ _FEWEST = 100  # Minimum number of realizations to compare two changes
 _LIGHTS = 1  # Label of the random stream
 _MOST_LIGHTS = 64
 _PILOT = 2**10  # Number of pilot paths for the selection of lights
-_LEAST = 0.05  # Fraction of the selection that is uniform over all lights
-_COUNTS = 5  # Number of counts that are measured, the largest ones
+_LEAST = 0.05  # Part of the selection probability that is uniform over all lights
+_COUNTS = 5  # Maximum number of counts to measure; the largest counts are kept
 _DEPTHS = (1, 2, 3, 5)  # Depths at which roulette may start; "no roulette" is also tried
 _ENDLESS = 2**16  # Largest max_depth without roulette, so that paths end
 _PLUGINS = {
@@ -118,15 +117,17 @@ def analyse_path(
     scene, integrator, channel, dims
         Same as in `PathPixel`, but ``"rgb"`` is not allowed.
     x, y
-        Coordinates of the pixel; or the name of a pixel in ``x`` alone (see `named_pixels`).
+        Coordinates of the pixel. Alternatively, ``x`` alone is the name of a pixel
+        (see `named_pixels`).
     samplers
-        Samplers or their spec strings, all different. ``remedies`` uses the last one.
+        Samplers or their spec strings, all different. ``remedies`` uses the last sampler.
     counts, realizations
         Counts n of paths per estimate, at least two, ascending; number of estimates for each n.
     remedies
         Whether to search for remedies that lower the noise.
     joint_dims
-        How many of the first numbers of a path are joint; every later request is padded.
+        Number of first coordinates of a path that form one point of the sampler.
+        Later requests take separate point sets (padding).
         See `mcspectra.rendering.variance_map`.
     effort
         ``"quick"``; or ``"full"``, which measures more, predicts variances and takes minutes.
@@ -139,10 +140,10 @@ def analyse_path(
     -------
     xarray.DataTree
         ``convergence``: measured variances by `mcspectra.convergence` on (sampler, n).
-        ``anova/KIND``: `mcspectra.anova_variances` of a random path, in up to 64 groups of axes.
+        ``anova/KIND``: result of `mcspectra.anova_variances` for random paths, up to 64 groups.
         KIND is ``bounce``, ``decision``, ``request`` (both) or ``coordinate`` (not grouped).
         ``lights``: shares of the variance by `shares_by_light`, for 2 to 64 lights.
-        ``remedies``: `path_remedies` of the last sampler at the largest n.
+        ``remedies``: result of `path_remedies` for the last sampler at the largest n.
         ``predict``, with full effort: predicted variances by `mcspectra.predict` on (sampler, n).
         Attributes of the root: the pixel, the integrator, and names of the coordinates.
         ``lights_note`` gives the reason if shares of lights are unknown.
@@ -268,13 +269,13 @@ def shares_by_light(f: PathPixel, paths: int, stream: Stream) -> xr.Dataset | No
         ``light_probability``, the current selection probability of the light;
         ``light_selection``, its improved selection probability.
         ``selection_ratio``: variance with the improved selection over that with the current one.
-        The variances are those of new random paths.
+        Both variances are measured with new random paths.
         None for one light, for more than 64 lights, or for a pixel without noise.
 
     Raises
     ------
     ParameterError
-        If a light cannot be dimmed.
+        If the radiance of a light cannot be dimmed.
     """
     names = emitter_names(f.scene)
     if not 1 < len(names) <= _MOST_LIGHTS:
@@ -345,8 +346,8 @@ def path_remedies(
     stream
         Random numbers that all changes share, the same as in `mcspectra.convergence`.
     samplers, ends
-        Other samplers to try, and numbers of coordinates.
-        For each number, only so many first coordinates keep QMC points; the others become random.
+        Other samplers to try, and numbers k of coordinates to try.
+        For each k, the first k coordinates keep QMC points, and the others become random.
     joint_dims
         Same as in `analyse_path`.
     axes
@@ -401,8 +402,8 @@ def path_remedies(
 
     attempt("given", "as given", "change nothing")
 
-    # Try other samplers, random numbers in the last coordinates, and another order of coordinates.
-    # This order gives the best coordinates of the points to the largest shares of the variance
+    # Try other samplers, random numbers in the last coordinates, and another order of coordinates:
+    # the best coordinates of the points then go to the largest shares of the variance
     for spec in dict.fromkeys(samplers):
         if spec != sampler.spec:
             attempt("sampler", spec, f"sample with {spec}", spec=spec)
@@ -416,7 +417,7 @@ def path_remedies(
         )
         attempt("padding", f"{k} good coordinates", change, partial(replace, f, dims=k))
     if axes is not None:
-        place = np.argsort(axes[0])  # For each coordinate of f: the coordinate of the point for it
+        place = np.argsort(axes[0])  # Coordinate j of f is coordinate place[j] of the point
         ordered = Integrand.from_function(lambda u: f(u[..., place]), dims=f.dims)
         change = "assign the first coordinates of the points to the largest shares of the variance"
         whole = as_rendered(sampler.spec, f.dimensions, f.dims)
@@ -470,7 +471,7 @@ def path_remedies(
 
 
 def _other_roulettes(f: PathPixel) -> Iterator[tuple[str, str, str]]:
-    """Yield name, description and spec of the integrator with each other start of roulette."""
+    """Yield integrators whose Russian roulette starts at another depth: name, description, spec."""
     own = find_integrator(f.scene, f.integrator)
     known = {k: int(v) for k, v in re.findall(r"(max_depth|rr_depth) = (\d+)", str(own))}
     last, first = known.get("max_depth", 0), known.get("rr_depth", 0)

@@ -1,7 +1,7 @@
 """Analyze one pixel: its contents, the rate of each strategy, and the causes.
 
-Strategies are light sampling, BSDF sampling, and both combined by a heuristic,
-with n samples of each technique. The heuristics are balance and power.
+Strategies are light sampling, BSDF sampling, and both combined by a heuristic (balance or power).
+Combined strategies take n samples of each technique.
 Variances of all strategies are measured and predicted with several samplers.
 Terms, the bottleneck and remedies use one sampler, the first that is not ``random``.
 """
@@ -82,7 +82,7 @@ Parts: TypeAlias = "dict[str, xr.Dataset]"
 @final
 @dataclass(frozen=True, kw_only=True)
 class PixelEffort:
-    """Amount of measurement for a pixel.
+    """Numbers that determine how much is measured for a pixel.
 
     Attributes
     ----------
@@ -148,7 +148,8 @@ def analyse_pixel(
     scene, light
         Same as in the class `Pixel`.
     x, y
-        Coordinates of the pixel; or the name of a pixel in ``x`` alone (see `named_pixels`).
+        Coordinates of the pixel. Alternatively, ``x`` alone is the name of a pixel
+        (see `named_pixels`).
     channel
         ``"luminance"``, 0, 1 or 2.
     dims
@@ -248,7 +249,7 @@ def analyse_pixel(
             parts[f"predict/{strategy}"] = predict(estimator, sources, ns, **shared)
         report("pixel: terms", 0.4)
         terms = {"half_width": chosen.half_width[dims], "space": "primary", **options}
-        # With few strata, a truncated spectrum captures more of the variance: use the middle count
+        # Use the middle count: a truncated spectrum captures more of the variance with few strata
         middle = ns[(len(ns) - 1) // 2]
         for strategy, estimator in strategies.items():
             for basis in _BASES:

@@ -70,10 +70,10 @@ MOST_EVALUATIONS = 10**15
 """Maximum number of evaluations of a study without --force: half a year on a hundred cores."""
 
 # Planning time in seconds: per spec, per estimator with densities, per density in several dims.
-# The fourth time is for each density in one dim, because its warp is searched for gaps
+# The fourth value is the time per density in one dim, because its warp is searched for gaps
 _SPEC, _WEIGHTED, _DENSITY, _WARP = 1e-4, 6e-4, 5e-4, 2e-3
 # Planning time in seconds per pair of estimator and sampler, and per cell.
-# The third time is for each item of a list in an analysis, such as a count
+# The third value is the time per item of a list in an analysis, such as a count
 _PAIR, _CELL, _COUNT = 3e-6, 2.5e-5, 3e-6
 NOTED_SECONDS = 5.0
 """Planning time in seconds above which a message announces the wait."""
@@ -81,7 +81,7 @@ NOTED_SECONDS = 5.0
 MOST_SECONDS = 120.0
 """Maximum planning time in seconds without --force; five million analyses take this time and 3 GB.
 
-If a grid of a few lines exceeds this limit, it is more often a mistake than an intention.
+A grid of a few lines that exceeds this limit is usually a mistake.
 """
 
 
@@ -100,7 +100,7 @@ class StudyCell:
         Name of the estimator and spec of the sampler, as the study writes them.
     subject
         The estimator and the sampler.
-        There is no estimator if the cell is for a scene, or has an `error`.
+        The estimator is missing if the cell analyzes a scene, or if `error` is set.
     need
         Cost and memory of the cell; the cost serves the schedule and the display of progress.
     error
@@ -180,8 +180,8 @@ def make_plan(
     Raises
     ------
     ConfigError
-        If a component cannot be built, a sampler does not support a count,
-        a file or function is not allowed, or the study is too large.
+        If a component cannot be built, or a sampler does not support a count.
+        If a file or function is not allowed, or the study is too large.
         The message names the estimator.
 
     Warns
@@ -241,7 +241,7 @@ def _seconds(analysis: Analysis) -> float:
 
 
 _Samplers: TypeAlias = list[tuple[str, str, Sampler, Inputs]]
-"""For each sampler: spec, last part of the group's path, sampler, and files that it depends on."""
+"""For each sampler: its spec, its part of the cell's path, the sampler, and its input files."""
 
 _Asked: TypeAlias = tuple[str, Analysis, Inputs]
 """Name of a requested analysis, the analysis, and the files that it depends on."""
@@ -305,7 +305,7 @@ class _Planner:
                 )
 
     def _asked(self, entry: EstimatorConfig | SceneConfig) -> Iterator[_Asked]:
-        """Yield the analyses of an entry: its own, the study's, and companions without a table."""
+        """Yield the analyses of an entry: from its own tables, from the study's, and companions."""
         if isinstance(entry, SceneConfig):
             tables = {entry.kind: entry.analysis}
         else:

@@ -88,7 +88,7 @@ _FIRST = ("estimator", "sampler", "analysis", "n")
 _LAST = ("variable", "value", "low", "high", "se", "unit")
 _DIGEST = "tree_sha256"
 _DOCUMENT = "zarr.json"
-# Errors of a text that is not a study
+# Exceptions raised for a text that is not a study
 _MALFORMED = (AttributeError, LookupError, TypeError, ValueError, McspectraError)
 # Maximum number of documents copied into the root, because readers load the root as a whole
 _MOST_DOCUMENTS = 100_000
@@ -196,7 +196,7 @@ def open_results(source: str | Path, select: str | None = None) -> xr.DataTree:
 def _opened(
     source: str | Path, select: str | None, *, whole: bool = True
 ) -> tuple[dict[str, Any], dict[str, xr.Dataset]]:
-    """Return root attributes and cells; without `whole`, a single path omits ``study``."""
+    """Return root attributes and cells; for a single cell without `whole`, ``study`` is omitted."""
     register_accessor()
     ledger = _ledger(source, select)
     if ledger is None:
@@ -306,7 +306,7 @@ def study_status(folder: str | Path, *, verify: bool = False) -> StudyStatus:
                 with contextlib.suppress(*_MALFORMED, RecursionError):
                     note = StudyNote.of(study_of(study), ledger.study.inputs)
                     refusal = ledger.refusal(note, paths)
-                    if note.study_hash != ledger.study.study_hash:  # One of the two was forged
+                    if note.study_hash != ledger.study.study_hash:  # Text or hash was forged
                         found.damaged["the header"] = (
                             "it names another study than the stored text, so that --resume may "
                             "refuse the folder"
@@ -365,7 +365,7 @@ def write_zarr(folder: Path) -> Path | None:
     Raises
     ------
     StorageError
-        If it cannot be written; the ledger still has all results.
+        If the store cannot be written; the ledger still has all results.
     """
     target = folder / STORE_NAME
     with Ledger.read(folder) as ledger:
@@ -382,7 +382,7 @@ def export_results(source: str | Path, file: str | Path, select: str | None = No
     """Write results to a file; its extension sets the format.
 
     A ``.csv`` file is one table. It contains single numbers, and arrays over the counts n.
-    It also contains arrays over dims whose labels are names, such as the channels.
+    The table also contains arrays over dims whose labels are names, such as the channels.
     The columns are estimator, sampler, analysis, n, the named dims, variable, value and unit.
     The columns low and high are the ends of the 95 % interval, and se is the standard error.
     A ``.zarr`` store has all results with their attributes.
@@ -642,7 +642,7 @@ def _group(attributes: Mapping[str, Any] | None = None) -> dict[str, Any]:
 
 
 def _array_document(variable: xr.Variable) -> dict[str, Any]:
-    """Return the document of an array of a store: one chunk without compression."""
+    """Return the metadata document of an array of a store: one chunk without compression."""
     kind, shape = variable.dtype, list(variable.shape)
     chunk = {"chunk_shape": [max(1, size) for size in shape]}
     return {
@@ -667,7 +667,7 @@ def _codecs(kind: np.dtype[Any]) -> list[dict[str, Any]]:
 
 
 def _tree_digest(root: Mapping[str, Any], digests: Mapping[str, str]) -> str:
-    """Return the SHA-256 of a store's files, including the other metadata of its root."""
+    """Return the SHA-256 of a store's files and of its root's metadata, except the digest."""
     attributes = {key: value for key, value in root["attributes"].items() if key != _DIGEST}
     whole = {"root": {**root, "attributes": attributes}, "files": dict(digests)}
     return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()

@@ -81,7 +81,7 @@ def run_study(
         Such files are images, point sets, scenes, and sources of functions.
     workers
         Number of threads, or of processes with a time limit; all processors by default.
-        Results do not depend on it, bit for bit.
+        The number does not change any bit of the results.
     time_limit
         Time limit of a task in seconds; by default the study's limit.
         With a limit, tasks run in separate processes.
@@ -222,7 +222,7 @@ def _outdated(plan: StudyPlan, out: Path) -> frozenset[str]:
         return frozenset()
     with Ledger.read(out) as begun:
         changed = set(changed_inputs(begun.study.inputs, plan.inputs))
-    gone = changed - plan.inputs.keys()  # Files that a scene named before, and no cell names now
+    gone = changed - plan.inputs.keys()  # Files that were inputs before but no longer are
     return frozenset(
         cell.path
         for cell in plan.cells

@@ -15,7 +15,7 @@ from typing import Any, TypeAlias, final
 __all__ = ["Leaves", "Row"]
 
 Row: TypeAlias = tuple[bool, int, tuple[Any, ...]]
-"""Whether the page is in use, rowid, and column values; a column that stores the rowid is None."""
+"""Whether the row's page is in use, rowid, column values (None for a column with the rowid)."""
 
 _INNER, _LEAF = 5, 13  # Type bytes of inner and leaf pages of tables
 _LARGEST = 2**20  # Maximum number of trunk pages read from the free list: 8 GB

@@ -1,6 +1,6 @@
 """Schedule the tasks of a study in chunks of about a second.
 
-Cells that the first screen of the report shows come first, the cheapest of them before all others.
+Cells on the first screen of the report come first, in order of increasing cost.
 An interrupted study therefore has a report with pictures of every estimator.
 The largest of the remaining cells come first, which keeps all workers busy until the end.
 
@@ -40,8 +40,8 @@ Work = tuple[StudyTask, Callable[[], Any]]
 
 _TARGET = 1.0  # Target duration of a chunk in seconds
 _OF_LIMIT = 0.2  # Largest duration of a chunk as a fraction of the time limit
-# Seconds of a cell's work between two recordings. A kill loses at most this much work.
-# Recording more often is slow
+# Seconds of a cell's work between two recordings; a killed run loses at most this work.
+# More frequent recordings would be slow
 _RECORDED_AFTER = 1.0
 _INSTANT = 1e-9  # Shortest duration in seconds; shorter durations are rounded up
 # Exceptions of user code, without KeyboardInterrupt, which comes from the user in this thread
@@ -201,7 +201,7 @@ class _Active:
         task, payload, state = outcome.task, outcome.payload, outcome.state
         if task.run is None:
             if payload is not None:
-                state = unpack(xr.Dataset, payload)  # Raises if the payload is damaged
+                state = unpack(xr.Dataset, payload)  # Raises an exception if the payload is damaged
             self._settle(state, payload)
             return
         part = self._parts[task.run]
@@ -219,7 +219,7 @@ class _Active:
             self._unrecorded = 0.0
 
     def advance(self, states: list[Any] | None) -> None:
-        """Continue the analysis with the sums of its step, up to a step that needs computation."""
+        """Pass the sums of a finished step to the analysis, up to a step that needs computation."""
         try:
             while True:
                 found = next(self._steps) if states is None else self._steps.send(states)

@@ -1,6 +1,6 @@
 """Describe study files for readers: JSON Schema, tables of all keys, and a template.
 
-The structs of `mcspectra.studies.files` and the installed analyses are the source of all three.
+They are made from the structs of `mcspectra.studies.files` and from the installed analyses.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ SCHEMA_ID = "urn:mcspectra:study:1"
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 _PLACEHOLDER = {"type": "string", "pattern": r"^\{[A-Za-z_][A-Za-z0-9_]*\}$"}
 _NO_TEXT = ("integer", "number", "boolean")
-_NO_PLACEHOLDER = ("grid", "seed", "time_limit")  # These keys take no placeholder
+_NO_PLACEHOLDER = ("grid", "seed", "time_limit")  # Keys that accept no placeholder of a grid
 # Values in the template for required options that are not counts; counts are "16,64"
 _EXAMPLES = {"target_error": ("0.01",), "budget": ("4096",)}
 _TEMPLATE = Path(__file__).with_name("template.toml")
@@ -101,7 +101,7 @@ def _public(table: dict[str, Any]) -> dict[str, Any]:
 
 
 def _or_placeholder(value: dict[str, Any]) -> dict[str, Any]:
-    """Return a key's schema that also allows a placeholder, unless it allows text anyway."""
+    """Extend the schema of a key to allow a placeholder, unless the schema already allows text."""
     about = {k: v for k, v in value.items() if k in ("description", "default")}
     found = {k: v for k, v in value.items() if k not in about}
     choices, taken = [], False

@@ -1,4 +1,7 @@
-"""Summarize a study in one table: rate, predicted/measured and largest term of every pair."""
+"""Summarize a study in one table with a row for each pair of an estimator and a sampler.
+
+A row has the rate, the ratio of predicted to measured variance, and the largest term.
+"""
 
 from __future__ import annotations
 
@@ -82,10 +85,10 @@ def summarize(tree: xr.DataTree) -> list[SummaryRow]:
 
 
 def pairs_of(tree: xr.DataTree) -> list[tuple[str, str, str, dict[str, xr.Dataset]]]:
-    """Return the store key and name of the estimator, the sampler and the results of each pair.
+    """Return a tuple for each pair of an estimator and a sampler, in the study's order.
 
-    Results are listed by analysis. The pairs have the same order as in the study.
-    A file system may list the groups of a store in any other order.
+    A tuple has the estimator's key in the store, its name, the sampler, and results by analysis.
+    The order of the study is restored, because file systems may list groups in any order.
     """
     asked = asked_of(tree.attrs.get("study") or {})
     pairs = ((name, sampler) for name, samplers in asked.items() for sampler in samplers)
@@ -107,9 +110,9 @@ def asked_of(study: Mapping[str, Any]) -> dict[str, Sequence[str]]:
 
 
 def rows_of(estimator: str, sampler: str, found: Mapping[str, xr.Dataset]) -> list[SummaryRow]:
-    """Return one row per channel of a pair from its results by analysis.
+    """Make the rows of one pair of estimator and sampler: one row per channel.
 
-    The list is empty if the pair has neither convergence nor terms.
+    The results are given by analysis. Without convergence and terms, the list is empty.
     """
     read = {name: found[name] for name in _READ if name in found}
     first = read.get("convergence", read.get("terms"))
@@ -159,7 +162,7 @@ def rows_of(estimator: str, sampler: str, found: Mapping[str, xr.Dataset]) -> li
 def _ratio(found: dict[str, xr.Dataset], row: dict[str, Any]) -> dict[str, Any]:
     """Return the ratio of predicted to measured variance at the largest common n.
 
-    Without convergence, the measured variance of the terms is used.
+    Without a result of ``convergence``, the measured variance of ``terms`` is used.
     If several methods have a prediction, the most trusted method is used.
     """
     import xarray as xr
@@ -183,7 +186,7 @@ def _ratio(found: dict[str, xr.Dataset], row: dict[str, Any]) -> dict[str, Any]:
             continue
         ratio = float(value[-1]) / measured
 
-        # Combine the relative errors of both variances in logarithms to an interval of the ratio
+        # Compute an interval of the ratio from the errors of both variances, in logarithms
         def half(low: float, middle: float, high: float) -> tuple[float, float]:
             return (math.log(middle / low) if low > 0 else math.inf), math.log(high / middle)
 
@@ -202,7 +205,7 @@ def _ratio(found: dict[str, xr.Dataset], row: dict[str, Any]) -> dict[str, Any]:
 
 
 def _by_method(data: xr.Dataset) -> Iterator[tuple[Array, xr.Dataset]]:
-    """Yield the names of the methods along n, and the predictions of each method."""
+    """Yield predictions, each with the names of the methods that gave its values along n."""
     names = np.asarray(
         data["method"].values if "method" in data.coords else data.attrs["labels_method"]
     )

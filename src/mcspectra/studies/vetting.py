@@ -49,7 +49,7 @@ class Vetting:
     ----------
     folder
         Folder from which relative paths start.
-        Files below it are named by their relative path, and other files by their whole path.
+        Files in this folder are named by their relative path, and other files by their whole path.
         Modules are named as in Python, because their folders differ between machines.
     trust
         Files and functions that are allowed beyond the folder.
@@ -159,7 +159,7 @@ class Vetting:
 
     def _argument(self, key: str, value: Any, files: dict[Path, str]) -> Any:
         if isinstance(value, list | tuple):
-            # Only a path may be a list of files; other lists hold digits of a net's matrices
+            # Only lists under the key "path" hold files; other lists hold digits of matrices
             return [self._argument(key if key == "path" else "", item, files) for item in value]
         if isinstance(value, dict):
             return {k: self._argument(str(k), item, files) for k, item in value.items()}
