@@ -59,7 +59,7 @@ _SEEDS = 600
 
 
 def _of_variances() -> Iterator[tuple[str, ...]]:
-    """Yield the coverage of `Moments.variance_ci`; equal values are counted separately."""
+    """Yield the coverage of `Moments.variance_ci`; samples of equal values count separately."""
     for count in COUNTS:
         for name, (draw, variance, kurtosis) in LAWS.items():
             found = Moments.of(draw(np.random.default_rng(count), (count, REPETITIONS)), tails=True)

@@ -105,7 +105,7 @@ def _print_efficiency(what: str, one: float, several: float, workers: int) -> No
 def _side_by_side(config: StudyConfig) -> float:
     """Return the seconds in which two started processes each compute half of the cells."""
     context = multiprocessing.get_context("spawn")
-    gate = context.Barrier(3, timeout=600)  # fails unless both halves start
+    gate = context.Barrier(3, timeout=600)  # raises an error unless both processes start
     halves = [context.Process(target=_half, args=(config, i, gate)) for i in range(2)]
     for half in halves:
         half.start()
