@@ -79,7 +79,7 @@ def main() -> None:
 
 
 def renderers() -> dict[str, Callable[[int], Any]]:
-    """Return functions that render the luminance of one frame with a seed, for each error."""
+    """Return a function for each kind of error; it renders the luminance of a frame from a seed."""
     from mcspectra.core.images import luminance
     from mcspectra.rendering import load_mitsuba, register_samplers
 
