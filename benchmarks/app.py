@@ -22,7 +22,7 @@ from statistics import median
 from typing import Any
 
 MOVES = 8
-MOST = 150.0  # milliseconds to the first figure
+MOST = 150.0  # limit of the time to the first figure, in milliseconds
 _FIGURES = 7  # number of figures whose data change in each round
 _PATIENCE = 120_000  # longest wait for the page, in milliseconds
 _WATCH = """() => {

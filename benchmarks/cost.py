@@ -1,5 +1,6 @@
-"""Cost of an expected power spectrum by points n, frequencies M, realizations R and accuracy ε.
+"""Time of a power spectrum against the numbers of points, frequencies, realizations, and accuracy.
 
+A spectrum has n points, M frequencies, R realizations and the accuracy ε.
 The seconds t per realization follow a model of the NUFFT [Barnett2019]_; R realizations take R t:
 
     t = a + b n log(1/ε) + c M log M.

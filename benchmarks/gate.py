@@ -176,7 +176,7 @@ def _ssim(a: Array, b: Array) -> float:
 def _scores(new: Array, reference: Array, variance: Array, count: int) -> dict[str, float]:
     """Return scores of other tests; larger means more different.
 
-    Mitsuba's z-test allows 0.25 % of the pixels to differ, and its variance is at least 1e-4.
+    Mitsuba's z-test allows 0.25 % of the pixels to differ, and uses a variance of at least 1e-4.
     Here the z-test gets the variance of the difference, because both sets have few samples.
     """
     a, b = (np.clip(v.mean(axis=0), 0, 1) ** (1 / 2.2) for v in (new, reference))
