@@ -193,7 +193,7 @@ class Unbounded:
         if base == "latin-hypercube":
             apart = [(n * h.mean**2 - h.between(n, at)) / (n - 1) for at in starts]
             return float(h.square**d / n + (1 - 1 / n) * math.prod(apart) - h.mean ** (2 * d))
-        # Nested scrambling in base 2: a pair of points contributes means over two sibling cells
+        # After nested scrambling in base 2, two points lie in two halves of one cell on each axis
         levels = int(math.log2(n))
         siblings = []
         for level in range(levels):
