@@ -1,10 +1,10 @@
 """Compare the answers of profile, remedies, plan and predict with those of brute force.
 
-The benchmark has sixty estimators. They are functions, importance densities,
-multiple importance sampling, pixels of scenes, and light paths.
+The benchmark has sixty estimators with and without importance densities.
+They also include multiple importance sampling, pixels of scenes, and light paths.
 Each function of the package searches for the best set-up at 4,096 evaluations.
 Brute force then measures the RMSE of the given and of the recommended set-ups.
-It makes 1,000 new estimates for each set-up, but only 200 for pixels and paths.
+Brute force makes 1,000 new estimates for each set-up, but only 200 for pixels and paths.
 A function agrees with brute force under these conditions:
 
 * `profile`: for the recommended set-up, its RMSE interval overlaps the interval by brute force;
@@ -14,7 +14,7 @@ A function agrees with brute force under these conditions:
     A different set-up is also accepted if both set-ups have the same RMSE within their intervals;
 * `plan`: its target is the RMSE by brute force, and its interval for n overlaps the reference.
   The reference interval contains 4,096 evaluations.
-  Its ends are computed from the ends of the RMSE interval by brute force;
+  The ends of the reference interval follow from the RMSE interval by brute force;
 * `predict`: its RMSE interval at 4,096 evaluations overlaps the interval by brute force.
 
 An interval with an unknown end counts as overlapping.

@@ -4,7 +4,7 @@ The page is the default page: 256 jittered points and 129² frequencies.
 A key moves the slider of the strata shift.
 After each move, the server updates all figures in rounds with more and more realizations.
 The page records when bokeh receives new data for the first figure.
-It also records when the last figure gets its data of the first round.
+The page also records when the last figure gets its data of the first round.
 The processor time of the server is a median over all moves.
 The time of a move lasts from the key press until the last figure of the last round.
 """

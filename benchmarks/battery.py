@@ -1,7 +1,7 @@
 """Profiles of estimators with known problems: is the cause found, and is the advice good?
 
 Each case has a function or estimator with a sampler, and its true integral.
-It also lists the causes that the profile may report first.
+A case also lists the causes that the profile may report first.
 A profile has a budget of 8,192 evaluations.
 A case checks these points:
 

@@ -1,10 +1,10 @@
 """Compare SciPy's L-BFGS-B, QR and eigensolver with our own minimizer, QR and eigensolver.
 
-The command ``python -m benchmarks descent`` runs L-BFGS-B and our descent:
-they minimize the functions, such as energies, that three optimized samplers minimize.
+The command ``python -m benchmarks descent`` runs L-BFGS-B and our descent.
+Both minimize the same functions, such as energies, as three optimized samplers.
 The command prints the smallest values after as many evaluations as our descent takes.
-It then repeats the computations of the libraries with other numbers of threads.
-It also repeats them with the kernels of OpenBLAS for other processors.
+The computations of the libraries are then repeated with other numbers of threads.
+They are also repeated with the kernels of OpenBLAS for other processors.
 """
 
 from __future__ import annotations

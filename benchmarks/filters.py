@@ -3,11 +3,11 @@
 Run ``python -m benchmarks filters``. It needs the extra ``render``.
 The scene is Mitsuba's Cornell box with 96 × 96 pixels and 4 samples per pixel.
 The lamp is hidden, because the few pixels at its edge would make most of the variance.
-There are three kinds of errors: white noise from independent samples,
-correlated errors from a Gaussian reconstruction filter,
-and blue noise of direct light from Sobol' points with a dither mask.
-Sequences have independent frames, or frames that share renders as if samples were reused:
-each frame is then the mean of 4 renders, and the next frame contains 3 of these renders.
+There are three kinds of errors. Independent samples give white noise.
+A Gaussian reconstruction filter gives correlated errors.
+Direct light from Sobol' points with a dither mask gives blue noise.
+Sequences have independent frames, or frames that share renders as if samples were reused.
+A frame that shares renders is the mean of 4 renders; the next frame contains 3 of these.
 The function `mcspectra.rendering.frames` predicts the error from some of the frames.
 The other frames are filtered by scipy.ndimage and by a recursive average.
 With BLENDER_PYTHON set as for the benchmark ``blender``, frames of Cycles are filtered as well.

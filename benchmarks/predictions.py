@@ -2,7 +2,7 @@
 
 Each row is a sampler in a group of problems. Each cell of a row is a problem at one n.
 A cell is right if prediction and measurement agree to 5 %.
-It is also right if they agree to two standard errors of the measurement.
+A cell is also right if they agree to two standard errors of the measurement.
 A cell is covered if prediction and measurement differ by less than their combined interval.
 Predictions do not evaluate f at the points of the sampler.
 Measurements have at least 1,000 realizations.

@@ -152,7 +152,7 @@ def workers() -> None:
 
 
 def efficiency() -> None:
-    """Print the time of one worker over w times the time of w workers, for tasks that sleep."""
+    """Print the time of one worker divided by w times the time of w workers; the tasks sleep."""
     config = _study(64)
     one = None
     for count in (1, 2, 4, 8):

@@ -9,14 +9,14 @@ The flag ``--NAME`` measures one setting.
 
 ``--rates`` tests `CurveSettings` with five functions whose rate with scrambled nets is known.
 The benchmark prints the root mean square error of the rates.
-It also prints the mean half width of the intervals, and how many contain the true rate.
+The benchmark also prints the mean half width of the intervals, and how many contain the true rate.
 
 ``--chains`` tests `ChainSettings` with chains of 500 to 2,000 draws.
 Each chain has one known fault or none.
 
 ``--stages`` tests `StageSettings` with 150 searches for a variance to 10 %.
 The benchmark prints mean numbers of realizations and stages.
-It also prints the root mean square of the true relative error.
+The benchmark also prints the root mean square of the true relative error.
 """
 
 from __future__ import annotations
