@@ -14,7 +14,7 @@ The benchmark also prints the mean half width of the intervals, and how many con
 ``--chains`` tests `ChainSettings` with chains of 500 to 2,000 draws.
 Each chain has one known fault or none.
 
-``--stages`` tests `StageSettings` with 150 searches for a variance to 10 %.
+``--stages`` tests `StageSettings` with 150 searches that stop when a variance is known to 10 %.
 The benchmark prints mean numbers of realizations and stages.
 The benchmark also prints the root mean square of the true relative error.
 """
