@@ -5,8 +5,8 @@ The overhead is the time of the study minus the time of the loop.
 Efficiency is the time with one worker divided by w times the time with w workers.
 Tasks that sleep show the cost of scheduling.
 Real tasks also share Python's lock (threads) and a memory bus.
-Two processes that each loop over half of the cells, without a study,
-show the largest speedup that two processors of the machine allow.
+Without a study, two processes each loop over half of the cells.
+Their speedup is the largest that two processors of the machine allow.
 All methods take turns in several rounds. If times vary, the shortest time is used.
 """
 
