@@ -228,7 +228,7 @@ def rates() -> None:
 
 
 def stages() -> None:
-    """Print a line for each setting of stages and each distribution of the estimates."""
+    """Print a line for each setting of `StageSettings` and each distribution of estimates."""
     estimator = mcs.Estimator("linear", dims=1)
     cell = MomentsCell((estimator,), mcs.sampler("random", dims=1), 1, Stream.from_rng(0))
 
