@@ -1,22 +1,23 @@
-"""Comparison of profile, remedies, plan, predict and brute force: are their answers equal?
+"""Compare the answers of profile, remedies, plan and predict with those of brute force.
 
-The benchmark has sixty estimators. They are functions, importance densities,
-multiple importance sampling, pixels of scenes, and light paths.
+The benchmark has sixty estimators with and without importance densities.
+They also include multiple importance sampling, pixels of scenes, and light paths.
 Each function of the package searches for the best set-up at 4,096 evaluations.
 Brute force then measures the RMSE of the given and of the recommended set-ups.
-It makes 1,000 new estimates for each set-up, but only 200 for pixels and paths.
+Brute force makes 1,000 new estimates for each set-up, but only 200 for pixels and paths.
 A function agrees with brute force under these conditions:
 
-* `profile`: the interval of the RMSE of the recommended set-up overlaps that by brute force;
+* `profile`: for the recommended set-up, its RMSE interval overlaps the interval by brute force;
 * `remedies`: the recommended set-up is the same as in the profile.
     A different set-up is accepted if its RMSE intervals by `profile` and `remedies` overlap.
     Examples are a preintegration along some direction, and a regression.
     A different set-up is also accepted if both set-ups have the same RMSE within their intervals;
-* `plan`: with the RMSE by brute force as target, its interval for n overlaps the reference.
-  The reference interval contains 4,096 evaluations; its ends follow from the RMSE's interval;
-* `predict`: the interval of the variance at 4,096 evaluations overlaps that by brute force.
+* `plan`: its target is the RMSE by brute force, and its interval for n overlaps the reference.
+  The reference interval contains 4,096 evaluations.
+  The ends of the reference interval follow from the RMSE interval by brute force;
+* `predict`: its RMSE interval at 4,096 evaluations overlaps the interval by brute force.
 
-An open interval always overlaps.
+An interval with an unknown end counts as overlapping.
 In addition, no recommended set-up may be worse than the given set-up.
 No function may use more evaluations than its budget.
 """
@@ -40,7 +41,7 @@ from mcspectra.estimators import AbstractEstimator, as_estimator
 from mcspectra.measure.setup import Setup, affordable_count
 
 BUDGET = 4096
-ESTIMATES, RENDERED = 1000, 200  # numbers of estimates by brute force: functions, scenes
+ESTIMATES, RENDERED = 1000, 200  # numbers of estimates by brute force, for functions and scenes
 REALIZATIONS = 100  # realizations of each candidate in remedies
 KINDS = ("sampler", "unshifted", "mirrored", "regression", "preintegrated", "fitted", "techniques")
 SIGMAS = 1.96
@@ -178,7 +179,7 @@ def _brute(setup: Setup, n: int, estimates: int, seed: int) -> tuple[float, floa
 
 
 def _overlap(one: tuple[float, float], other: tuple[float, float]) -> bool:
-    """Whether intervals overlap up to rounding; an unknown interval overlaps all intervals."""
+    """Whether two intervals overlap up to rounding; an interval with a NaN end overlaps all."""
     if any(math.isnan(v) for v in (*one, *other)):
         return True
     tiny = 1e-13

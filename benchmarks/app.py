@@ -4,9 +4,9 @@ The page is the default page: 256 jittered points and 129² frequencies.
 A key moves the slider of the strata shift.
 After each move, the server updates all figures in rounds with more and more realizations.
 The page records when bokeh receives new data for the first figure.
-It also records when the last figure gets its data in the first of these rounds.
+The page also records when the last figure gets its data of the first round.
 The processor time of the server is a median over all moves.
-For each move, it is measured from the key press to the last figure of all rounds.
+The time of a move lasts from the key press until the last figure of the last round.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from statistics import median
 from typing import Any
 
 MOVES = 8
-MOST = 150.0  # milliseconds to the first figure
+MOST = 150.0  # limit of the time to the first figure, in milliseconds
 _FIGURES = 7  # number of figures whose data change in each round
 _PATIENCE = 120_000  # longest wait for the page, in milliseconds
 _WATCH = """() => {

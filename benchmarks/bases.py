@@ -1,4 +1,4 @@
-"""Compare bases of functions: size of the cross term, and convergence of the sum of all terms."""
+"""Compare bases by the size of the cross term, and by how fast the sum of all terms converges."""
 
 from __future__ import annotations
 

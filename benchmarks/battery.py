@@ -1,7 +1,7 @@
 """Profiles of estimators with known problems: is the cause found, and is the advice good?
 
 Each case has a function or estimator with a sampler, and its true integral.
-It also lists the causes that the profile may report first.
+A case also lists the causes that the profile may report first.
 A profile has a budget of 8,192 evaluations.
 A case checks these points:
 
@@ -9,7 +9,7 @@ A case checks these points:
 * The first reported cause is an expected cause.
 * The recommended change lowers the variance.
   The variances before and after the change are measured again, at the same counts.
-* The rate with scrambled nets is right to 0.1 or within its interval.
+* The rate with scrambled nets has an error of at most 0.1, or its interval contains the true rate.
   The true rate comes from 10,000 realizations at the last counts of the curve.
   The budget is 8,192 or 262,144 evaluations.
 
@@ -226,7 +226,7 @@ def cases() -> Iterator[Case]:
         many,
     )
 
-    # Points that are equal in every realization, a technique that misses a peak, and an option
+    # Points that are equal in every realization, a technique that misses a peak, and a call option
     yield Case("the same set", lambda x: np.exp(x[:, 0]), 1, e, ("deterministic-set",), "regular")
     yield Case(
         "the same set in 2-D",
@@ -258,7 +258,7 @@ def cases() -> Iterator[Case]:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Profile of a case, compared with measurements; a comparison that is not made is None."""
+    """Profile of a case, compared with measurements; None marks a comparison that is not made."""
 
     case: Case
     found: mcs.Profile
@@ -274,12 +274,12 @@ class Outcome:
 
 
 def near(curve: Curve, rate: float) -> bool:
-    """Whether a rate is right to 0.1."""
+    """Whether the error of a rate is at most 0.1."""
     return abs(curve.rate - rate) <= WITHIN
 
 
 def near_or_within(curve: Curve, rate: float) -> bool:
-    """Whether a rate is right to 0.1, or its interval contains the true rate."""
+    """Whether the error of a rate is at most 0.1, or its interval contains the true rate."""
     low, high = curve.rate_ci
     return near(curve, rate) or low <= rate <= high
 

@@ -1,4 +1,4 @@
-"""Frames of Blender's Cycles: noise of the sampling patterns by `mcspectra frames`.
+"""Measure the noise of the sampling patterns of Blender's Cycles with `mcspectra frames`.
 
 Run ``BLENDER_PYTHON=… python -m benchmarks blender``.
 The variable names a Python 3.11 that has the package bpy.

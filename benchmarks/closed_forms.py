@@ -3,7 +3,7 @@
 Each net is tested with each randomization in 1 to 4 dims.
 The closed forms are compared with means over 100,000 realizations of the net.
 The frequencies are random integers.
-Each difference in standard errors is called z.
+A difference divided by its standard error is called z.
 Real and imaginary parts of a covariance count separately.
 The root mean square of z is 1 if closed forms and means agree.
 """
@@ -19,7 +19,7 @@ REALIZATIONS = 100_000
 NETS = ("sobol", "niederreiter", "halton", "faure")
 STEPS = ("owen", "lms", "digital-shift")
 MOST_RMS = 1.1
-_PAIRS = 24  # number of pairs of frequencies in each case, half of them equal
+_PAIRS = 24  # number of pairs of frequencies in each case; half have two equal frequencies
 _HIGHEST = 9
 _BLOCK = 5000  # number of realizations that are drawn at a time
 # Numbers of points in 1 to 4 dims; all other nets have 16 points
@@ -32,7 +32,7 @@ def z_values(sampler: str, n: int, dims: int, realizations: int = REALIZATIONS) 
     m = rng.integers(-_HIGHEST, _HIGHEST + 1, (_PAIRS, dims))
     other = rng.integers(-_HIGHEST, _HIGHEST + 1, (_PAIRS, dims))
     other[: _PAIRS // 2] = m[: _PAIRS // 2]
-    # Pairs that differ by multiples of n along one axis have the largest correlation
+    # Frequencies that differ by a multiple of n along one axis have the largest correlation
     other[-4:] = m[-4:]
     other[-4:, 0] += n * rng.choice([-1, 1], 4)
     source = mcs.sampler(sampler, dims=dims)

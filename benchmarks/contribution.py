@@ -2,7 +2,7 @@
 
 The reference draws and transforms the points, and does nothing else.
 Every analysis of this kind needs these two steps.
-Seconds are the least of all rounds. The ratio is the median of the ratios of each round.
+The seconds are the least of all rounds. The ratio is the median of the ratios of each round.
 The ratio of least times is also printed, because the machine may have been busy.
 """
 

@@ -2,8 +2,8 @@
 
 The task has five counts from 16 to 4096, 1000 realizations, two integrands and one thread.
 The fused loop is written for this one task, and has no array of points or values.
-It evaluates both integrands at each point.
-The loop uses the package's own generator, and sums only the first two powers.
+The loop evaluates both integrands at each point.
+It uses the package's own generator, and sums only the estimates and their squares.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ RADIUS = 0.3
 
 @kernel
 def _fused(keys: Array, side: int, rate: float, radius: float, sums: Array) -> None:
-    """Add the estimates I and I² of a Gaussian and a disk over realizations: sums (2, 2)."""
+    """Sum I and I² over realizations, where I is an estimate for a Gaussian or a disk: (2, 2)."""
     scale = 1.0 / (side * side)
     for r in range(len(keys)):
         k0, k1 = keys[r, 0], keys[r, 1]

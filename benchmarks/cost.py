@@ -1,13 +1,15 @@
-"""Cost of an expected power spectrum by points n, frequencies M, realizations R and accuracy ε.
+"""Time of a power spectrum against the numbers of points, frequencies, realizations, and accuracy.
 
-The NUFFT [Barnett2019]_ has this model for the seconds t per realization (R take R t):
+A spectrum has n points, M frequencies, R realizations and the accuracy ε.
+The seconds t per realization follow a model of the NUFFT [Barnett2019]_; R realizations take R t:
 
     t = a + b n log(1/ε) + c M log M.
 
 The constants a, b and c are fitted.
-In d dims, a point is spread to log^d(1/ε) cells; vector instructions process a row together.
+In d dims, a point is spread to log^d(1/ε) cells of the grid.
+Vector instructions process all cells of a row together.
 In two dims, the time per point therefore grows like log(1/ε).
-Times are the smallest processor times of two sweeps.
+All cases are timed twice; the smaller processor time of a case counts.
 
 The command ``python -m benchmarks cost --plot`` also draws measured times and the model.
 The figure is docs/figures/cost.png.
@@ -32,7 +34,7 @@ HALF_WIDTHS = (16, 32, 64, 128, 256)
 REALIZATIONS = (2, 4, 8, 16, 32, 64)
 ACCURACIES = (1e-2, 1e-4, 1e-6, 1e-8)
 FIXED = (4096, 64)  # number of points and half width while R and ε vary
-_SECONDS = 0.15  # seconds of repeated calls per case in each of two sweeps
+_SECONDS = 0.15  # seconds of repeated calls for each case; all cases are timed twice
 
 
 @dataclass(frozen=True)
@@ -83,7 +85,7 @@ def main(*flags: str) -> None:
 def _series(
     label: str, x: tuple[float, ...], times: Array, model: Array, first: int, step: int = 1
 ) -> Series:
-    """Return every `step`-th case, beginning with `first`, one for each x."""
+    """Return one case for each x: every `step`-th case, beginning with `first`."""
     chosen = np.arange(len(x)) * step + first
     return Series(label, np.array(x, np.float64), times[chosen], model[chosen])
 
@@ -94,7 +96,7 @@ def _terms(n: int, half_width: int, eps: float) -> tuple[float, float, float]:
 
 
 def _seconds(n: int, half_width: int, eps: float = EPS, realizations: int = 2) -> float:
-    """Smallest time per realization of the power spectrum of `realizations` sets, one thread."""
+    """Smallest seconds per realization, for power spectra of `realizations` sets on one thread."""
     grid = FrequencyGrid(DIMS, half_width)
     points = mcs.sampler("random", dims=DIMS).draw(n, realizations=realizations, rng=1)
     total, squares = np.zeros(grid.stored), np.zeros(grid.stored)

@@ -59,7 +59,7 @@ _SEEDS = 600
 
 
 def _of_variances() -> Iterator[tuple[str, ...]]:
-    """Yield the coverage of `Moments.variance_ci`; equal values are counted separately."""
+    """Yield the coverage of `Moments.variance_ci`; samples of equal values count separately."""
     for count in COUNTS:
         for name, (draw, variance, kurtosis) in LAWS.items():
             found = Moments.of(draw(np.random.default_rng(count), (count, REPETITIONS)), tails=True)
@@ -82,7 +82,7 @@ def _weighted(x: np.ndarray, f: Any, power: float, m: np.ndarray, c: np.ndarray)
 
 
 def _of_captured() -> Iterator[tuple[str, ...]]:
-    """Coverage of ``captured_ci`` of `variance_terms`: means of 8 random points, p ∝ x^a."""
+    """Yield the coverage of ``captured_ci``, for means of 8 random points with p ∝ x^a."""
     for count in (100, 1000):
         for name, (power, f, half_width) in RATIOS.items():
             m = np.arange(-half_width, half_width + 1)
@@ -112,7 +112,7 @@ def _of_captured() -> Iterator[tuple[str, ...]]:
 
 
 def _of_spectra() -> Iterator[tuple[str, ...]]:
-    """Coverage of single frequencies, rings, wedges and pair correlations of random points."""
+    """Yield coverages for frequencies, rings, wedges and pair correlations of random points."""
     for count in (4, 10):
         hits: dict[str, list[np.ndarray]] = {}
         for seed in range(_RUNS):
@@ -132,7 +132,7 @@ def _of_spectra() -> Iterator[tuple[str, ...]]:
 
 
 def _of_anova() -> Iterator[tuple[str, ...]]:
-    """Coverage of shares and effective dimensions for Π (1 + (x_i − ½) √(12 a_i)), a = 1, ½, ⅕."""
+    """Yield coverages of shares and dimensions for Π (1 + (x_i − ½) √(12 a_i)), a = 1, ½, ⅕."""
     part = np.array([1.0, 0.5, 0.2])
     variance = np.prod(1 + part) - 1
     truth = {
@@ -157,7 +157,7 @@ def _of_anova() -> Iterator[tuple[str, ...]]:
 
 
 def _of_integrals() -> Iterator[tuple[str, ...]]:
-    """Coverage of `mcspectra.integrate`; infinite intervals are counted separately."""
+    """Yield the coverage of `mcspectra.integrate`; infinite intervals are counted separately."""
     for (name, (dims, f, integral)), sampler, budget in product(INTEGRALS.items(), SETS, BUDGETS):
         ends = np.array(
             [

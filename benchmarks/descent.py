@@ -1,10 +1,10 @@
-"""SciPy's L-BFGS-B, QR and eigensolver compared with ours: minima, and stability of bits.
+"""Compare SciPy's L-BFGS-B, QR and eigensolver with our own minimizer, QR and eigensolver.
 
-The command ``python -m benchmarks descent`` runs L-BFGS-B and our descent:
-they minimize the functions, such as energies, that three optimized samplers minimize.
-It prints the smallest values after as many evaluations as our descent takes.
-The command then repeats the computations of the libraries with other numbers of threads.
-It also repeats them with the kernels of OpenBLAS for other processors.
+The command ``python -m benchmarks descent`` runs L-BFGS-B and our descent.
+Both minimize the same functions, such as energies, as three optimized samplers.
+The command prints the smallest values after as many evaluations as our descent takes.
+The computations of the libraries are then repeated with other numbers of threads.
+They are also repeated with the kernels of OpenBLAS for other processors.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from mcspectra.samplers.relaxation import near_energy
 
 STARTS = 3
 COUNTS = (256, 1024)
-_FURTHER = 2  # L-BFGS-B may use at most this many times our evaluations
+_FURTHER = 2  # limit of L-BFGS-B's evaluations, as a multiple of the evaluations of our descent
 _MEMORY = 10  # number of past steps that L-BFGS stores, in both programs
 
 DIGESTS = """

@@ -1,14 +1,14 @@
-"""Designs for classes of integrands compared with the best usual sampler, on other integrands.
+"""Compare designs with the best usual sampler, on integrands that the search did not use.
 
-For each class, number of dims and n, suitable kinds of designs are searched.
+For each class of integrands, number of dims and n, all suitable kinds of designs are searched.
 The design with the least variance over 400 integrands is measured over 2,000 other integrands.
 The integrands form 20 groups, each with its own 32 realizations.
 Rivals are sobol | owen, pmj02, and shifted Korobov, rank-1 and Fibonacci lattices.
 ``MCSPECTRA_NETS`` may name a folder with direction numbers of OneTwo and quad-optimized nets.
 With such a folder, nets in base 3, scrambled by owen, are also rivals.
 
-The last lines compare with folded lattices, on Gaussians of random orientation.
-In this class, a few narrow Gaussians carry half of the mean variance.
+The last lines compare designs with folded lattices, on Gaussians of random orientation.
+In this class, half of the mean variance comes from a few narrow Gaussians.
 Therefore 20,000 Gaussians are measured, with 128 realizations per group.
 """
 
@@ -124,7 +124,7 @@ def _least_error(dims: int, n: int) -> float:
     The optimization starts from three scrambled Sobol' sets; the least error is returned.
     Along a direction v, u_i = F(v·x_i), where F is the distribution of v·x for uniform x.
     The sorted values are u_(1) ≤ u_(2) ≤ ….
-    The mean over offsets is the mean of (u_(i) − (i − ½)/n)² plus 1/(12 n²).
+    The squared error, averaged over offsets, is the mean of (u_(i) − (i − ½)/n)² plus 1/(12 n²).
     """
     generator = np.random.default_rng(3)
     directions = generator.standard_normal((400 * dims, dims))

@@ -3,12 +3,13 @@
 Run ``python -m benchmarks filters``. It needs the extra ``render``.
 The scene is Mitsuba's Cornell box with 96 × 96 pixels and 4 samples per pixel.
 The lamp is hidden, because the few pixels at its edge would make most of the variance.
-Errors are white (independent samples), correlated (a Gaussian reconstruction filter), or blue
-noise (Sobol' points with a dither mask, direct light).
-Sequences either have independent frames, or every frame is the mean of 4 renders of which the next
-frame reuses 3, as renderers do that reuse samples over time.
-The prediction comes from `mcspectra.rendering.frames`, and the rest of the frames are filtered by
-scipy.ndimage and by a recursive average.
+There are three kinds of errors. Independent samples give white noise.
+A Gaussian reconstruction filter gives correlated errors.
+Direct light from Sobol' points with a dither mask gives blue noise.
+Sequences have independent frames, or frames that share renders as if samples were reused.
+A frame that shares renders is the mean of 4 renders; the next frame contains 3 of these.
+The function `mcspectra.rendering.frames` predicts the error from some of the frames.
+The other frames are filtered by scipy.ndimage and by a recursive average.
 With BLENDER_PYTHON set as for the benchmark ``blender``, frames of Cycles are filtered as well.
 """
 
@@ -27,7 +28,7 @@ from scipy.ndimage import convolve1d, gaussian_filter
 SIZE, SPP = 96, 4
 MEASURED, HELD = 24, 48  # number of independent frames for the prediction, and of other frames
 SEEDS, HELD_SEEDS, TIMES, REUSED = 4, 8, 24, 4
-BORDER = 16  # pixels at the border that are left out of one of the two measurements
+BORDER = 16  # width in pixels of the border that one of the two measurements leaves out
 SPLINE = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16.0
 
 
@@ -78,7 +79,7 @@ def main() -> None:
 
 
 def renderers() -> dict[str, Callable[[int], Any]]:
-    """Return functions that render the luminance of one frame with a seed, for each error."""
+    """Return a function for each kind of error; it renders the luminance of a frame from a seed."""
     from mcspectra.core.images import luminance
     from mcspectra.rendering import load_mitsuba, register_samplers
 
@@ -124,7 +125,7 @@ def _space(name: str, frames: Iterator[Any], measured: int, folder: Path) -> lis
 
 
 def _time(name: str, render: Callable[[int], Any], reused: int, folder: Path) -> list[float]:
-    """Compare averages over frames, for sequences."""
+    """Compare predicted and measured errors of averages over the frames of sequences."""
     from mcspectra.rendering import frames as measure
 
     def sequence(first: int) -> Any:
@@ -143,14 +144,14 @@ def _time(name: str, render: Callable[[int], Any], reused: int, folder: Path) ->
         average, shown = errors[:, 0], []
         for t in range(1, TIMES):
             average = (1 - alpha) * average + alpha * errors[:, t]
-            if t >= TIMES // 2:  # the first frame has been forgotten
+            if t >= TIMES // 2:  # the first frame no longer affects the average
                 shown.append([SPACE[space](e) for e in average] if space else average)
         ratios.append(_row(name, spec, result, np.concatenate(shown), HELD_SEEDS))
     return ratios
 
 
 def _blender(python: str, folder: Path) -> list[float]:
-    """Compare filters in space, for frames of Blender's Cycles at 4 samples."""
+    """Compare errors after filters in space, for frames of Blender's Cycles with 4 samples."""
     from benchmarks import blender
     from mcspectra.core.images import luminance, read_image
 

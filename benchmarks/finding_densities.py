@@ -1,6 +1,6 @@
 """Findings about densities: multiple importance sampling, color channels, infinite weights, warps.
 
-Each function prints the numbers of its page of ``docs/findings`` and returns its figures by name.
+Each function prints the numbers of one page in ``docs/findings`` and returns its figures by name.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ WARPS = ("marginal", "hierarchical", "hilbert", "alias")
 
 
 def mis_slowest() -> Plots:
-    """Compare two simple techniques, and heuristics for one with a jump at a light's edge."""
+    """Compare two techniques, and heuristics for a technique that jumps at a light's edge."""
     d = mcs.technique_terms(
         mcs.estimators.TechniqueSum(["linear", "step(at=0.3)"], dims=1),
         "jittered", COUNTS, half_width=4, realizations=1000, rng=1,

@@ -1,10 +1,10 @@
-"""The gate: false alarms of clean pairs, and power against errors of renderers.
+"""Measure how often the gate raises false alarms, and how often it finds errors of renderers.
 
 Run ``python -m benchmarks gate`` for all tables, or ``python -m benchmarks gate --quick``.
 Frames of a Cornell box with a glass sphere come from Mitsuba's path tracer, at 64 × 64 pixels.
 Every pair of sets is drawn anew from a library of frames.
-Errors are made by combining whole paths and direct light, so that the mean is that of the error.
-Rivals see the same samples. Their thresholds are set on clean pairs to 1 % false alarms.
+Frames of a faulty renderer are combinations of frames of whole paths and of direct light.
+Other tests get the same samples; their thresholds give 1 % false alarms on clean pairs.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ TOTALS, FRAMES = (16, 64, 256), 8
 
 
 def _scene(depth: int, sampler: dict[str, Any]) -> Any:
-    """Return a Cornell box with a glass and a glossy sphere; 2 segments are direct light."""
+    """Return a Cornell box with a glass and a glossy sphere; depth 2 means direct light."""
     from mcspectra.rendering import load_mitsuba
 
     mi = load_mitsuba()
@@ -86,7 +86,7 @@ def outcome(rows: Array, first: int, seed: int, *, size: int = 1, alike: bool = 
 
 
 def _welch(rows: Array, first: int) -> bool:
-    """Whether per-pixel Welch tests with Šidák's correction alarm."""
+    """Whether Welch tests of all pixels, with Šidák's correction, raise an alarm."""
     from scipy.special import stdtr
 
     a, b = rows[:first], rows[first:]
@@ -102,7 +102,7 @@ def _welch(rows: Array, first: int) -> bool:
 
 
 def _alarms(libraries: dict[str, Array], pairs: int) -> None:
-    """Print the rate of false alarms for every library and pair of counts."""
+    """Print the rate of false alarms for every library and pair of numbers of frames."""
     bound = int(binom.ppf(0.999, pairs, LEVEL))
     print(f"False alarms at level {LEVEL} in {pairs} clean pairs (at most {bound} with 99.9 %)")
     print("| samples | frames | gate | Welch per pixel, Šidák |")
@@ -122,7 +122,7 @@ def _alarms(libraries: dict[str, Array], pairs: int) -> None:
 
 
 def _errors(direct: Array, cosine: Array) -> dict[str, Callable[[Array, Array], Array]]:
-    """Return functions (whole paths, direct light) → frames with an error, by name."""
+    """Return functions by name; each makes faulty frames from whole paths and direct light."""
     del direct
     corner = np.zeros((SIZE, SIZE), bool)
     corner[20:26, 24:31] = True  # 42 of 4096 pixels on the back wall
@@ -176,8 +176,8 @@ def _ssim(a: Array, b: Array) -> float:
 def _scores(new: Array, reference: Array, variance: Array, count: int) -> dict[str, float]:
     """Return scores of other tests; larger means more different.
 
-    Mitsuba's z-test allows 0.25 % of the pixels to differ, and its variance is at least 1e-4.
-    It gets the variance of the difference, because the reference has as few samples here.
+    Mitsuba's z-test allows 0.25 % of the pixels to differ, and uses a variance of at least 1e-4.
+    Here the z-test gets the variance of the difference, because both sets have few samples.
     """
     a, b = (np.clip(v.mean(axis=0), 0, 1) ** (1 / 2.2) for v in (new, reference))
     z = np.abs(new.mean(axis=0) - reference.mean(axis=0)) / np.sqrt(
@@ -234,7 +234,7 @@ def _power(whole: Array, light: Array, trials: int) -> None:
 
 
 def _stated(whole: Array, trials: int) -> None:
-    """Print how often the stated smallest bias is found, which should be in 90 % of pairs."""
+    """Print how often the smallest bias that the gate states is found: it should be 90 %."""
     rng, found = np.random.default_rng(5), 0
     for k in range(trials):
         order = rng.permutation(len(whole))[: 2 * 16 * FRAMES]
@@ -249,7 +249,7 @@ def _stated(whole: Array, trials: int) -> None:
 
 
 def _speed() -> None:
-    """Print the seconds of the tests of ten million values: 5 + 5 frames of a megapixel."""
+    """Print the seconds of all tests for ten million values, 5 + 5 frames of a megapixel."""
     rng = np.random.default_rng(1)
     rows = rng.standard_exponential((10, 1024, 1024), dtype=np.float32)
     start = time.perf_counter()

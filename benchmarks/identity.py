@@ -10,7 +10,7 @@ import mcspectra as mcs
 from mcspectra.core.streams import Stream
 from mcspectra.spectra.transforms import FrequencyGrid, direct_sum
 
-SIZES = {1: (8, 12), 2: (16, 5), 3: (8, 3)}  # by dims: (number of points, half width)
+SIZES = {1: (8, 12), 2: (16, 5), 3: (8, 3)}  # number of points and half width, by number of dims
 
 
 def _one_sided(dims: int) -> mcs.Sampler:

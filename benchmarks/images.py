@@ -1,7 +1,7 @@
 """Throughput of whole images compared with stock integrators, and pictures as in the slides.
 
 The name ``stock`` is Mitsuba's `direct` integrator with its own independent sampler.
-It renders with the same number of samples as our integrator.
+The stock integrator renders with the same number of samples as our integrator.
 Both sides of each line alternate in the same run.
 With ``--pictures``, the slides' comparison is rendered to the current folder.
 """

@@ -34,7 +34,7 @@ def _normal(x: Array) -> Array:
 
 
 def _asian(x: Array) -> Array:
-    """Call option on the geometric mean of 16 prices, from increments; strike and start are 1."""
+    """Payoff of a call option on the geometric mean of 16 prices; strike and first price are 1."""
     time = np.arange(1, STEPS + 1) / STEPS
     walk = np.cumsum(_normal(x), axis=-1) / math.sqrt(STEPS)
     mean = (VOLATILITY * walk - 0.5 * VOLATILITY**2 * time).mean(axis=-1)

@@ -1,4 +1,4 @@
-"""Table of exact variances: formula, stratum quadrature, and simulation with its deviation in σ."""
+"""Print variances by formula, quadrature over strata, and simulation, with the deviation in σ."""
 
 from __future__ import annotations
 

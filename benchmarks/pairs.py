@@ -1,7 +1,7 @@
 """Pair correlation of 4096 points in 200 bins, compared with `freud.density.RDF`.
 
 Both programs count the pairs of a periodic square up to the same distance.
-They divide the counts by the expected count for random points.
+Both programs divide the counts by the expected count for random points.
 Both programs use default settings on one thread.
 """
 

@@ -3,7 +3,7 @@
 A film has 8 × 6 pixels with a box filter.
 Mitsuba's render and our variance map with random points each make 400 estimates of 64 paths.
 Both programs give the mean and the variance of their estimates.
-Welch's test compares the values and the squared deviations.
+Welch's test compares the values of both programs, and their squared deviations.
 The test uses logarithms of variances, which are closer to normal.
 The variance of all bounces together is also compared with 64 times the variance of the renders.
 The limit of |t| holds for all tests of the table together (Šidák).
@@ -75,8 +75,8 @@ def compared(scene: Scene, integrator: str) -> str:
         means = (found["mean"].values[0] - mean) / np.sqrt((own + variance) / REALIZATIONS)
         both = np.hypot(found["variance_relative_se"].values[0, -1], relative)
         ratio = np.log(own / variance) / both
-        # Compare the variance of one path (all bounces) with 64 times that of the renders,
-        # at pixels where both variances are precise enough
+        # Compare the variance of one path with 64 times the variance of the renders.
+        # Only pixels at which both variances are precise enough are used
         path = np.log(whole / (N * variance)) / np.hypot(error / whole, relative)
         told = seen & (error < LARGEST_SE * whole) & (relative < LARGEST_SE)
     weight = weight.where(told)
@@ -105,7 +105,7 @@ def renders(scene: Scene, integrator: str) -> Array:
 
 
 def times() -> dict[str, list[float]]:
-    """Return times of maps of Cornell's box divided by times of raw renders with equal paths."""
+    """Return times of maps of Cornell's box, divided by times of renders with as many paths."""
     mitsuba = load_mitsuba()
     import drjit
 

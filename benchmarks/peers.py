@@ -1,10 +1,10 @@
 """Integrals at 4,096 evaluations: `integrate` with and without a profile, SciPy, QMCPy and vegas.
 
-There are ten integrands, each with 30 seeds and all methods in one run:
+Every method estimates ten integrals with 30 seeds each, all in one run. The methods are:
 
 * ``profile``: `mcspectra.profile` uses a quarter of the evaluations.
   The function `integrate(profile=…)` uses the remaining evaluations;
-* ``after``: the same, but all evaluations follow a profile of equal cost (8,192 in total).
+* ``after``: like ``profile``, but `integrate` uses 4,096 evaluations after a profile of 4,096.
   A function that is integrated repeatedly needs its profile only once;
 * ``integrate``: the function `mcspectra.integrate`, called without a profile;
 * ``scipy``: 16 scrambled Sobol' sets of SciPy, with Student's t interval;
@@ -14,8 +14,8 @@ There are ten integrands, each with 30 seeds and all methods in one run:
 
 A line gives the RMS error of each method.
 The number in brackets counts the intervals that contain the integral.
-A peer counts if at least 27 intervals contain the integral.
-The errors of ``profile`` and ``after`` should be at most 1.2 times that of the best such peer.
+A rival method counts if at least 27 of its 30 intervals contain the integral.
+The errors of ``profile`` and ``after`` should be at most 1.2 times the error of the best rival.
 The last line gives the number of integrands whose errors are within this limit.
 """
 

@@ -1,7 +1,7 @@
 """Throughput of a pixel as an integrand compared with Mitsuba kernels without our checks.
 
 The raw calls pass the same NumPy points as float32 to Mitsuba's light or BSDF sampling.
-They use one kernel, and return the float32 values to NumPy.
+The raw calls use one kernel, and return the float32 values to NumPy.
 Both sides use the same million samples, in turn.
 """
 

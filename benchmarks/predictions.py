@@ -1,14 +1,14 @@
 """Predicted variances compared with precise measured ones: accuracy and coverage of intervals.
 
-Each row is a sampler in a group of problems; each cell of a row is a problem at a count.
+Each row is a sampler in a group of problems. Each cell of a row is a problem at one n.
 A cell is right if prediction and measurement agree to 5 %.
-It is also right if they agree to two standard errors of the measurement.
-An interval covers if prediction and measurement differ by less than their combined interval.
+A cell is also right if they agree to two standard errors of the measurement.
+A cell is covered if prediction and measurement differ by less than their combined interval.
 Predictions do not evaluate f at the points of the sampler.
 Measurements have at least 1,000 realizations.
 The option ``--group=2-D`` selects one group, and ``--group=new`` selects all new groups.
 
-New groups have every fast sampler with an offset (shift, strata-shift, digital-shift).
+New groups test every fast sampler with an offset (shift, strata-shift, digital-shift).
 Some of their problems have 4 to 8 dims, and some have unbounded integrands.
 References are measured with 20,000 realizations.
 If the moments of estimates are unbounded, references come from closed-form integrals.
@@ -38,7 +38,7 @@ Predictions within the first limit are right; no prediction may exceed the secon
 """
 
 REALIZATIONS = 10_000
-"""Number of realizations, for a relative standard error of about 1.4 % of normal estimates."""
+"""Number of realizations; variances of normal estimates get a standard error of about 1.4 %."""
 
 _DEAR = {"bnot": 2000, "poisson-disk": 4000}  # number of realizations for slow samplers
 
@@ -91,7 +91,7 @@ class Tail:
         return np.asarray(s * np.diff(whole))
 
     def between(self, s: int, offset: float | None = 0.0) -> float:
-        """Return the mean square of means over strata; None averages over all offsets."""
+        """Return the mean square of means over strata; `offset` None averages over all offsets."""
         if offset is not None:
             return float(np.mean(self.stratum_means(s, offset) ** 2))
         nodes, weights = _ends_rule()
@@ -193,7 +193,7 @@ class Unbounded:
         if base == "latin-hypercube":
             apart = [(n * h.mean**2 - h.between(n, at)) / (n - 1) for at in starts]
             return float(h.square**d / n + (1 - 1 / n) * math.prod(apart) - h.mean ** (2 * d))
-        # Nested scrambling in base 2: each pair of points has a product of means over sibling cells
+        # After nested scrambling in base 2, two points lie in two halves of one cell on each axis
         levels = int(math.log2(n))
         siblings = []
         for level in range(levels):
@@ -204,7 +204,7 @@ class Unbounded:
         cells = np.rint(points * n).astype(np.int64)
         total = 0.0
         for i in range(n):
-            # Two points share their leading bits; count the bits after these
+            # Count the bits after the leading bits that two points share
             apart_bits = np.frexp((cells ^ cells[i]).astype(float))[1]
             total += float(of_level[levels - apart_bits].prod(axis=-1).sum())
         return total / n**2 - float(h.mean ** (2 * d))
@@ -435,7 +435,7 @@ class Tally:
 
 
 def main(*flags: str) -> None:
-    """Print a row for each sampler and group, the totals, and the worst cells with their calls."""
+    """Print a row for each sampler and group, the totals, and calls that repeat the worst cells."""
     only = tuple(flag.partition("=")[2] for flag in flags if flag.startswith("--group="))
     worst: list[tuple[float, str]] = []
     totals: dict[str, Tally] = {}

@@ -80,7 +80,7 @@ def tasks() -> None:
 
 def cells() -> None:
     """Print the overhead of a cell: plan, schedule and row of the ledger."""
-    count = 3000  # more cells than a run writes to a store at the end
+    count = 3000  # above the limit up to which a run writes its cells to a store at the end
     with _timed(f"decode and plan {count:,} short cells", count):
         plan = make_plan(_study(count), Path())
     plan.cells[0].compute(0)  # The first call imports modules and compiles
@@ -152,7 +152,7 @@ def workers() -> None:
 
 
 def efficiency() -> None:
-    """Print the time of one worker over w times the time of w workers, for tasks that sleep."""
+    """Print the time of one worker divided by w times the time of w workers; the tasks sleep."""
     config = _study(64)
     one = None
     for count in (1, 2, 4, 8):

@@ -1,10 +1,11 @@
-"""Samplers as they are rendered: predicted against rendered ratios of variances, five scenes.
+"""Compare predicted and rendered ratios of the variances of two samplers, on five scenes.
 
 Each scene is rendered 200 times by ``mi.render`` with each sampler, with new seeds.
 The prediction measures the same pixels by `mcspectra.rendering.rendered` with fewer realizations.
-A ratio compares the variance of ``sobol | owen`` with that of a sampler of Mitsuba:
-the geometric mean over the pixels. A wrong winner has intervals on opposite sides of 1.
-``python -m benchmarks scenes --profile`` compares samples per pixel with the truth.
+A ratio is the variance of ``sobol | owen`` divided by the variance of a sampler of Mitsuba.
+The ratio of a scene is the geometric mean over its pixels.
+The predicted winner is wrong if the two intervals lie on opposite sides of 1.
+``python -m benchmarks scenes --profile`` checks the samples per pixel that a profile states.
 """
 
 import math
@@ -29,7 +30,7 @@ LUMINANCE = (0.212671, 0.715160, 0.072169)
 
 
 def images(name, plugin, spp, renders, first=0):
-    """Luminance of independent renders (R, pixels), by Mitsuba itself."""
+    """Luminance of R independent renders by Mitsuba itself, (R, pixels)."""
     mitsuba = load_mitsuba()
     scene = SCENES[name](width=WIDTH, height=HEIGHT)
     given = {"type": plugin} if isinstance(plugin, str) else plugin
@@ -41,7 +42,7 @@ def images(name, plugin, spp, renders, first=0):
 
 
 def ratio(ours, other, pixels):
-    """Geometric mean over pixels of Var(ours) / Var(other), and its standard error in logs."""
+    """Mean over pixels of log(Var(ours) / Var(other)), and the standard error of this mean."""
     logs = np.log(ours.var(axis=0, ddof=1)[pixels] / other.var(axis=0, ddof=1)[pixels])
     return logs.mean(), logs.std(ddof=1) / math.sqrt(len(logs))
 

@@ -1,4 +1,4 @@
-"""Settings of algorithms: number of right cases with half, once and twice each value.
+"""Count the right cases with each setting of an algorithm halved, unchanged and doubled.
 
 Without a flag, the benchmark tests `CauseSettings` and its parts.
 Each case has two seeds and 8,192 evaluations.
@@ -9,14 +9,14 @@ The flag ``--NAME`` measures one setting.
 
 ``--rates`` tests `CurveSettings` with five functions whose rate with scrambled nets is known.
 The benchmark prints the root mean square error of the rates.
-It also prints the mean half width of the intervals, and how many contain the true rate.
+The benchmark also prints the mean half width of the intervals, and how many contain the true rate.
 
 ``--chains`` tests `ChainSettings` with chains of 500 to 2,000 draws.
 Each chain has one known fault or none.
 
-``--stages`` tests `StageSettings` with 150 searches for a variance to 10 %.
+``--stages`` tests `StageSettings` with 150 searches that stop when a variance is known to 10 %.
 The benchmark prints mean numbers of realizations and stages.
-It also prints the root mean square of the true relative error.
+The benchmark also prints the root mean square of the true relative error.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ EVALUATING = {
     *("nets", "more_from", "lines_share", "check_share", "given_share", "pole_share"),
     *("dimension_share", "again", "same_value", "climbed", "many_dims"),
 }
-# Limits of the range of values; no case reaches these limits
+# Settings that limit the range of values; no case reaches these limits
 OMITTED = {"smallest", "largest", "pdf_points"}
 POLES = (
     (np.eye(1), 0.45, 1, False),
@@ -86,7 +86,7 @@ def is_right(seen: Evidence, causes: tuple[str, ...]) -> bool:
 
 
 def poles_right(settings: PoleSettings) -> int:
-    """Return the number of poles with right rank and place, and an exponent right to 0.02."""
+    """Return the number of poles with right rank and place, and an exponent error below 0.02."""
     right = 0
     for matrix, order, rank, border in POLES:
         place = np.zeros(matrix.shape[1]) if border else 0.3 + 0.1 * np.arange(matrix.shape[1])
@@ -228,7 +228,7 @@ def rates() -> None:
 
 
 def stages() -> None:
-    """Print a line for each setting of stages and each distribution of the estimates."""
+    """Print a line for each setting of `StageSettings` and each distribution of estimates."""
     estimator = mcs.Estimator("linear", dims=1)
     cell = MomentsCell((estimator,), mcs.sampler("random", dims=1), 1, Stream.from_rng(0))
 
@@ -275,7 +275,7 @@ def main(*only: str) -> None:
     ]
 
     def right(settings: CauseSettings, *, again: bool) -> str:
-        """Count cases with the right cause; also recognized poles, if settings may affect poles."""
+        """Count cases with the right cause, and recognized poles if settings may affect poles."""
         count = 0
         for (e, sampler, causes, seed), seen in zip(given, usual, strict=True):
             try:

@@ -1,7 +1,7 @@
 """Expected power of 4096 points on 512² frequencies, compared with one complex FFT of that size.
 
-Our grids contain m and −m, 513² frequencies from −256 to 256.
-The FFT has 512² frequencies, from −256 to 255.
+Our grids contain both m and −m: 513² frequencies, from −256 to 256 on each axis.
+The FFT has 512² frequencies, from −256 to 255 on each axis.
 """
 
 from __future__ import annotations

@@ -5,8 +5,8 @@ The overhead is the time of the study minus the time of the loop.
 Efficiency is the time with one worker divided by w times the time with w workers.
 Tasks that sleep show the cost of scheduling.
 Real tasks also share Python's lock (threads) and a memory bus.
-Two processes that each loop over half of the cells, without a study,
-show the largest speedup that two processors of the machine allow.
+Without a study, two processes each loop over half of the cells.
+Their speedup is the largest that two processors of the machine allow.
 All methods take turns in several rounds. If times vary, the shortest time is used.
 """
 
@@ -105,7 +105,7 @@ def _print_efficiency(what: str, one: float, several: float, workers: int) -> No
 def _side_by_side(config: StudyConfig) -> float:
     """Return the seconds in which two started processes each compute half of the cells."""
     context = multiprocessing.get_context("spawn")
-    gate = context.Barrier(3, timeout=600)  # fails unless both halves start
+    gate = context.Barrier(3, timeout=600)  # raises an error unless both processes start
     halves = [context.Process(target=_half, args=(config, i, gate)) for i in range(2)]
     for half in halves:
         half.start()
