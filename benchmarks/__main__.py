@@ -19,6 +19,7 @@ NAMES = (
     "convergence",
     "coverage",
     "peers",
+    "periodized",
     "predictions",
     "closed_forms",
     "agreement",

@@ -12,11 +12,13 @@ import mcspectra as mcs
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.estimators import Mirrored
+from mcspectra.improve.candidates import Budget, candidates_of
 from mcspectra.improve.improved import (
     CHANGES,
     ChangeSettings,
     Cubic,
     Evaluations,
+    Periodized,
     evaluated,
     improvements,
 )
@@ -297,3 +299,45 @@ def test_remedies_recommend_cubic_stratification_and_count_its_centers():
         kinds=["cubic"],
     )
     assert "In 7 dims there are too many cubes" in seven.attrs["not_tried"]
+
+
+@pytest.mark.parametrize("order", [2, 4])
+def test_periodized_integrands_keep_the_integral_and_have_their_rate(order):
+    integral = math.expm1(1.0) ** 2
+    f = mcs.Integrand.from_function(lambda x: np.exp(x.sum(-1)), dims=2, integral=integral)
+    g = Periodized.of(mcs.Estimator(f), order)
+    # Product of Gauss rules of 40 nodes, exact to rounding for polynomials times exponentials
+    x, w = np.polynomial.legendre.leggauss(40)
+    grid = np.stack(np.meshgrid(*[0.5 * (x + 1.0)] * 2), axis=-1)
+    assert np.einsum("i,j,ij", w, w, g(grid)) / 4.0 == pytest.approx(integral, rel=1e-13)
+    # Values and slopes are 0 at all faces, also where u rounds to the border
+    faces = np.array([[0.0, 0.3], [1.0 - 2.0**-53, 0.3], [0.3, 0.0]])
+    assert np.abs(g(faces)).max() < 1e-14
+    found = mcs.convergence(
+        mcs.Estimator(g), "rank1-lattice | shift", [144, 610, 987], realizations=100
+    )
+    assert float(found["exponent"]) == pytest.approx(-2.0 * order, abs=0.3 * order)
+
+
+def test_periodized_integrands_are_finite_where_g_grows():
+    f = mcs.Integrand.from_function(lambda x: x[..., 0] ** -0.6, dims=1, integral=2.5)
+    (made,) = candidates_of(
+        Setup(mcs.Estimator(f), mcs.sampler("random", dims=1)),
+        ["periodized"],
+        Budget(1024, 100, Stream.from_rng(0)),
+    )
+    assert made.finite_below == 0.875
+    assert made.setup.sampler.spec == "rank1-lattice | shift"
+    # g ∝ t^(4 (1 − 0.6) − 1) = t^0.6 toward 0, and its integral is that of f
+    u = np.array([[1e-8], [1e-6]])
+    low, high = made.setup.estimator.primary_integrand(0)(u)
+    assert high / low == pytest.approx(100.0**0.6, rel=1e-5)
+    points = made.setup.sampler.draw(4096, realizations=8, rng=0)
+    found = made.setup.estimator.primary_values(0, points).mean(axis=1)
+    assert found == pytest.approx(2.5, rel=1e-4)
+
+
+def test_five_dims_are_not_made_periodic():
+    given = plain(estimator("smooth"))
+    (why,) = candidates_of(given, ["periodized"], Budget(1024, 100, Stream.from_rng(0)))
+    assert "In 5 dims the substitution adds too much variance" in why

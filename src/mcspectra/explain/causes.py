@@ -578,7 +578,7 @@ def _infinite_variance(seen: Evidence) -> Cause | None:
                 "infinite-variance",
                 f"The integrand g {what}: {said}.",
                 {"exponent": index},
-                ("fitted", "warp") if border and index < known.no_integral else (),
+                ("periodized", "fitted", "warp") if border and index < known.no_integral else (),
             )
     if seen.estimator.infinite_weights and _tail(seen)[1] > 0.5:
         return Cause(
@@ -844,7 +844,7 @@ def _border_growth(seen: Evidence, *, slow: bool) -> Cause | None:
         "border-growth",
         f"The integrand {said}: the outermost strata keep noise that {what}.",
         {"slow_exponent" if slow else "exponent": index},
-        ("fitted", "warp"),
+        ("periodized", "fitted", "warp"),
     )
 
 

@@ -100,7 +100,7 @@ class CandidateSettings:
     # Maximum number of dims in which g is made periodic.
     # The substitution multiplies ∫g² by up to 1.6^d, so it loses to nets in many dims.
     # In 5-D, the RMSE of a smooth function with 1,024 points
-    # is 13 times that of a folded lattice (`benchmarks periodized`).
+    # is 12 times that of a folded lattice (`benchmarks periodized`).
     most_periodized_dims: int = 4
     # Maximum number of dims in which edges are smoothed by means over boxes.
     # In more dims, means take too many evaluations; smoothing by the distance takes only one.

@@ -53,7 +53,7 @@ class RemedySettings:
     # With a larger ratio, only two or three budgets would be large enough for two points.
     ratio: int = 4
     # Expected number of changes of each kind, for estimates of cost and memory before a run.
-    # For functions in 2-D, all 15 kinds together make 17 to 24 changes; ``sampler`` makes eight.
+    # For functions in 2-D, all 16 kinds together make 18 to 25 changes; ``sampler`` makes eight.
     tries: int = 3
     # Equal estimates agree with an exact integral if their relative difference is at most this.
     # Means are rounded to about 1e-15.
