@@ -133,7 +133,7 @@ class Dimension:
 @final
 @dataclass(frozen=True, kw_only=True)
 class PathPixel(MitsubaIntegrand):
-    """Radiance of one pixel by any sampling integrator, as a function of all its random numbers.
+    """Radiance of one pixel by any sampling integrator, as a function of all random numbers.
 
     Parameters
     ----------
@@ -241,7 +241,7 @@ def path_pixel(
 
 
 def light_selection(scene: Scene) -> Array:
-    """Probability that Mitsuba chooses each light: (L,) in the order of `emitter_names`."""
+    """Return the probabilities (L,) of Mitsuba's lights in the order of `emitter_names`."""
     with LOCK:
         weights = np.array([float(e.sampling_weight()) for e in load_scene(scene).emitters()])
     return np.asarray(weights / weights.sum())
@@ -302,7 +302,7 @@ class Tracer:
     ) -> tuple[Dimension, ...]:
         """Return how paths through these pixels use each of the first `dims` coordinates of u.
 
-        By default, the paths determine `dims`, at most 64; the use of later coordinates is unknown.
+        By default, `dims` is what the paths use, at most 64. Later coordinates are "unknown".
         """
         found = self.dry_run(pixels)[0]
         count = min(len(found), _MOST_DIMS) if dims is None else dims
@@ -334,7 +334,7 @@ class Tracer:
 
     @contextlib.contextmanager
     def _lights(self) -> Iterator[None]:
-        """Yield the scene with the requested lights chosen and dimmed, while the lock is held."""
+        """Change the probabilities and dimming of the lights inside the block; needs the lock."""
         if self.selection is None and self.light is None:
             yield
             return
@@ -386,7 +386,7 @@ class Tracer:
         return np.moveaxis(pixel_sums(u, len(pixels), 3 if self.channel == "rgb" else 1, at), 0, -1)
 
     def trace(self, sampler: Any, x: Any, y: Any, film: Any = None) -> Any:
-        """Radiance along a path through pixels x and y, as in Mitsuba's own loop over pixels.
+        """Return the radiance along a path through pixel (x, y), as in Mitsuba's own loop.
 
         The position in the pixel is `film`; by default it is the next pair of the sampler.
         """
@@ -420,7 +420,7 @@ class Tracer:
 
 
 def find_integrator(scene: Scene, spec: object) -> Any:
-    """Return the integrator of a spec, or of the scene, if it can trace a single ray."""
+    """Return the integrator of a spec, or the scene's own; it must trace single rays."""
     if not isinstance(spec, str) or not spec.strip():
         raise ParameterError(
             Parameter("integrator"),
@@ -465,7 +465,7 @@ def _kind(found: Any) -> str:
 
 
 class _Numbers:
-    """Coordinates of points in Dr.Jit's memory; not a dataclass, so loops do not copy it."""
+    """Coordinates of points in Dr.Jit's memory; not a dataclass, so loops do not copy them."""
 
     def __init__(self, table: Any, dims: Any, first: Any) -> None:
         import drjit
@@ -530,7 +530,7 @@ def _sampler_class() -> Any:
 
 @functools.lru_cache(maxsize=4)
 def dimensions_of(scene: Any) -> Callable[..., tuple[tuple[Dimension, ...], float]]:
-    """Return a cached function for the dry runs of one scene; few scenes stay in memory."""
+    """Return a cached function for the dry runs of a scene. At most four scenes are kept."""
     del scene
     return functools.lru_cache(maxsize=256)(_dry_run)
 

@@ -175,7 +175,7 @@ def joint_sampler(pair: Sampler, dims: int) -> Sampler:
 
 @functools.cache
 def _plugin_class(variant: str) -> Any:
-    """Derive a sampler class for a variant and register it; its `state` holds the data."""
+    """Derive a sampler class for a variant and register it; `state` holds its data."""
     mitsuba = import_mitsuba()
     if variant.startswith("llvm"):
         before = mitsuba.variant()
@@ -219,7 +219,7 @@ def _plugin_class(variant: str) -> Any:
                 return
             self._seed_base(seed, wavefront_size)
             per_pass = self.per_pass or self.options.samples_per_pass or self.sets.count
-            # Mitsuba's own integrators set the samples per pass without calling Python
+            # Integrators in C++ set the samples per pass without calling Python: forget it
             self.per_pass = None
             number = int(seed) if isinstance(seed, int) else int(seed.numpy()[0])
             stream = self.options.stream(number)
@@ -376,7 +376,7 @@ def seed_lanes(
 
 
 class _DeviceSets:
-    """Point sets in Dr.Jit's memory, made from float32 (sets, count, dims); `size` is their number.
+    """Point sets in Dr.Jit's memory, from a float32 array (sets, count, dims).
 
     This class is not a dataclass: Dr.Jit would copy the tables of a dataclass through its loops.
     """
@@ -399,7 +399,7 @@ class _DeviceSets:
 
 
 class _TablePads:
-    """Tables of sets: 1-D sets for requests for one number, 2-D sets for requests for two numbers.
+    """Tables of point sets: 1-D sets answer requests for one number, 2-D sets those for two.
 
     An offset selects the set that answers a request. All requests of a pixel differ in the offset.
     """
