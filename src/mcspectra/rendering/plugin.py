@@ -529,7 +529,7 @@ class Rounds:
 
     @staticmethod
     def of(pixels: int, requests: int, numbers_each: int) -> Rounds:
-        """Lay out sets for the first `requests` of every pixel, within the memory limit."""
+        """Choose the layout of sets for the first `requests` of a pixel within a memory limit."""
         size = max(_FEWEST_SETS, pixels * requests + 1)
         size = min(size, _MOST_NUMBERS // numbers_each)
         golden = int(size * _GOLDEN)
