@@ -121,7 +121,7 @@ ENVIRONMENT = "environment"
 
 
 class MitsubaIntegrand(Integrand):
-    """Mitsuba's values of one or all channels; the integral is estimated by a mean over points."""
+    """Values from Mitsuba for one or all channels. The integral is a mean over points."""
 
     costly: ClassVar[bool] = True
     stock_samplers: ClassVar[tuple[str, ...]] = (
@@ -446,7 +446,7 @@ def incident_light(
     channel: str | int = "luminance",
     resolution: int = 128,
 ) -> xr.Dataset:
-    """Compute the light from all directions of the upper hemisphere at the pixel's surface point.
+    """Compute the light that reaches the surface point of a pixel from all directions.
 
     Parameters
     ----------
@@ -548,7 +548,7 @@ class PixelMIS(AbstractEstimator):
     heuristic
         Spec of the heuristic.
     shares
-        Relative sample counts of the techniques; heuristics that use f multiply them by factors.
+        Relative sample counts of the techniques. Heuristics that use f adapt these counts.
     control
         Coefficients α_t of the control variate of ``optimal`` weights, (T,) or (T, 3), or None.
     """
@@ -756,7 +756,7 @@ def pixel_mis(
 
 
 def _bound(view: PixelView, technique: Density | str) -> Technique:
-    """Return a named technique unchanged, and a density as a technique for the environment."""
+    """Return a named technique unchanged, and a density as a technique of the environment."""
     if isinstance(technique, str) and technique in _BY_NAME:
         return technique
     environment_of(view.scene, view.light)

@@ -388,7 +388,7 @@ class _DeviceSets:
         self.size, self._count = (drjit.opaque(module.UInt32, k) for k in sets.shape[:2])
 
     def draw(self, dims: int, number: Any, start: Any, index: Any, active: Any) -> list[Any]:
-        """Return coordinates, from number `start`, of a point of set `number` modulo `size`."""
+        """Return `dims` coordinates of point `index` in set `number` modulo `size`."""
         import drjit
 
         first, kind = (
