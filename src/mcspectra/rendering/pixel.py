@@ -334,7 +334,7 @@ class PixelView:
         return self.dims >= _WITH_FILM
 
     def values(self, technique: Technique, u: Array, heuristic: str | None = None) -> Array:
-        """Values f/p at u (..., dims), times the weight of a heuristic: (...) or (..., 3)."""
+        """Return f/p at u (..., dims), times a heuristic's weight if given: (...) or (..., 3)."""
         found = self.draws(technique, u.reshape(-1, self.dims), (), heuristic).values
         return found.reshape((*u.shape[:-1], *found.shape[1:]))
 

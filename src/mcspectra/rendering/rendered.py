@@ -46,7 +46,7 @@ _WIDE_LANES = 2**22  # largest wavefront if a single tile has more samples than 
 @final
 @dataclass(frozen=True)
 class Film:
-    """Size of a film in pixels, and the margin in pixels from which its filter takes samples."""
+    """Size of a film, and how far beyond a pixel its filter takes samples, all in pixels."""
 
     width: int
     height: int

@@ -177,7 +177,7 @@ def render_file(
     integrator
         Mitsuba plugin, such as ``"path(max_depth=5)"``; by default the scene's own.
     sampler
-        Spec of one of our samplers, which replaces the scene's own; the file is not changed.
+        Spec of one of our samplers, which replaces the scene's own sampler in memory.
     joint_dims
         With `sampler`: how many of the first numbers of a path are joint; the others are padded.
         The default is 4 for scrambled nets in base 2 and 0 otherwise.
@@ -610,7 +610,7 @@ _MOST_NAMES = 64  # maximum number of values that the parameters in one text can
 # Maximum number of passes over all names. Each pass follows one more include or default
 _MOST_ROUNDS = 64
 _LONGEST_PATH = 4096  # maximum length of a path in Linux; a longer text cannot be a file
-_LONGEST_PARAMETER, _LONGEST_TEXT = 64, 2**20  # maximum length of a name and its values
+_LONGEST_PARAMETER, _LONGEST_TEXT = 64, 2**20  # largest lengths of a name, a text
 _PARAMETER = re.compile(rf"\w{{1,{_LONGEST_PARAMETER}}}", re.ASCII)
 _PLUGIN_NAME = re.compile(r"[\w-]+")
 _LIBRARIES = (".so", ".dylib", ".dll")
@@ -669,7 +669,7 @@ def referenced_files(
     values: dict[str, dict[str, None]] = {k: {v: None} for k, v in (definitions or {}).items()}
     folders, here = {first.parent: None}, Path.cwd()
     files: dict[Path, _SceneFile] = {}
-    places_of: dict[tuple[Path, int], dict[Path, None]] = {}  # keys: file, index of a name
+    places_of: dict[tuple[Path, int], dict[Path, None]] = {}  # keys: file, index of its name
     found: set[Path] = set()
 
     @functools.cache
@@ -771,7 +771,7 @@ def referenced_files(
 
 @dataclass
 class _SceneFile:
-    """Checked contents of an XML file: its ``<default>`` values, files and plugins.
+    """Checked contents of an XML file: its ``<default>`` values, plugins, and named files.
 
     Attributes
     ----------
@@ -899,7 +899,7 @@ def _too_many(file: Path, text: str) -> FileFormatError:
 
 
 def check_plugin(name: str, folders: Iterable[Path]) -> None:
-    """Reject a plugin that is a library in one of these folders; Mitsuba would run its code.
+    """Reject a plugin if one of these folders has a library of its name, which Mitsuba would run.
 
     Raises
     ------

@@ -107,7 +107,7 @@ class ScreenSettings:
         Largest number of processes for all blocks of a sampler.
         A process that prints one pixel takes 2 ms if compiled, and 50 ms in Python.
     most_seconds
-        Largest time of all processes of a sampler, as estimated from the first process.
+        Largest total time of all processes of a sampler, in seconds; estimated from the first.
     warned_seconds
         A warning shows the estimated time if it is longer than this, in seconds.
     """
@@ -208,7 +208,7 @@ class PixelSampler(ScreenSampler):
         return getattr(self.sampler.plain, "name_", "") or self.spec
 
     def check(self, n: int, block: ScreenBlock, seeds: int) -> None:
-        """Also refuse blocks larger than the image of ``decorrelate``, and too many processes."""
+        """Also reject blocks larger than the image of ``decorrelate``, and too many processes."""
         ScreenSampler.check(self, n, block, seeds)
         self.sampler.check_count(n)
         mask = self._mask
@@ -223,7 +223,7 @@ class PixelSampler(ScreenSampler):
             _check_processes(self.spec, seeds * block.size)
 
     def repeats(self, n: int, block: ScreenBlock) -> tuple[bool, bool]:
-        """Return whether the block holds whole masks of ``decorrelate``."""
+        """Return whether the block is a whole number of masks, in space and in time."""
         del n
         mask = self._mask
         if mask is None or mask.mask not in ("blue-noise", "spatiotemporal"):
@@ -239,7 +239,7 @@ class PixelSampler(ScreenSampler):
         return last if isinstance(last, Decorrelate) else None
 
     def frames_of(self, n: int, block: ScreenBlock, seed: int, stream: Stream) -> Iterator[Array]:
-        """Draw one realization per pixel; each block continues after the frames of the last."""
+        """Draw one realization per pixel. Blocks take successive frames of realizations."""
         width, height, frames = block
         stride, lines = width, height
         if self._mask is not None:
@@ -342,7 +342,7 @@ class CommandScreen(ScreenSampler):
         return tuple(f"{{{one}}}" in self.run for one, _ in _AXES)
 
     def _parts(self, block: ScreenBlock) -> tuple[list[int], list[int]]:
-        """Return the runs along each axis, and the printed places along each axis."""
+        """Return the number of runs and the number of printed positions, along each axis."""
         sizes = (block.frames, block.height, block.width)
         if not set(_AXES[0]) & set(PLACEHOLDER.findall(self.run)):
             sizes = (1, *sizes[1:])
@@ -500,7 +500,7 @@ class PythonScreen(_OfFunction):
     Attributes
     ----------
     function
-        The name as ``module:function``. Modules are found on Python's path (PYTHONPATH).
+        Name of the function, ``module:function``. Modules are found on Python's path (PYTHONPATH).
         `FunctionScreen` describes the arguments and the result of the function.
     dims
         Number of coordinates of the returned points.
@@ -559,7 +559,7 @@ class Tiles(ScreenSampler):
         For a list of files, the channels of all files are joined in this order.
 
         * PNG: one picture per frame, sorted by the numbers in the names.
-          This is how spatio-temporal masks are distributed, as in ``stbn_vec2_2Dx1D_128x128x64_*``.
+          Spatio-temporal masks are often published so, as in ``stbn_vec2_2Dx1D_128x128x64_*``.
           Level k of L becomes (k + ½)/L, for 256 or 65,536 levels. Alpha is not used.
         * ``.npy``: shape (frames, height, width, channels), or (height, width, channels), or
           (height, width) for one channel. Floats lie in [0,1). Levels of unsigned integers of 8 or
@@ -636,7 +636,7 @@ class Tiles(ScreenSampler):
         return self.path if isinstance(self.path, str) else " and ".join(self.path)
 
     def blocks(self, block: ScreenBlock, seeds: int) -> tuple[int, bool]:
-        """Return the number of different parts of the tile; one, if the block holds it whole."""
+        """Return the number of different parts of the tile: 1 if the block holds it whole."""
         if self.points and not as_sampler(self.points, self.dims).fixed:
             return seeds, False
         if all(self.repeats(1, block)):
@@ -753,7 +753,7 @@ _TABLE = r"\b{}\s*\[[^\]]*\]\s*=\s*\{{([^}}]*)\}}"
 @final
 @dataclass(frozen=True, kw_only=True)
 class Tables(ScreenSampler):
-    """Tables of Heitz and others: one Sobol' set, with a ranking and a scrambling per pixel.
+    """Tables of Heitz and others: one Sobol' set, and ranking and scrambling values per pixel.
 
     Attributes
     ----------

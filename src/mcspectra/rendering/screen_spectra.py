@@ -124,7 +124,7 @@ def screen_spectrum(
     xarray.Dataset
         By sampler, frequency and radius: ``error_power``, the power P_err in units of f².
         Frequencies are in cycles per frame, and radii in cycles per pixel.
-        ``relative_power`` is this power over the mean squared error of a pixel; white noise has 1.
+        ``relative_power`` is the power over the mean squared error of a pixel, 1 for white noise.
         By sampler: ``pixel_error``, the mean squared error of a pixel, with ``pixel_error_ci``.
         ``low_share`` is the mean relative power below 1/8 cycle per pixel, 1 for white noise.
         ``slow_share`` is the same below 1/8 cycle per frame.
@@ -234,7 +234,7 @@ def screen_spectrum(
         mean = table[:, : len(FILTERS)].mean(axis=0)
         ends = _interval(table[:, : len(FILTERS)], whole, len(sources), slack)
         found["filtered_error"].append(mean)
-        # Random points are white; their filtered error is the sum of the squared filter weights
+        # Random points give white noise: a filter multiplies it by the sum of its squared weights
         level = white * np.array([_white_gain(name, sigma, alpha) for name in FILTERS])
         found["filtered_ratio"].append(mean / level)
         found["filtered_ratio_ci"].append(ends / level[:, None])
@@ -368,7 +368,7 @@ def _used(
 
 
 def _white_gain(kind: str, sigma: float, alpha: float) -> float:
-    """Return the sum of the squared weights of a filter, its effect on white noise."""
+    """Return the sum of the squared weights of a filter, its factor for white noise."""
     space = float((Gaussian(sigma=sigma).weights() ** 2).sum()) ** 2
     time = alpha / (2.0 - alpha)
     return {"none": 1.0, "gaussian": space, "ema": time, "both": space * time}[kind]
