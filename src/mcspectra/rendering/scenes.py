@@ -674,7 +674,7 @@ def referenced_files(
 
     @functools.cache
     def places(name: str, where: tuple[Path, ...], named_in: str) -> list[Path]:
-        """Return the paths of files with this name; `trust`, if not None, must allow each path."""
+        """Return the paths of files with this name; `trust`, if given, must allow each path."""
         beside = [place for folder in where if (place := _regular(folder / name, first))]
         if not beside and (elsewhere := _regular(here / name, first)):
             beside = [elsewhere]

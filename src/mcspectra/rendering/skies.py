@@ -159,7 +159,7 @@ def _pixels(emitter: Any, rows: int) -> Array:
 
 
 def rotation_of(emitter: Any) -> Array:
-    """Return the (3, 3) rotation of an emitter to the world; a scaled frame is a ParameterError."""
+    """Return the rotation (3, 3) from an emitter's frame to the world; scaling is an error."""
     matrix = np.asarray(emitter.world_transform().matrix, np.float64).reshape(4, 4)[:3, :3]
     if not np.allclose(matrix.T @ matrix, np.eye(3), atol=_ORTHONORMAL):
         raise ParameterError(

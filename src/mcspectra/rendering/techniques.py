@@ -314,7 +314,7 @@ def sample_light(
     """Sample a light with u, a `Point2f`. If `emitter` is None, also choose one of all lights.
 
     The third number in [0,1), `extra`, selects the light.
-    If it is None, the first coordinate of u also selects. Inactive points have the value 0.
+    If it is None, the first coordinate of u also selects. Inactive points get the value 0.
     """
     import drjit
 
@@ -375,7 +375,7 @@ def follow_bsdf(
 
 
 def look_at_sky(hit: Hit, emitter: Any, direction: Any, active: Any = True) -> tuple[Any, Any]:
-    """Evaluate f_r L V cos and the BSDF's density in world directions toward the environment."""
+    """Evaluate f_r L V cos and the BSDF's density, for directions toward the environment."""
     import drjit
 
     mitsuba, at = load_mitsuba(), hit.interaction

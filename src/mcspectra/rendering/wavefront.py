@@ -69,7 +69,7 @@ class Wavefront:
         Index or name of the only light to use; by default all lights.
     film
         ``"center"``: rays go through the centers of the pixels.
-        ``"sampled"``: rays through a point of the pixel, uniform by the first two columns of u.
+        ``"sampled"``: rays go through random points of the pixel, from the first two columns.
         With sampled positions, the image has a box filter.
     heuristic
         ``"balance"`` or ``"power"`` (β = 2), for the ``mis`` strategies.
@@ -190,7 +190,7 @@ class Wavefront:
         return out
 
     def net_means(self, strategy: str, pixels: Array, points: NetPoints) -> Array:
-        """Same as `means` without checks, for points from the kernel, one set per pixel."""
+        """Same as `means`, without checks. The kernel computes the points, one set per pixel."""
         sums = self._sums(strategy, pixels, points)
         sums /= points.count
         return sums
