@@ -63,7 +63,7 @@ class Result:
         axes
             Matplotlib axes to draw into, one per panel. Default: new axes.
         ax
-            Alias of `axes` for a figure of one panel, the name used by pandas and xarray.
+            Another name for `axes` if the figure has one panel, as in pandas and xarray.
         overlay
             Result of `predict` for the same samplers.
             The plot ``convergence`` then also shows the predictions and the theoretical slopes.
@@ -77,7 +77,7 @@ class Result:
         ------
         ParameterError
             If no figure shows this result, or if the figure `kind` does not fit this result.
-            If the number of `axes` is not the number of panels, or if `axes` and `ax` are given.
+            Number of points for images, spectrum and quality figures, rounded to a possible count.
 
         Examples
         --------

@@ -177,7 +177,7 @@ def bench_labels(bench: xr.Dataset) -> list[str]:
 
 
 class BenchFigure(NamedTuple):
-    """A figure of a bench: its section on the page, a name for files, the plot, n and sets."""
+    """A figure of a bench: title, name for files, plot, and a text with n and the sets."""
 
     title: str
     name: str

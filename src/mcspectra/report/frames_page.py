@@ -542,7 +542,7 @@ def filter_table(found: dict[str, Any]) -> html.Table | None:
 
 
 def frame_layers(result: xr.Dataset) -> dict[str, Array]:
-    """Return EXR layers: the mean image, and each per-pixel number by name and sample count."""
+    """Return EXR layers: the mean image, and quantities per pixel by name and samples."""
     maps = result.drop_vars(
         [n for n in result if not {"y", "x"} <= set(result[n].dims)] + ["image"]
     )

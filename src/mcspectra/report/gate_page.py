@@ -100,7 +100,7 @@ def _reason(result: xr.Dataset, found: dict[str, Any]) -> str:
 
 
 def _failed(found: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the failed tests: the image first, then the most significant, then the noise."""
+    """Return the failed tests: the image, then other tests of means by p, then the noise."""
     order = list(_TESTS)
     failed = [each for each in found["tests"] if each["p"] <= found["level"]]
 
@@ -407,7 +407,7 @@ def write_junit(result: xr.Dataset, file: str | Path) -> Path:
 
 
 def github_annotation(result: xr.Dataset) -> str:
-    """Return the verdict as a command of a GitHub workflow, which shows it at the run."""
+    """Return the verdict as a command of a GitHub workflow; GitHub shows it next to the run."""
     kind = {"pass": "notice", "fail": "error", "undecided": "warning"}[result.attrs["verdict"]]
     text = printable(" ".join(gate_findings(result)[:2]), 2000)
     for letter, code in (("%", "%25"), ("\r", "%0D"), ("\n", "%0A")):

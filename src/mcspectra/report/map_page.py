@@ -171,7 +171,7 @@ def map_table(summary: Mapping[str, Any]) -> html.Table:
 def _worst_row(
     pixel: Mapping[str, Any], known: Mapping[str, Any], root: Path
 ) -> tuple[html.TableCell | str, ...]:
-    """Return the table row of a pixel: its analysis command, and a link if its page exists."""
+    """Return the table row of a pixel: the command to analyze it, and a link to its page if any."""
     x, y = pixel["x"], pixel["y"]
     page = f"pixel-{x}-{y}/report.html"
     scene, film = known["scene"], known["size"] == known.get("film")
@@ -289,7 +289,7 @@ def map_summary(result: xr.Dataset) -> dict[str, Any]:
 
 
 def _causes(result: xr.Dataset, kind: str) -> dict[str, dict[str, float]]:
-    """Return the share of the variance due to each bounce or decision, for image and pixels."""
+    """Return a table of values over `dims` in the first channel, with their methods."""
     shares, weights = result[f"{kind}_share"], result["path_variance"]
     total = float(weights.where(shares.notnull().all(kind)).sum())
     found = {}
@@ -472,7 +472,7 @@ def _share(values: Array, label: int) -> float:
 
 
 def _sentences(summary: Mapping[str, Any]) -> Iterator[str]:
-    """Yield sentences: which parts of the scene were not measured, and fractions of pixels."""
+    """Yield sentences on parts of the scene that were not measured, and fractions of pixels."""
     if summary.get("scene_note"):
         yield summary["scene_note"]
     if summary.get("padding"):

@@ -83,7 +83,7 @@ class Markup(str):
 @final
 @dataclass(frozen=True, kw_only=True)
 class Paragraph:
-    """A paragraph, an answer, a heading in a section, a quotation, code, or a MathML formula."""
+    """A paragraph, an answer, a heading inside a section, a quotation, code, or a formula."""
 
     text: str | Markup
     kind: Literal["", "answer", "soft", "heading", "quote", "code", "formula"] = ""
@@ -496,7 +496,7 @@ def write_page(
         seen: Counter[str] = Counter()
 
         def label(text: str) -> str:
-            """Append a number to the label of a region if an earlier region has the same label."""
+            """Add a number to the label of a page region if an earlier region has the same."""
             seen[text] += 1
             return text if seen[text] == 1 else f"{text} ({seen[text]})"
 
@@ -557,7 +557,7 @@ _THUMBNAIL = (176, 112)  # largest width and height in pixels: twice the size on
 def _drawn(
     figure: Figure, folder: Path | None, root: Path, *, thumbnail: bool, with_pdf: bool
 ) -> Mapping[str, Any]:
-    """Return a figure for the template: base64 PNG with its size, and the compressed live plot."""
+    """Return a figure for the template: base64 PNG, its size, and the compressed live plot."""
     from mcspectra.plots import backend_matplotlib
 
     plot, file, filed = figure.plot, "", folder is not None and bool(figure.name)

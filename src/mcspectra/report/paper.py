@@ -185,7 +185,7 @@ def _bench_tables(bench: xr.Dataset) -> Iterator[_Table]:
 
 
 def _grouped(kinds: Sequence[str], heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a booktabs tabular of LaTeX cells; equal kinds side by side share a heading."""
+    """Return a booktabs tabular of LaTeX cells; adjacent columns of one kind share a heading."""
     lines = [
         r"% needs \usepackage{booktabs}",
         rf"\begin{{tabular}}{{l{'r' * (len(heads) - 1)}}}",

@@ -137,7 +137,7 @@ def path_answer(tree: xr.DataTree) -> str:
 
 
 def _advised(tree: xr.DataTree, *kinds: str) -> tuple[xr.Dataset, xr.Dataset]:
-    """Return the best change that helps significantly, or the path as given, and its reference.
+    """Return the best change if it helps significantly, else the path as given; and the reference.
 
     If `kinds` are given, only these kinds of changes are considered.
     The reference is the path with random numbers if it was measured, otherwise the path as given.
@@ -226,7 +226,7 @@ def path_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
     elif known.get("lights_note"):
         said.append(("lights", str(known["lights_note"])))
     if "remedies" in tree.children:
-        # Find the fewest leading QMC coordinates that are not significantly worse than all of them
+        # Find the fewest leading QMC coordinates that are not significantly worse than all
         tried = tree["remedies"].to_dataset()
         enough = (tried["kind"].values == "padding") & (tried["verdict"].values != "worse")
         fewest = [int(str(name).split()[0]) for name in tried["remedy"].values[enough]]

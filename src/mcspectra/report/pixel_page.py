@@ -155,7 +155,7 @@ def pixel_answer(tree: xr.DataTree) -> str:
 
 
 def pixel_rows(tree: xr.DataTree) -> list[SummaryRow]:
-    """Return one row per strategy and sampler, with the prediction and the terms if analyzed.
+    """Return one row per strategy and sampler, with the prediction and, if available, the terms.
 
     Parameters
     ----------

@@ -230,7 +230,7 @@ def strip(points: Array, label: str) -> str:
 
 
 def curve(values: Array, label: str) -> str:
-    """Draw values (k,) or (k, channels) at the centers of k equal cells; the range includes 0."""
+    """Draw values (k,) or (k, channels) at k cell centers, in a range that includes 0."""
     columns = values.reshape(len(values), -1)
     low, high = _limits(columns)
     low, high = min(low, 0.0), max(high, 0.0)

@@ -1,4 +1,4 @@
-"""Write results as values, tables (CSV, LaTeX), images or pages, according to the extension."""
+"""Write results as values, tables (CSV, LaTeX), images or pages, depending on the extension."""
 
 from __future__ import annotations
 

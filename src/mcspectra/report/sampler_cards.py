@@ -148,7 +148,7 @@ class Card:
 
 
 def all_samplers(dims: Sequence[int] = (2, 1, 3)) -> list[str]:
-    """Return the specs of all samplers that need no parameters and can make one of `dims`."""
+    """Return the specs of all samplers without required parameters that support one of `dims`."""
     return sorted(spec for spec in (*SAMPLERS, *_ALSO) if _makeable(spec, dims))
 
 

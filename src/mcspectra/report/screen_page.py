@@ -33,7 +33,7 @@ SCREEN_FILES = (".html", ".csv", *_PICTURES)
 """Extensions that `write_screen` accepts; a name without an extension is a folder."""
 
 _AFTER = {"none": "As it is", "gaussian": "After blur", "ema": "After EMA", "both": "After both"}
-_WIDE = 1.5  # ratio of the ends of an interval above which both ends are shown
+_WIDE = 1.5  # above this ratio of its ends, both ends of an interval are shown
 _CURVES = ["pixel_error", "pixel_error_ci", "low_share", "slow_share", "blocks"]
 
 
@@ -150,7 +150,7 @@ def write_screen(result: xr.Dataset, file: str) -> Path:
         Result of `mcspectra.rendering.screen_spectrum`.
     file
         A folder gets ``index.html``, ``screen.json`` and ``screen.csv``. ``.html`` is one page.
-        ``.csv`` has one row per sampler and filter. Pictures show the spectra over space and time.
+        ``.csv`` has one row per sampler and filter. Images show the spectra over space and time.
 
     Raises
     ------

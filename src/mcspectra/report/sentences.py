@@ -46,7 +46,7 @@ _TERMS = {
 
 @dataclass(frozen=True)
 class Size:
-    """Variance of a set-up with the ends of its 95 % interval, rate (NaN if unknown) and mean."""
+    """Variance of a set-up, the ends of its 95 % interval, its rate (NaN if unknown) and mean."""
 
     variance: float
     low: float
@@ -84,7 +84,7 @@ def compared(sizes: Mapping[str, Size], given: str, evaluations: int, why: str =
         gain, least, most = (a / b if b > 0.0 else math.nan for a, b in ratios)
 
         def needed(gain: float) -> float:
-            """Return the number of evaluations that the given set-up needs for the same gain."""
+            """Return how many evaluations the given set-up needs for the same variance."""
             with_rate = start.rate < 0.0 and gain > 0.0
             return evaluations * gain ** (-1.0 / start.rate) if with_rate else math.nan
 
@@ -418,7 +418,7 @@ def _cross_share(row: SummaryRow) -> str:
 
 
 def _median_frequency(row: SummaryRow, terms: xr.Dataset) -> float | None:
-    """Return the |m| below which half of the power term lies; None for a basis without lengths."""
+    """Return the |m| below which half of the power term lies; None without lengths."""
     scale = {"fourier": 1.0, "cosine": 0.5}.get(row.basis or "fourier")
     if scale is None or "power_contribution" not in terms:
         return None

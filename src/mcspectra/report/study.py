@@ -261,7 +261,7 @@ def collect(tree: xr.DataTree) -> list[Estimates]:
 
 
 def provenance(tree: xr.DataTree, root: Path) -> tuple[tuple[str, str | Markup], ...]:
-    """Return the provenance of the results in `root`: seed, study hash, machines and versions."""
+    """Return the provenance of the results in `root`: seed, study hash, machines, versions."""
     hosts: Sequence[str] = ()
     if (root / LEDGER_NAME).exists():
         with Ledger.read(root) as ledger:
@@ -514,7 +514,7 @@ def _details(
 def _with_predictions(
     analyses: Mapping[str, Mapping[str, xr.Dataset]],
 ) -> dict[str, Mapping[str, xr.Dataset]]:
-    """Return the analyses for figures; predictions join the measured curves of all samplers."""
+    """Return the analyses to draw, with predictions and measured curves in one plot if possible."""
     measured, predicted = (analyses.get(name, {}) for name in ("convergence", "predict"))
     if not predicted or not set(predicted) <= set(measured):
         return dict(analyses)
