@@ -404,7 +404,7 @@ def _empty(size: tuple[float, float], pyplot: bool, layout: Any, background: str
 
 
 def _new_figure(plot: Plot, pyplot: bool, look: Look) -> tuple[Figure, list[Axes]]:
-    """Create a figure for the panels of a plot; inner labels of shared axes are hidden."""
+    """Create a figure for the panels of a plot. Inner labels of shared axes are hidden."""
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     count, columns = len(plot.panels), min(plot.columns, len(plot.panels))
@@ -455,7 +455,7 @@ def _new_figure(plot: Plot, pyplot: bool, look: Look) -> tuple[Figure, list[Axes
 
 def _exact_figure(plot: Plot, shape: tuple[int, ...], pyplot: bool) -> tuple[Figure, list[Axes]]:
     """Create a figure whose PNG shows each image pixel as a square of whole pixels."""
-    least, gap, strip = 240, 12, 25  # in pixels: smallest side, gap between panels, title height
+    least, gap, strip = 240, 12, 25  # in pixels: least side, gap between panels, title height
     height, width, _ = shape
     zoom, columns = max(1, -(-least // width)), min(plot.columns, len(plot.panels))
     foot = gap + 16 * max(panel.x.label.count("\n") + 1 for panel in plot.panels)
@@ -486,7 +486,7 @@ def _panel(axes: Axes, panel: Panel, look: Look) -> Iterator[tuple[Scale, Scalar
         spine.set_color(GRAY)
         plain = side == "bottom" or (side == "left" and not named)
         spine.set_visible(panel.framed or plain)
-        spine.set_in_layout(False)  # a spine needs no extra space, and is slow to measure
+        spine.set_in_layout(False)  # a spine needs no extra space, and measuring it is slow
     axes.tick_params(**look.ticks)
     if named:
         axes.tick_params(axis="y", length=0)
@@ -511,8 +511,8 @@ def _panel(axes: Axes, panel: Panel, look: Look) -> Iterator[tuple[Scale, Scalar
         _finish_axis(axes, which, axis, look)
     room = axes.get_window_extent().width / axes.figure.dpi
     if panel.title:
-        # Fix the title's y, because finding a free place takes longer than the rest of the layout
-        # In a given width, letters are counted closely, so that fewer titles are shortened
+        # Fix the position of the title: the search for a free place is slow.
+        # If the width is given, letters are counted closely, so that fewer titles are shortened
         size = look.title * (_TITLE_LETTER if look.width is None else _CLOSE_LETTER)
         letters = max(int(room / size), 12 if look.width is None else 13)
         lines = textwrap.wrap(panel.title, letters, break_long_words=False)

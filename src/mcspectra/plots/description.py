@@ -113,7 +113,7 @@ class Scale:
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Line:
-    """A polyline with an optional band. NaN interrupts the line; width 0 draws only the band.
+    """A polyline, perhaps with a band. NaN interrupts the line; width 0 draws only the band.
 
     Attributes
     ----------
@@ -240,7 +240,7 @@ class Pixels:
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Segments:
-    """Straight line segments; `ends` has shape (k, 2, 2): start and end, x and y."""
+    """Straight line segments. `ends` (k, 2, 2) has start and end of each, as x and y."""
 
     ends: Array
     color: str

@@ -122,7 +122,7 @@ def root_of_n(dims: int) -> str:
 
 
 def point_dims(data: xr.Dataset) -> int:
-    """Return the number of dims of the points of a result; a bench lists several numbers."""
+    """Return the number of dims of the points of a result; for a bench, the first number."""
     return int(str(data.attrs["dims"]).strip("[]").partition(",")[0])
 
 
@@ -233,7 +233,7 @@ def _place(dim: str, value: Any) -> str:
 
 
 def labelled(stored: xr.Dataset) -> xr.Dataset:
-    """Return a stored result with text coordinates restored from the attributes ``labels_*``."""
+    """Return a stored result in which the attributes ``labels_*`` are text coordinates again."""
     texts = {
         str(key).removeprefix("labels_"): np.array(value)
         for key, value in stored.attrs.items()

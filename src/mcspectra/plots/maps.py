@@ -270,7 +270,7 @@ def _spectrum(group: Group, _: Styles) -> Plot:
 
 
 def _correlation(group: Group, _: Styles) -> Plot:
-    """Plot the error correlation of pixels at small lags, at the largest number of samples."""
+    """Plot the correlation of errors at small lags in pixels, at the largest number of samples."""
     found = next(iter(group.values()))["error_correlation"].isel(n=-1)
     x, y = (found[dim].values.astype(float) for dim in ("lag_x", "lag_y"))
     values = found.transpose("lag_y", "lag_x").values.copy()
@@ -434,7 +434,7 @@ def _relative(values: Array) -> Scale:
 
 
 def _p_histogram(group: Group, _: Styles) -> Plot:
-    """Plot the histogram of the p-values of single tiles; equal images give equal bars."""
+    """Plot the histogram of the p-values of single tiles. For equal images, bars are equal."""
     data = next(iter(group.values()))
     share, at = data["p_share"].values, data["bin"].values
     width = 1.0 / share.size

@@ -66,7 +66,7 @@ _SECTIONS = {"axis 0": (1, 0), "axis 1": (0, 1), "diagonal": (1, 1)}
 
 
 def points(group: Group, styles: Styles) -> Plot:
-    """Plot one realization of each sampler; dot areas are proportional to ``weights``, if any."""
+    """Plot one realization of each sampler. The areas of dots are proportional to ``weights``."""
     sizes = {each.sizes["axis"] for each in group.values()}
     n = max(each.sizes["point"] for each in group.values())
     if sizes == {1}:
@@ -192,7 +192,7 @@ def quality(group: Group, styles: Styles) -> Plot:
 
 
 def strata(group: Group, _: Styles) -> Plot:
-    """Plot the strata over f with their parts of the variance, and the variance as they slide."""
+    """Plot the strata over f with the variance in each, and the total as the strata slide."""
     panels = []
     for name, each in group.items():
         values, parts = each["integrand_value"].values, each["stratum_variance"].values
@@ -323,7 +323,7 @@ def sampler_card(group: Group, projected: Array | None = None) -> Plot:
     if dims == 2:
         scale = Scale(high=2.0, beyond=True)
         panels.append(frequency_map("n · power, 0 to 2", data, power, scale, "power"))
-    # Draw the radial mean. The axis is wide, so that noise around the random level looks small
+    # Draw the radial mean. The axis is wide: noise near the level of random points looks small
     radius, mean = (
         data["radius"].values / n ** (1 / dims),
         np.maximum(n * data["radial_power"].values, 1e-8),

@@ -35,7 +35,7 @@ _APART = 0.6  # least distance of ticks from 0 on a signed scale, in decades
 _SEEN = 0.1  # values below this fraction of the threshold look like 0
 _SHORT = 1.6  # in fewer decades, powers of ten would give too few ticks
 _MOST_DECADES = 6  # largest number of decades between the largest value and the threshold
-_NOTHING = 1e-9  # arrays below this fraction of the largest value are ignored
+_NOTHING = 1e-9  # relative to the overall largest value, arrays below this are ignored
 
 
 def linear_axis(label: str, low: float, high: float, most: int = 6) -> Axis:
@@ -69,7 +69,7 @@ def log_axis(label: str, low: float, high: float, most: int = 6) -> Axis:
 
 
 def count_axis(label: str, counts: Iterable[int], most: int = 6) -> Axis:
-    """Return a logarithmic axis with ticks at numbers of points whose labels do not touch."""
+    """Return a logarithmic axis with ticks at numbers of points. Tick labels do not touch."""
     distinct = sorted(set(counts))
     margin = (distinct[-1] / distinct[0]) ** 0.05 if len(distinct) > 1 else 2.0
     gap = math.log(distinct[-1] / distinct[0]) / most
@@ -209,7 +209,7 @@ def tick_label(value: float) -> str:
 
 
 def _signed_range(values: Sequence[Array], decades: int) -> tuple[float, float, float]:
-    """Return both ends, with 0 between them, and the threshold, which is 0 for a linear scale."""
+    """Return both ends of a range that includes 0, and the threshold (0 for a linear scale)."""
     every = np.concatenate([np.ravel(v) for v in values]) if len(values) else np.zeros(0)
     finite = every[np.isfinite(every)]
     low, high = float(finite.min(initial=0.0)), float(finite.max(initial=0.0))

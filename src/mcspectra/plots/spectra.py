@@ -74,7 +74,7 @@ __all__ = [
 
 _FLOOR = 1e-4  # smallest power that is shown; below it there is practically no noise
 _LINEAR_TOP = 12.0  # largest power that is shown on a linear axis
-_MOST_NUMBERS, _MOST_NAMES = 7, 13  # largest number of labels along an axis: numbers, names
+_MOST_NUMBERS, _MOST_NAMES = 7, 13  # most labels along an axis: numbers, names
 _MOST_ENTRIES = 257  # largest number of entries along each side of a matrix that is drawn
 _MOST_CHAINS = 6  # largest number of quantities of Markov chains in one plot
 _SPACINGS = 6.0  # largest distance that is shown, in units of the mean spacing of points
@@ -340,7 +340,7 @@ def _shells(data: xr.Dataset) -> tuple[Array, Array, Array]:
     kept = [d for d in ("technique",) if d in data.dims]
     grid = np.meshgrid(*[data[d].values.astype(float) for d in dims], indexing="ij")
     shell = np.rint(np.sqrt(sum(np.square(m) for m in grid))).astype(np.int64).ravel()
-    last = int(max(data[dims[0]].values)) + 1  # the corners of the grid are incomplete shells
+    last = int(max(data[dims[0]].values)) + 1  # shells beyond this are incomplete
     found = [
         np.bincount(shell, data[name].sum(kept).transpose(*dims).values.ravel())[1:last]
         for name in ("integrand_power", "power_contribution")
@@ -486,7 +486,7 @@ def cross_matrix(group: Group, _: Styles) -> Plot:
 
 
 def modes(group: Group, styles: Styles) -> Plot:
-    """Plot eigenvalues of the coefficients' covariance, and in 1-D or 2-D the leading modes."""
+    """Plot eigenvalues of the coefficients' covariance, and in 1-D and 2-D the leading modes."""
     most = 2  # number of modes that are drawn
     first = next(iter(group.values()))
     dims = frequency_dims(first)
@@ -653,7 +653,7 @@ def _power_panel(
     hover: Mapping[str, Sequence[str]],
     axis: Axis,
 ) -> Panel:
-    """Return a panel of power as lines, logarithmic if the x axis is or if peaks are high."""
+    """Return a panel with lines of power. It is logarithmic for high peaks, or if the x axis is."""
     every = np.concatenate([y[np.isfinite(y)] for _, y in curves.values()])
     top, low = float(every.max(initial=1.5)), float(every.min(initial=0.5))
     logarithmic = axis.kind == "log" or top > _LINEAR_TOP
@@ -718,7 +718,7 @@ def _frequency_ticks(m: Array) -> dict[float, str]:
 
 
 def _by_frequency(data: xr.Dataset) -> tuple[Array, Array, Array]:
-    """Return frequencies, contributions and power parts: by m in 1-D, else sums over shells."""
+    """Return frequencies, contributions and power parts: per m in 1-D, else sums over shells."""
     dims = frequency_dims(data)
     total, power = (
         data[name].transpose(*dims).values for name in ("contribution", "power_contribution")

@@ -44,7 +44,7 @@ TERM_COLORS = {
     "predicted_variance": "#B4B4B4",
     "measured_variance": "#757575",
 }
-"""Colors of the terms of the variance, their sum and the measured variance in every figure."""
+"""Colors of the terms of the variance, their sum, and the measured variance, in all figures."""
 GRADIENTS = {
     "sequential": "viridis",
     "diverging": ("#0B3A63", "#0072B2", "#8CC1E0", "#F7F7F7", "#F2B488", "#D55E00", "#6E2C00"),
@@ -67,7 +67,7 @@ class LineStyle:
 def sampler_styles(
     samplers: Sequence[str], colors: Sequence[str] = PALETTE, *, gray: bool = False
 ) -> dict[str, LineStyle]:
-    """Return a distinct style per sampler; dashes vary once all colors and markers are used.
+    """Return a distinct style per sampler. After all colors and markers, dashes also differ.
 
     With `gray`, consecutive samplers have different dashes.
     Lines then differ in dashes and markers, in case a printer omits the colors.
@@ -96,5 +96,5 @@ def labels(names: Sequence[str], length: int = 32) -> dict[str, str]:
 
 
 def line_widths(count: int) -> list[float]:
-    """Return widths of overlaid lines, thickest first, so that coinciding lines stay visible."""
+    """Return widths of overlaid lines, thickest first: coinciding lines then stay visible."""
     return [1.1 + 0.5 * min(later, 3) for later in reversed(range(count))]

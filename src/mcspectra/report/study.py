@@ -117,7 +117,7 @@ class Estimates:
     rows: Mapping[str, Sequence[SummaryRow]]
 
     def of(self, sampler: str, channel: int | None = None) -> dict[str, xr.Dataset]:
-        """Return one sampler's results by analysis, for one channel, or for all if it is None."""
+        """Return the results of a sampler by analysis, for one channel (None: for all channels)."""
         found = {a: each[sampler] for a, each in self.analyses.items() if sampler in each}
         if channel is None:
             return found
