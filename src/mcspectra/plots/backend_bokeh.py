@@ -172,7 +172,7 @@ class Drawn:
             )  # fmt: skip
             frame.add_layout(bar, "below")
             self._bars.append(bar)
-        # Put each legend entry below the last figure that has it; clicks hide its marks everywhere
+        # Put each legend entry below the last figure that has it. A click hides its marks
         items: dict[str, Any] = {}
         for k, frame in enumerate(self._figures):
             own = {label: drawn[k] for label, drawn in entries.items() if max(drawn) == k}
@@ -202,7 +202,7 @@ class Drawn:
         return _structure(plot) == self._structure
 
     def update(self, plot: Plot) -> None:
-        """Show another plot of the same structure; unchanged limits keep the reader's zoom.
+        """Show another plot of the same structure. If limits are equal, the reader's zoom is kept.
 
         Raises
         ------
@@ -499,7 +499,7 @@ def _options(plot: Plot, k: int) -> dict[str, Any]:
         "width": None,
         "height": None,
         "outline_line_color": _INK if panel.framed else None,
-        # Only the first of stacked panels has tools. A narrow panel has no space above for tools
+        # If panels are stacked, only the first has tools. Narrow panels have no space above
         "toolbar_location": None
         if _stacked(plot) and k
         else ("above" if stretched or not panel.title else "right"),

@@ -189,7 +189,7 @@ def _which(values: Array) -> Scale:
 
 
 def _shares(values: Array) -> Scale:
-    """Return a scale of shares from 0 to 1, widened for estimates outside but not for outliers."""
+    """Return a scale for shares, at least from 0 to 1. It is wider if estimates are outside."""
     found = values[np.isfinite(values)]
     low, high = np.percentile(found, _SPREAD) if found.size else (0.0, 1.0)
     return Scale(
