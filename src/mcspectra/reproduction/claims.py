@@ -83,7 +83,7 @@ class Claim:
     expected
         Expected value. The claim agrees if this value is at most `tolerance` outside the interval.
     tolerance
-        Allowed error of the theory, for example if n is too small for it. `note` gives the reason.
+        Allowed error of the theory, for example if n is too small for it; `note` has the reason.
     digits
         Number of digits of the expected value that are shown.
     above, below

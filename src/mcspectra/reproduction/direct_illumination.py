@@ -91,7 +91,7 @@ def integrands() -> dict[Case, Any]:
 
 
 def _expected(case: Case, sampler: str) -> float:
-    """Return the expected rate: −2 only if the light is fully visible and points do not wrap."""
+    """Return the expected rate: −2 if the light is fully visible and points do not wrap."""
     return -2.0 if (case, sampler) == (("P", "light"), "jittered") else -1.5
 
 

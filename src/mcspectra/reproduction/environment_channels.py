@@ -139,7 +139,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 )
                 for way, curve in planes.items()
                 for c, color in enumerate(_COLORS)
-                # Luminance is mostly green, so green has small jumps and reaches its limit late
+                # Luminance is mostly green: green has small jumps, and reaches its limit late
                 if (way, color) != ("one", "green")
             ),
             *(

@@ -1,4 +1,4 @@
-"""The estimator I_N and its sampling function S(x) for random, jittered, Poisson-disk points."""
+"""The estimator I_N and its sampling function S(x): random, jittered and Poisson-disk points."""
 
 from __future__ import annotations
 

@@ -98,7 +98,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                     "Strata aligned with the edge: the exact variances have the rate −2.",
                     slope(COUNTS, exact["aligned strata"]),
                     expected=-2.0,
-                    # Rounding the edge to whole strata changes the variance by a part of 1/s²
+                    # Rounding the edge to whole strata changes the variance by a fraction 1/s²
                     tolerance=0.05,
                     shown="−2 ± 0.05",
                 ),

@@ -280,7 +280,7 @@ def reproduce(
     Returns
     -------
     Reproduction
-        The entries. A failed exhibit is listed in `failed` and does not stop the others.
+        The entries. A failed exhibit is listed in `failed`, and does not stop the others.
 
     Raises
     ------

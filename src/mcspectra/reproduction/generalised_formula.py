@@ -26,7 +26,7 @@ HALF_WIDTH = 40
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Estimate terms and matrices of all samplers and integrands; compare with closed forms."""
+    """Estimate terms and matrices of all samplers and integrands, and compare with closed forms."""
     realizations = 500 if quick else 10_000
     line, bell = (
         {name: terms(mcs.integrand(spec, 1), name, realizations, seed) for name in SAMPLERS}

@@ -52,7 +52,7 @@ class Coefficients:
         return np.asarray(self.products.sum(axis=0) / (len(self.values) - 1))
 
     def farthest(self) -> tuple[float, float]:
-        """Return the largest covariance in standard errors, and the limit for normal errors."""
+        """Return the largest covariance in standard errors, and its limit for normal errors."""
         products, value = self.products, self.covariance
         parts = [
             np.abs(value.real) / mean_and_error(products.real)[1],
@@ -154,7 +154,7 @@ def before_and_after(name: str, realizations: int, seed: int) -> tuple[Coefficie
 
 
 def _drawn(name: str, realizations: int, seed: int) -> tuple[Array, Array]:
-    """Return points before and after the shift, (realizations, n, 2), from equal random numbers."""
+    """Return points before and after a shift, (realizations, n, 2), from equal random numbers."""
     plain, shifted = (
         mcs.sampler(spec, 2).draw(N, realizations=realizations, rng=seed)
         for spec in (name, f"{name} | shift")

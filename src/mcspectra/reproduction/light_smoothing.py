@@ -125,7 +125,7 @@ def _ramp(width: float) -> Claim:
 
 
 def _bias(scan: xr.Dataset) -> Claim:
-    """Compare the bias with πδ²/12: a ramp of width δ about radius R has area π(R² + δ²/12)."""
+    """Compare the bias with πδ²/12: a ramp of width δ at radius R has the area π(R² + δ²/12)."""
     width = scan["width"].values[1:]
     error = scan["smoothing_bias"].values[1:] / (np.pi * width**2 / 12) - 1.0
     return Claim(

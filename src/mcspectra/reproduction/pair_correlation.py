@@ -152,7 +152,7 @@ def _transformed(name: str) -> Claim:
 
 
 def _counted_pairs(name: str, counted: Measured, measured: Measured) -> Claim:
-    """Compare the variance from pairs with the measured variance by the interval of the ratio."""
+    """Compare the variance from pairs with the measured variance, by the interval of the ratio."""
     times = counted.value / measured.value
     errors = (
         (counted.high - counted.value) / counted.value / CONFIDENCE_Z,

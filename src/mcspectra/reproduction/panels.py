@@ -82,7 +82,7 @@ def variance_panel(
     x: str = "number of points N",
     limits: tuple[float, float] | None = None,
 ) -> Panel:
-    """Return measured variances with 95 % intervals against N, with exact and theoretical lines.
+    """Return measured variances with 95 % intervals against N, and exact and theoretical lines.
 
     Parameters
     ----------
@@ -196,7 +196,7 @@ def matrix_panel(title: str, values: Array, *, y: bool = True) -> Panel:
 
 
 def in_columns(plot: Plot, first: int = 0) -> Plot:
-    """Rearrange a plot with two panels per sampler into columns; `first` is the top panel."""
+    """Rearrange a plot with two panels per sampler, one above the other; `first` is the upper."""
     panels = (*plot.panels[first::2], *plot.panels[1 - first :: 2])
     return replace(plot, panels=panels, columns=len(panels) // 2, wide=True)
 

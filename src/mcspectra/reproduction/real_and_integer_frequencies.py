@@ -128,7 +128,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def _comb(n: int) -> Plot:
-    """Return ⟨P_S⟩ × P_f along the real axis, and its values at the integers as a comb."""
+    """Return ⟨P_S⟩ × P_f along the axis of real frequencies, and at integers as a comb."""
     nu, whole = np.arange(20, 1640) / 400, np.arange(1.0, 5.0)
     panels = []
     for sampler in SAMPLERS:

@@ -39,7 +39,7 @@ _OBLIQUE = "half-space(normal=[1, 0.618], offset=0.7)"
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Measure variances of an edge plus a ramp, for edges on and off the borders of strata."""
+    """Measure variances of an edge plus a ramp, for edges on and between borders of strata."""
     realizations = 1000 if quick else 10_000
     plain, shifted = (
         {name: measured(edge(a), sampler, realizations, seed) for name, a in PLACES.items()}
@@ -122,7 +122,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                     "exact "
                     f"variances from N = {counts[0]} to {counts[1]}, minus −2.",
                     slope(counts, np.array(known)) + 2.0,
-                    # Rounding s/3 to a whole number of strata changes the variance by 1/s²; s = 16
+                    # Rounding s/3 to whole strata changes the variance by a fraction 1/s²; s = 16
                     at_most=1 / 256,
                 ),
             ),
