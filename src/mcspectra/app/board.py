@@ -49,7 +49,7 @@ class Board:
     sheet
         Style sheet of the widgets.
     later
-        Schedules a function without arguments in the page's thread, holding the page's lock.
+        Schedules a function without arguments in the page's thread, with the lock of the page.
     on_update
         Called in the job's thread, with an empty text, before the first part is shown.
         If nothing can be computed, the text is a sentence with the reason.
@@ -153,7 +153,7 @@ class Board:
         self._later(self._read)
 
     def _read(self) -> None:
-        """Process updates in the order of arrival, which the page's callbacks do not keep."""
+        """Process updates in their order of arrival, which callbacks of the page do not keep."""
         while not self._inbox.empty():
             job, news = self._inbox.get()
             if job is not self._job:  # an earlier job sent this update
@@ -191,7 +191,7 @@ class Board:
         return True
 
     def _end(self, sentence: str, *, alert: bool = False) -> None:
-        """Report the end of the job; remove figures without results, or turn old figures gray."""
+        """Report the end of the job. Remove figures without results, or turn old figures gray."""
         self._cancel.disabled = True
         old = [kind for kind in self.cards if kind not in self._fresh]
         if len(self.latest) > 0 and sentence == "Done.":

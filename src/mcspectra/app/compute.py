@@ -96,7 +96,7 @@ class Update:
 
 
 def rounds(setup: ExplorerSetup) -> Iterator[int]:
-    """Yield the number of realizations of each round. The last round has the set-up's number."""
+    """Yield the number of realizations of each round; the last round has the set-up's number."""
     count = _FIRST_ROUND
     while count < setup.realizations:
         yield count
@@ -179,7 +179,7 @@ class Job:
         Called in the job's thread with each finished part.
     on_end
         Called once with a text when the job ends, but not after `cancel`.
-        This text says what was refused or why refinement stopped early; otherwise it is empty.
+        The text is empty, or says what was refused or why refinement stopped early.
 
     Notes
     -----
@@ -252,7 +252,7 @@ class Job:
         planned = list(rounds(self.setup))
         spent, last = 0.0, 0
         for number, count in enumerate(planned):
-            # The first round includes loading and compilation, so it does not predict later rounds
+            # The first round includes loading and compiling: it does not predict later times
             expected = spent * count / last if number > 1 else 0.0
             if expected > _LONGEST_ROUND:
                 return (

@@ -271,7 +271,7 @@ class Controls:
                 w[name].value = setup.text(name)
             for name in _PARTS:
                 w[name].value = getattr(setup, name)
-            # Show sliders for the parameters of the density; another density gets new sliders
+            # Show sliders for the parameters of the density. Another density gets new sliders
             call = parse(self.setup.density)
             ranges = _SLIDERS.get(call.name, ())
             sliders = self._density_sliders

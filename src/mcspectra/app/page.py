@@ -1,4 +1,4 @@
-"""The explorer's page: controls, figures in a grid, and exports; one session per browser tab."""
+"""The page of the explorer: controls, figures in a grid, and exports; a session per browser tab."""
 
 from __future__ import annotations
 
@@ -236,7 +236,7 @@ class Explorer:
         self._grid.children = [*joint, *children]
 
     def _draw_both(self) -> bool:
-        """Draw the curves of A and B in one plot; return True if the plot appeared or vanished."""
+        """Draw the curves of A and B in one plot; return True if it appeared or disappeared."""
         curves = {
             f"{side}: {setup.displaced_sampler}": curve
             for side, setup in self.state.setups()
@@ -292,7 +292,7 @@ class Explorer:
         self.roots["head"].tags = [self.state.query()]
 
     def _write_texts(self, refused: str) -> None:
-        """Write the exported texts from cached results; a job's thread may call this method."""
+        """Write the exported texts from cached results; the thread of a job may call this."""
         try:
             texts = (
                 (f"# {refused}",) * 2 if refused else (as_python(self.state), as_toml(self.state))

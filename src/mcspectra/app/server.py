@@ -231,14 +231,14 @@ def serve(port: int = 0, *, open_browser: bool = True, quiet: bool = False) -> N
 
 
 def _is_own_error(record: logging.LogRecord) -> bool:
-    """Whether a logged error is the explorer's own, not a request's; make its text printable."""
+    """Whether a logged error is the explorer's own, not of a request; make its text printable."""
     text = record.getMessage()
     record.msg, record.args = printable(text, lines=True), ()
     return "GET /ws" not in text and "GET /static" not in text
 
 
 def _warm_up() -> None:
-    """Load and compile code while the browser loads the first page, which halves the wait."""
+    """Load and compile code while the browser loads the first page; this halves the wait."""
     from mcspectra.app.compute import UPDATE_KINDS, compute
     from mcspectra.app.state import ExplorerSetup
 

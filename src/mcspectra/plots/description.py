@@ -232,7 +232,7 @@ class Heatmap:
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Pixels:
-    """An RGB image, uint8 (height, width, 3), first row on top, in [0, width] × [0, height]."""
+    """An RGB image, uint8 (height, width, 3), drawn in [0, width] × [0, height]; row 0 on top."""
 
     rgb: Array
 

@@ -71,7 +71,7 @@ class Renders:
         return np.asarray(((shown - right) ** 2).mean(axis=-1))
 
     def window(self, name: str) -> tuple[slice, slice]:
-        """Return rows and columns around a named pixel; the side is 1/30 of the image width."""
+        """Return the rows and columns of a square at a named pixel, with side 1/30 of the width."""
         x, y = mcs.rendering.named_pixels(self.scene)[name]
         half = self.reference.shape[1] // 60
         return slice(y - half, y + half + 1), slice(x - half, x + half + 1)
