@@ -253,7 +253,7 @@ class Explorer:
         return self._both is not before
 
     def _later(self, act: Any) -> None:
-        """Schedule `act` in the session's thread with the document's lock; any thread may call."""
+        """Schedule `act` in the session's thread with the document's lock. Any thread may call."""
 
         def add() -> None:
             if not self._closed:
