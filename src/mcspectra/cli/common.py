@@ -228,7 +228,7 @@ def read_sampler(text: str, dims: int | None) -> Sampler:
 
 
 def text_table(header: Sequence[str], rows: Sequence[Sequence[str]], words: int = 2) -> str:
-    """Align columns with gaps of two blanks: the first `words` columns left, the others right."""
+    """Align columns with gaps of two blanks: the first `words` columns left, all others right."""
     table = [[printable(cell) for cell in row] for row in (header, *rows)]
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     lines = []

@@ -1,4 +1,4 @@
-"""The verb `design`: a sampler or an importance density, searched for integrands and measured."""
+"""The verb `design`: search for a sampler or an importance density, and measure the result."""
 
 from __future__ import annotations
 

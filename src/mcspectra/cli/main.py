@@ -161,12 +161,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"mcspectra: {said}.", file=sys.stderr)
         tasks = (each.name == "mcspectra-tasks" for each in threading.enumerate())
         if arguments is None and any(tasks):
-            # Native code that still runs would keep the process alive for a minute, or abort it
+            # Native code that still runs could keep the process alive for a minute, or crash it
             sys.stderr.flush()
             os._exit(130)
         return 130
     except BrokenPipeError:
-        # The reader closed the pipe (… | head), which is normal; keep Python from flushing at exit
+        # The reader closed the pipe (… | head), which is normal. Keep Python from flushing at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except Exception as error:

@@ -128,7 +128,7 @@ def _value(result: xr.Dataset, name: str, place: tuple[int, ...]) -> str:
 
 
 def _interval(ends: Any, digits: int = 4) -> str:
-    """Format an interval, whose upper end may be infinite; the text is empty for unknown ends."""
+    """Format an interval, whose upper end may be infinite; empty if an end is unknown."""
     low, high = ends
     known = math.isfinite(low) and not math.isnan(high)
     return f"{low:.{digits}g} … {_number(high, digits)}" if known else ""

@@ -276,7 +276,7 @@ def rate_claim(
 
 
 def known_rate(statement: str, curve: xr.Dataset, expected: float, exact: Array) -> Claim:
-    """Return a claim on a rate with a known limit; the tolerance is the limit's error here."""
+    """Return a claim about a rate with a known limit; the tolerance is the error of the limit."""
     here = slope(curve["n"].values.tolist(), exact)
     note = f"Tolerance: the exact variances at these N have the slope {number(here, 5)}."
     return rate_claim(statement, curve, expected, abs(here - expected), note)

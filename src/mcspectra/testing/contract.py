@@ -46,7 +46,7 @@ __all__ = [
 ]
 
 _FALSE_ALARM = 1e-6
-_SPREADS = 7.0  # allowed number of standard errors; false alarm 7e-8 by Student's t
+_SPREADS = 7.0  # allowed number of standard errors; false alarms: 7e-8 (Student's t)
 _SAME = 1e-9  # largest relative difference of values and integrals that counts as rounding
 _REALIZATIONS, _CELLS = 640, 35  # numbers of realizations and of cells for the uniformity test
 _SAMPLES = 20_000
@@ -81,7 +81,7 @@ def check_sampler(sampler: Sampler | str, *, counts: tuple[int, ...] = (16, 64))
     ------
     BrokenContract
         If the points are not float64 of shape (R, n, dims) in [0,1).
-        If a realization depends on the call that draws it, or a fixed set varies.
+        If a realization depends on the call that draws it, or realizations of a fixed set differ.
         If a count returned by `nearest_count` cannot be drawn.
         If a sampler claims to be unbiased, but its points are not uniform over all realizations.
         False alarms have a probability of 1e-6.
