@@ -206,7 +206,7 @@ def describe() -> dict[str, Any]:
 def import_mitsuba() -> Any:
     """Return the module `mitsuba` with a working libLLVM, but set no variant.
 
-    Dr.Jit searches libLLVM when it is imported, for any variant.
+    Dr.Jit searches for libLLVM when it is imported, for any variant.
     If a program imports Dr.Jit first by itself, Dr.Jit may load a library that aborts the process.
 
     Raises

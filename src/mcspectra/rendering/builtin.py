@@ -127,14 +127,14 @@ def figure1(*, edge: float = 0.0, width: int = 384, height: int = 256) -> dict[s
     Below the center, the integrand would be equal at opposite borders of the unit square.
     A random shift of the points would then have no disadvantage.
 
-    With an edge, radiance is a texture of 256² texels with bilinear interpolation.
+    With a soft border, the radiance is a texture of 256² texels with bilinear interpolation.
     Mitsuba samples such a light texel by texel, in proportion to the texture.
     For BSDF sampling, a light with a soft border has no silhouette.
-    With ``edge=1``, the rate of jittered points at P goes from −1.5 to −1.9.
+    With ``edge=1``, the rate of jittered points at P is −1.9 instead of −1.5.
     """
     radiance: Any = _RADIANCE
     if as_real("edge", edge, least=0.0, most=1.0):
-        # Texture: a smoothstep from 0 at both ends of [0,1] to 1 at the distance edge / 2
+        # Texture that rises from 0 at both ends of [0,1] to 1 at the distance edge / 2
         u = (np.arange(_TEXELS) + 0.5) / _TEXELS
         t = np.minimum(2.0 * np.minimum(u, 1.0 - u), edge) / edge
         profile = np.asarray(t * t * (3.0 - 2.0 * t))

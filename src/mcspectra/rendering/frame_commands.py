@@ -3,8 +3,8 @@
 A nonlinear filter has no transfer function, so its error cannot be predicted from a spectrum.
 Every frame is filtered instead. The error has two parts: variance and squared bias.
 The variance is measured over the filtered frames.
-The bias is the difference of the mean of the filtered frames from a reference.
-Without a reference, the mean of the frames before the filter replaces it, which is unbiased.
+The bias is the mean of the filtered frames minus a reference.
+Without a reference, the mean of the unfiltered frames replaces it, which is unbiased.
 """
 
 from __future__ import annotations

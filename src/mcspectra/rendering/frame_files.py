@@ -137,7 +137,7 @@ def frame_files(paths: Frames, read: FrameReader, *, least: int = 2) -> list[Fra
     paths
         A folder, a pattern, or a list of files.
     read
-        How files are read. If it has a number of samples, this number holds for all files.
+        Options for reading the files. If they contain a number of samples, it holds for all files.
     least
         Least number of files per group, 1 or 2.
 

@@ -45,7 +45,7 @@ __all__ = [
 ]
 
 _REACH = 4.0  # number of standard deviations at which a Gaussian is cut, as in scipy.ndimage
-_FORGOTTEN = 1e-6  # total weight of old frames at which the weights of an average are cut
+_FORGOTTEN = 1e-6  # older frames are left out once their total weight is below this
 _SIGMAS = (0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 4.0)
 _ALPHAS = (0.5, 0.3, 0.2, 0.1, 0.05)
 
@@ -129,8 +129,8 @@ class ATrous(Filter):
 class Ema(Filter):
     """Exponential moving average over frames: the new frame has the weight `alpha`.
 
-    The error is the one that remains after many frames.
-    If errors that are k frames apart have the correlation ρ^k, the variance is multiplied by
+    After many frames, the filter multiplies the variance of the errors by a constant factor.
+    If errors that are k frames apart have the correlation ρ^k, the factor is
     α/(2 − α) · (1 + q)/(1 − q), with q = ρ (1 − α).
     """
 
@@ -245,7 +245,7 @@ def curve_filters(height: int, width: int, times: int) -> dict[str, dict[float, 
     return {name: chains for name, chains in found.items() if len(chains) > 1}
 
 
-_LEFT_OUT = 0.1  # largest weight of frames beyond the sequence, for filters of a curve
+_LEFT_OUT = 0.1  # largest weight beyond the sequence for filters that are plotted
 
 
 @final
@@ -297,7 +297,7 @@ class SpatialPower:
         """Return the squared standard error of `left` for one image of normal errors."""
         inner = (power**2) @ (self.across**2 / self.doubled).T
         total = np.einsum("yf,fy->f", inner, self.down**2)
-        # The power at a frequency is exponential: its mean square is twice its squared mean.
+        # Power is exponentially distributed: its mean square is twice its squared mean.
         # A frequency and its opposite have equal power, which doubles the variance.
         # The margin of zeros samples the spectrum more densely, but adds no independent values
         dense = math.prod(self.shape) / math.prod(self.size)
@@ -353,7 +353,7 @@ def filtered_of(
         own = left[:, k]
         values[:, k] = scale * (2.0 * own @ memory - own[:, 0] * memory[0])
         mean = own.mean(axis=0)
-        # Number of independent frames with the same error of the mean square
+        # Number of independent frames for which the mean square has the same error
         filtered = np.convolve(_mirrored(memory), _mirrored(mean), "same")
         fade = 1.0 - np.abs(np.arange(1 - times, times)) / times
         relative = filtered / (filtered[times - 1] or 1.0)

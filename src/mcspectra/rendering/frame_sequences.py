@@ -190,7 +190,7 @@ def temporal_of(found: TimeStatistics, m2: Array, count: int) -> Temporal:
     """
     times, lags, rings = found.times, np.arange(found.times), found.rings
     each = np.stack(found.joint)
-    each *= m2.size / float(each[:, :, 0].sum(axis=1).mean())  # mean power 1
+    each *= m2.size / float(each[:, :, 0].sum(axis=1).mean())  # set mean power to 1
     pooled = each.mean(axis=0)
     whole = each.sum(axis=1) / float(pooled[:, 0].sum())  # correlations over time in each sequence
     fade = 1.0 - lags / times
@@ -199,7 +199,7 @@ def temporal_of(found: TimeStatistics, m2: Array, count: int) -> Temporal:
     waves[:, 0] = 1.0
     power = np.maximum(pooled[:-1] @ waves.T, 0.0) / rings.sizes[:, None]
 
-    # No error is smaller than for normal noise: few sequences may agree by chance
+    # Use at least the error of normal noise: few sequences may agree by chance
     ring_power = np.nan_to_num(pooled[:-1, 0] / rings.sizes)
     alike = max(1.0, float(np.nansum(rings.sizes * ring_power**2) / np.nansum(rings.sizes)))
     one = math.sqrt(alike / ((m2 > 0).sum() * (count - 1)))
@@ -269,7 +269,7 @@ class TimeStatistics:
         Covariance of the errors at each lag in frames, after each filter in space.
         The dims are (sequence, filter, lag). The first filter leaves pixels unchanged.
         joint
-        Covariance of the transforms of the errors at each lag in frames, summed over rings.
+        Covariance of transformed errors at each lag in frames, summed over rings of frequencies.
         The dims are (sequence, radius, lag).
         Errors are divided by the standard deviation in a square of pixels around each pixel.
         The standard deviation of the pixel itself depends on its errors: it would bias the ratio.

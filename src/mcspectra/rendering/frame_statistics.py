@@ -153,7 +153,7 @@ def frames(
         ``relative_rmse``, and ``largest_share``, one frame's share in the sum of squares.
         With several n: ``rate`` and ``rate_ci`` of the variance, averaged over a square of pixels.
         The attribute ``smoothing`` is the width in pixels over which rates are averaged.
-        On n: ``picture_variance``, the mean over the pixels, with ``picture_variance_ci``;
+        By n: ``picture_variance``, the mean over the pixels, with ``picture_variance_ci``;
         ``picture_rate`` with its interval. With a target: ``needed_spp``.
         ``error_spectrum(n, radius)`` with ``error_spectrum_ci``: power of the standardized errors.
         The power is 1 for white noise. The radius is a frequency in cycles per pixel.
@@ -164,13 +164,14 @@ def frames(
         ``gaussian_variance(n, sigma)`` and ``gaussian_ratio``, the variance after a Gaussian,
         and its ratio to the variance that the filter leaves of equally strong white noise.
         ``filtered_variance(n, filter)`` and ``filtered_ratio`` are the same for the `filters`.
-        Sequences also have ``joint_spectrum(n, radius, frame_frequency)`` with power 1 for white
-        noise, ``frame_correlation(n, lag_t)``, ``boiling(n)`` (power below 1/8 cycle per frame),
-        ``effective_frames(n)``, ``pixel_effective_frames(n, y, x)``, and ``average_variance`` and
-        ``average_ratio`` (n, alpha) after an exponential moving average.
+        Sequences also have ``joint_spectrum(n, radius, frame_frequency)``, 1 for white noise,
+        ``frame_correlation(n, lag_t)``, ``boiling(n)`` (power below 1/8 cycle per frame),
+        ``effective_frames(n)`` and ``pixel_effective_frames(n, y, x)``.
+        After a moving average: ``average_variance(n, alpha)`` and ``average_ratio(n, alpha)``.
         A command gives ``denoised_variance`` and ``denoised_square``, the mean squared bias.
-        A reference gives ``bias_z(y, x)``, ``squared_bias(n)``, and by tile and for the image
-        the relative bias, relMSE and SMAPE: ``tile_bias(n, tile_y, tile_x)``, ``image_bias(n)``.
+        A reference gives ``bias_z(y, x)`` and ``squared_bias(n)``.
+        The relative bias, relMSE and SMAPE are given by tile, ``tile_bias(n, tile_y, tile_x)``,
+        and for the whole image, ``image_bias(n)``.
         Two sets of frames are compared at the largest n that both have:
         ``difference`` of the means, ``difference_z`` by Welch's test,
         ``variance_ratio``, the variance of the first set of frames over that of the second set,
@@ -394,7 +395,7 @@ _PICTURE = ("picture_variance", "picture_relative_se")
 
 
 def _resolved_rate(variables: dict[str, tuple[tuple[str, ...], Any]]) -> bool:
-    """Whether the interval of the rate of the image's variance is at most ± 0.5."""
+    """Whether the interval of the image's rate is at most ± 0.5."""
     return "picture_rate" in variables and is_resolved(*variables["picture_rate_ci"][1])
 
 
@@ -447,11 +448,11 @@ def _shrunk(rate: Array, se: Array) -> tuple[Array, Array]:
 
 
 def _percentiles(need: Array, spread: Array) -> dict[str, float]:
-    """Return the median and the 95th percentile over pixels of the samples needed.
+    """Return median and 95th percentile of the samples needed, taken over the pixels.
 
     Errors of the estimates widen the distribution over the pixels.
-    The logarithms are therefore moved towards their median, until their variance is
-    the variance of the estimates minus the mean variance of the errors [Louis1984]_.
+    The logarithms are therefore moved towards their median.
+    Their new variance is that of the estimates minus the mean variance of the errors [Louis1984]_.
     """
     known = np.isfinite(need) & np.isfinite(spread) & (need > 0)
     if not known.any():
@@ -474,7 +475,7 @@ class _Group:
     A group has `count` sequences of `times` frames. Independent frames are sequences of length 1.
     The files of a sequence are adjacent in the list. The array `means` has one value per sequence.
     The array `averages` is the variance of the mean over a sequence, for each pixel.
-    Pairs of pixels enter as `alike`, the sum of their squared correlations over all lags.
+    The number `alike` is the sum of squared correlations of pixels over all lags.
     """
 
     spp: int
@@ -714,8 +715,9 @@ def _group(
     measured, curve = rings.mean(power), np.maximum(rings.mean(np.fft.rfft2(every).real), 0.0)
     half *= np.divide(curve, measured, out=np.ones_like(curve), where=measured > 0)
     # With two frames, the deviations are opposite, so their curves show no spread.
-    # Errors are therefore at least those of normal noise. There, each pair of frequencies m and −m
-    # gives R − 1 independent exponential values for R frames, and the mean of these is the power
+    # The errors used are therefore at least those of normal noise.
+    # For R frames of such noise, a pair m, −m gives R − 1 independent exponential values.
+    # The power is the mean of these values
     independent = fields * loss**2
     half = np.maximum(half, CONFIDENCE_Z * measured * np.sqrt(2.0 / (rings.sizes * independent)))
     # The sum of squared correlations also contains the squared errors of the correlations.
@@ -834,7 +836,7 @@ def _coprime(step: int, varied: Array) -> bool:
 def _drift(
     means: Array, gained: Array, squares: float, chance: float
 ) -> tuple[float | None, float]:
-    """Return the relative change of the image mean per frame, and the share of brightness changes.
+    """Return the drift of the image mean per frame, and the variance share of brightness changes.
 
     Parameters
     ----------
@@ -855,7 +857,7 @@ def _drift(
     """
     count, center = means.size, float(means.mean())
     share = 0.0
-    if squares > 0 and chance < _RELATED * squares:  # few pixels show nothing
+    if squares > 0 and chance < _RELATED * squares:  # with few pixels, chance looks like a change
         share = min(max(float(gained.sum()) - chance, 0.0) / (squares - chance), 1.0)
     if count < 3 or center == 0.0 or not means.std():
         return None, share

@@ -553,7 +553,7 @@ def _number(value: float) -> float | None:
 def _region(tests: list[Found], shape: tuple[int, int]) -> float:
     """Return the smallest relative bias that is found in a square region of 1 % of the image.
 
-    A tile overlaps any such region by half the region's width, or lies inside it.
+    Wherever the region is, it covers a whole tile, or half of its own width of a tile.
     """
     half = 0.05 * math.sqrt(shape[0] * shape[1])
     known = [

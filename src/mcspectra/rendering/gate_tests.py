@@ -450,7 +450,7 @@ def _largest(
     The variance is the one within the relabeled sets.
     In wide tiles, the variance is averaged with the mean over the 3 × 3 neighborhood.
     Single pixels and the image use their own variance, and t² is then a function of r².
-    Their p-values alone are also returned, which are exact for any noise.
+    The p-value of each of these alone is also returned; it is exact for any noise.
     """
     from scipy.ndimage import uniform_filter
 
@@ -716,7 +716,7 @@ def _single(finest: Level, contrast: Contrast) -> Array:
 
 
 def _spread(smallest: Array, p: Array, times: int) -> None:
-    """Lower the p-value of each finest tile to that of the tile of `times` the width around it."""
+    """Lower the p-values of the finest tiles to that of the wide tile that contains them."""
     wide = np.repeat(np.repeat(p, times, axis=0), times, axis=1)
     part = smallest[: wide.shape[0], : wide.shape[1]]
     np.minimum(part, wide, out=part)

@@ -1,7 +1,7 @@
 """Images of direct illumination by our own samplers, with the error of each pixel.
 
-Every pixel has its own point set: pixel number y·width + x of the film uses realization
-y·width + x of the sampler. Each of the independent images has its own random stream.
+Every pixel has its own point set: realization y·width + x of the sampler.
+Each of the independent images has its own random stream.
 A crop therefore has the same bits as the same part of the whole image.
 Kernels compute binary nets with ``owen`` scrambling themselves, by its hash (`kernel_nets`).
 A sampler that ends in ``decorrelate(…)`` draws one set and moves it at each pixel.
@@ -61,7 +61,7 @@ def render(
     """Render a scene's direct illumination, including directly visible lights.
 
     Rays start at the center of the lens, at the midpoint of the time that the shutter is open.
-    A camera with a lens or a shutter therefore gives an `IncompleteImageWarning`.
+    A camera with a lens or a shutter therefore raises an `IncompleteImageWarning`.
     The same warning appears if a strategy misses a light or surface that is a delta function.
 
     Parameters

@@ -2,7 +2,7 @@
 
 Method
 ------
-Coordinate j of point i is the XOR of those columns of generator matrix j that bits of i select.
+Coordinate j of point i: XOR those columns of generator matrix j that the bits of i select.
 The nested uniform scrambling is the hash of ``owen(method='hash')``.
 The class `NetPoints` computes the points of the sampler from its keys, rounded to float32.
 Renderers request one or two numbers at a time and need point sets in a random order.
@@ -118,7 +118,7 @@ class NetPoints:
     """The first `count` points of scrambled nets, for realizations of one or more random streams.
 
     The points are those of ``owen(method='hash')``, rounded down to float32.
-    `streams` are the keys of the streams, uint64 (S,). `numbers` are realizations, uint32 (R,).
+    The keys of the streams are `streams`, uint64 (S,), and the realizations are `numbers` (R,).
     """
 
     net: Net

@@ -95,7 +95,7 @@ def ratio(log_ratio: Array, se: Array) -> tuple[Array, Array]:
 
 
 def slowest(rate: Array, rate_se: Array) -> Array:
-    """Return which of two techniques (2, y, x) has the slower rate, if significantly slower.
+    """Return which of two techniques (2, y, x) has the significantly slower rate.
 
     The techniques must have independent points, so that their squared standard errors add up.
     A test for overlap of the two intervals would be less sensitive.
@@ -105,7 +105,7 @@ def slowest(rate: Array, rate_se: Array) -> Array:
 
 
 def dominant(variance: Array, relative_se: Array) -> Array:
-    """Return which of two techniques (2, y, x) has the larger variance, if significantly larger."""
+    """Return which of two techniques (2, y, x) has the significantly larger variance."""
     with np.errstate(invalid="ignore", divide="ignore"):
         log_ratio = np.log(variance[0]) - np.log(variance[1])
         return _larger(log_ratio, relative_se, np.isnan(log_ratio))
@@ -150,7 +150,7 @@ def path_shares(chains: Array, partitions: list[Array]) -> tuple[Array, Array, A
     """
     from scipy.special import stdtrit
 
-    # Estimate the variance that each request adds, from each chain with a control variate
+    # From each chain, estimate the variance that each request adds, with a control variate
     count, mean = len(chains), chains.mean(axis=(0, 1))
     values = chains - mean
     last, steps = values[:, -1:], np.diff(values, axis=1)

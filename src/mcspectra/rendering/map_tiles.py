@@ -143,8 +143,8 @@ class Measurement:
     Shares of the variance come from `chains` pairs of paths; 0 gives no shares.
 
     Realization r of n points is realization r of ``stream.child(n)``, as in `convergence`.
-    If `own` is true, pixels have their own points: pixel number k = y·width + x uses realization
-    k·realizations + r.
+    If `own` is true, pixels have their own points:
+    pixel number k = y·width + x uses realization k·realizations + r.
     """
 
     lighting: Lighting
@@ -367,7 +367,7 @@ class Receivers:
             self.status = self._look(pixels)[0]
             seen = pixels[self.status == RECEIVER]
             # NumPy adds up a single column in another order than several columns.
-            # A single pixel is listed twice, so that its sums have the order of the others
+            # A single pixel is listed twice, so that its sums are added in the same order as others
             self.pixels = np.repeat(seen, 2, axis=0) if len(seen) == 1 else seen
             # Trace these pixels again without the other pixels, which would waste lanes
             self._kept = self._look(self.pixels)[1] if len(self.pixels) else None
@@ -465,10 +465,10 @@ def surely(prediction: Prediction, values: Array) -> Array:
 def unmet(prediction: Prediction, values: Array, there: Array) -> Array:
     """Return the error (P,) of variances predicted from values (N, P) that may miss light.
 
-    The integral is at least `there`. The values may miss a part M of it, which comes from a small
-    fraction q of the cube. This part adds the variance M²/(q n) for any stratification.
-    Few points hit the part: if none of N samples hit it, q is at most about 1/N.
-    If M exceeds three standard errors of the mean, the error is infinite, as q may be arbitrary.
+    The values may miss a part M of the integral, in a region of small volume q.
+    For any stratification this adds the variance M²/(q n), because few points hit the region.
+    If none of N samples hit the region, q is at most about 1/N. The integral is at least `there`.
+    If M exceeds three standard errors of the mean, q may be arbitrary: the error is infinite.
     """
     mean, se = prediction.mean(values)
     missed = np.maximum(there - mean, 0.0)
@@ -559,7 +559,7 @@ class _Grid:
         if self.power is None:
             return whole, _error_of_mean(parts)
         # The powers of m and −m are the same number, so add their errors.
-        # Different pairs have independent errors, so add the squares of these
+        # Different pairs have independent errors, so add the squares of their errors
         doubled = np.sqrt(2.0 * _sum(self.power_se**2, _energy(grid) ** 2))
         return whole, np.hypot(_error_of_mean(parts), doubled)
 

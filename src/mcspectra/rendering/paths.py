@@ -12,8 +12,8 @@ The sampler advances for each request, even if a path does not need the number.
 A coordinate therefore has the same meaning for all paths.
 Numbers for bounces that a path does not reach have no effect on that path.
 
-A dry run finds D and the bounce of each number. Its loop is evaluated step by step, not
-recorded: Dr.Jit evaluates the counter of requested numbers after each iteration.
+A dry run finds D and the bounce of each number. Its loop is not recorded but evaluated:
+Dr.Jit evaluates the counter of requested numbers after each iteration.
 If the requests of a bounce match an integrator of Mitsuba, the decision of each number is known.
 For any other integrator, decisions are named ``request 1``, ``request 2`` and so on.
 Mitsuba selects a light by stretching the first coordinate of its point.
@@ -21,7 +21,7 @@ The choice of the light and the choice of a point on it are therefore one decisi
 
 Rare paths need numbers beyond D. If fewer dims are requested, all paths may need them.
 These numbers are hashed from the last two coordinates.
-The integrand remains a function of u, but the points do not determine how even these numbers are.
+The integrand remains a function of u, but good points do not spread these numbers evenly.
 
 Integrators return the radiance of all lights together.
 The choice of paths does not depend on the emission.
@@ -204,7 +204,7 @@ class PathPixel(MitsubaIntegrand):
     def numbers_per_path(self) -> float:
         """Mean number of random numbers that a path requests, excluding the camera's.
 
-        All paths request the same numbers in an iteration of the integrator's loop.
+        Each iteration of the integrator's loop requests the same count of numbers.
         """
         return self._tracer.dry_run(((self.x, self.y),))[1]
 
@@ -248,7 +248,7 @@ def light_selection(scene: Scene) -> Array:
 
 
 def parts_by_light(f: PathPixel, u: Array) -> Array:
-    """Split the values of f at points u (..., D) by light: (L, ...), which sum to f.
+    """Split the values of f at points u (..., D) by light. The parts (L, ...) sum to f.
 
     Mitsuba cannot change the emission of some lights, such as a black body.
     A scene with such a light raises a ParameterError.
@@ -572,7 +572,7 @@ def _dry_run(
         if began and turns[-1]:
             turns.append([])
         turns[-1].append(number)
-    # If some paths skip random numbers, a number has no common decision
+    # If some paths skip random numbers, their decisions have no common order
     if len(decided) + sum(map(sum, turns)) != asked:
         rest = range(1, asked - len(decided) + 1)
         unknown = (Dimension(1, f"request {k}") for k in rest)

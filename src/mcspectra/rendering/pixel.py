@@ -6,20 +6,20 @@ The camera ray through the pixel's center fixes one surface point.
 Its direct illumination is the integral ∫ f_r L_e V cos over directions.
 Each strategy defines an integrand g(u) = f/p in primary space, the unit square.
 The integrand is evaluated at the direction to which the strategy maps u.
-``light`` samples a light, ``bsdf`` the BSDF, and ``environment`` a density from `skies`.
+``light`` samples a light, ``bsdf`` the BSDF, and ``environment`` a density of directions.
 ``mis-light`` and ``mis-bsdf`` weight the first two by a heuristic [VeachGuibas1995]_.
-The heuristic is for equal numbers of samples, so with independent points
-the sum of both parts is multiple importance sampling.
+The heuristic is for equal numbers of samples.
+With independent points, the sum of both parts is therefore multiple importance sampling.
 `pixel_mis` supports all heuristics, and any counts and techniques.
 The techniques share directions but no warp, because each technique has a separate unit cube.
 Results therefore exist only in primary space, and densities are per steradian.
 Light that reaches the camera directly is excluded.
 
 Mitsuba computes in float32: values carry relative errors of about 1e-7.
-Averages are computed in float64. With all lights, Mitsuba selects a light at random,
-uniformly or by ``sampling_weight``, and stretches the first coordinate for the selection.
-This cuts the square into strips and adds discontinuities.
-A separate coordinate for the selection avoids these discontinuities, and so does a single light.
+Averages are computed in float64.
+With all lights, Mitsuba selects a light at random, uniformly or by ``sampling_weight``.
+The selection stretches the first coordinate: it cuts the square into strips and adds jumps.
+A single light avoids these discontinuities, and so does a separate coordinate.
 The columns of u have the following meanings:
 
 ===========  ==================================================================================
@@ -522,7 +522,7 @@ SOURCE = "mean of 16 Owen-scrambled sets of 2^17 Sobol' points"
 
 _POINTS, _SETS = 2**17, 16
 _SEED = 20_170_623
-# Relative rounding error of values, which does not show in their spread
+# Relative rounding error of values, which affects all of them alike
 _SINGLE = float(np.finfo(np.float32).eps)
 
 

@@ -20,8 +20,8 @@ The same rule holds for `mcspectra.rendering.variance_map` and for pixels (`padd
 The command ``python -m benchmarks scenes`` measures the effect of this rule on five scenes.
 
 In vectorized variants, lane i is sample i mod n of pixel ⌊i / n⌋.
-Kernels compute scrambled nets themselves (`kernel_nets`), and joint sets up to `_MOST_WORDS`
-dims. Sets of other samplers are stored as float32 tables in Dr.Jit's memory.
+Kernels compute scrambled nets (`kernel_nets`), also joint sets up to `_MOST_WORDS` dims.
+Sets of other samplers are stored as float32 tables in Dr.Jit's memory.
 Requests read these tables in the layout of `Rounds`.
 In scalar variants, Mitsuba seeds the sampler for each pixel. Then the sets of the pixel are drawn.
 """
@@ -401,7 +401,7 @@ class _DeviceSets:
 class _TablePads:
     """Tables of point sets: 1-D sets answer requests for one number, 2-D sets those for two.
 
-    An offset selects the set that answers a request. All requests of a pixel differ in the offset.
+    An offset selects the set that answers a request. Each request of a pixel has another offset.
     """
 
     def __init__(self, module: Any, sets: PaddedSets, stream: Stream, rounds: Rounds) -> None:
@@ -520,8 +520,8 @@ def _shuffle(points: Array, keys: Array, largest: Any, out: Array) -> None:
 class Rounds:
     """Assigns sets to requests: the number of the set is (pixel + request · stride) mod size.
 
-    The stride is relatively prime to the size. The first `size` requests of a pixel
-    therefore use different sets.
+    The stride is relatively prime to the size.
+    The first `size` requests of a pixel therefore use different sets.
     """
 
     size: int

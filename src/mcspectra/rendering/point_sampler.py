@@ -1,7 +1,7 @@
 """Mitsuba's own samplers as point sets, by name or as objects.
 
 Samplers by name use the variant ``scalar_rgb``, but do not set it as the current variant.
-The current variant does not change, because pixels depend on it.
+The current variant stays the same, because pixels depend on it.
 The module belongs to the package `rendering` because it needs `backend`.
 That module imports Mitsuba in a way that keeps rendering possible.
 """
@@ -49,8 +49,8 @@ class MitsubaSampler(Sampler):
         Name of the sampler: ``"independent"``, ``"stratified"``, ``"multijitter"`` (Kensler 2013),
         ``"orthogonal"`` (Jarosz et al. 2019) or ``"ldsampler"`` (Kollig & Keller 2002).
     jitter
-        For samplers with strata: whether points are random in their strata, or at the centers.
-        Three of the samplers have strata.
+        Whether points are random in their strata, or at the centers of their strata.
+        This applies to the three samplers with strata.
 
     Notes
     -----

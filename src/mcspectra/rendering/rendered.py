@@ -7,7 +7,7 @@ Each sequence has its own points, as each pixel of an image does.
 Here a sequence is one pixel in one of R images, and one wavefront computes all R images.
 Only the measured pixels are traced.
 Positions in the pixel, on the lens and in time are sampled as in Mitsuba's own loop.
-The samplers are Mitsuba's own objects, or ours as its plugin.
+The samplers are objects of Mitsuba's own samplers, or of our plugin.
 Paths therefore take their random numbers in the same way as in an image.
 
 With a box filter, a pixel is the mean of its own samples.

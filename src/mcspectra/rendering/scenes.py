@@ -112,7 +112,7 @@ def as_scene(scene: object) -> str | Path | DictScene:
 
 
 def scene_name(scene: Scene) -> str:
-    """Return how messages call a scene: its quoted name or path, or ``'dict'``."""
+    """Return the text for a scene in messages: its quoted name or path, or ``'dict'``."""
     return repr(str(as_scene(scene)))
 
 
@@ -271,7 +271,7 @@ def render_file(
                 camera.film().write(str(target))
             return np.array(image, dtype=np.float64)
         except (RuntimeError, TypeError) as error:
-            if isinstance(error.__cause__, McspectraError):  # raised by one of our samplers
+            if isinstance(error.__cause__, McspectraError):  # one of our samplers raised it
                 raise error.__cause__ from None
             reason = mitsuba_reason(error)
             raise FileFormatError(f"Mitsuba cannot render {shown(named)}: {reason}.") from None
@@ -330,7 +330,7 @@ def integrator_plugin(spec: str) -> dict[str, Any]:
         raise ParameterError(f"The integrator {shown(spec)} cannot be read: {error}") from None
     if reach_of(found) is not None:
         raise ParameterError(f"The integrator {shown(spec)} names a file or code; remove it.")
-    _copied(found)  # Checks files and depth by copying; the copy is not used
+    _copied(found)  # Copying checks files and depth; the copy is not used
     return found
 
 
@@ -401,7 +401,7 @@ def project(scene: Scene, point: Sequence[float]) -> tuple[float, float]:
 
 
 def find_emitter(scene: Scene, light: int | str) -> Any:
-    """Return the light of a scene with this index or name: its own id or that of its shape.
+    """Return the light of a scene with this index or name. A name may also be the id of its shape.
 
     Raises
     ------
@@ -610,7 +610,7 @@ _MOST_NAMES = 64  # maximum number of values that the parameters in one text can
 # Maximum number of passes over all names. Each pass follows one more include or default
 _MOST_ROUNDS = 64
 _LONGEST_PATH = 4096  # maximum length of a path in Linux; a longer text cannot be a file
-_LONGEST_PARAMETER, _LONGEST_TEXT = 64, 2**20  # largest lengths of a name, a text
+_LONGEST_PARAMETER, _LONGEST_TEXT = 64, 2**20  # longest name and longest text, in characters
 _PARAMETER = re.compile(rf"\w{{1,{_LONGEST_PARAMETER}}}", re.ASCII)
 _PLUGIN_NAME = re.compile(r"[\w-]+")
 _LIBRARIES = (".so", ".dylib", ".dll")
@@ -634,9 +634,9 @@ def watched_state(scene: Path) -> State:
 def referenced_files(
     scene: Path, definitions: Mapping[str, str] | None = None, trust: Trust | None = None
 ) -> set[Path]:
-    """Return the existing files that the XML of a scene names. XML that it includes is read too.
+    """Return the existing files that a scene's XML names. Included XML files are also read.
 
-    A name is searched in the folders of the scene, of the naming file, and of every ``<path>``.
+    A name is searched for in the folders of the scene, of the naming file, and of every ``<path>``.
     A file that is in none of these folders is searched for in the current folder.
     A file that is not XML names no other file. All XML that Mitsuba would parse is checked.
 
@@ -645,7 +645,7 @@ def referenced_files(
     scene
         XML file.
     definitions
-        Values for each ``$name`` in the file. Values of ``<default>`` elements are added.
+        Values for each ``$name`` in the file. The file's own ``<default>`` values are added.
     trust
         Files that an untrusted scene may name.
         None allows every file, for a scene that the user gave directly.
@@ -872,7 +872,7 @@ def _elements(file: Path, data: bytes) -> _SceneFile:
 
 
 def _expanded(text: str, values: Mapping[str, Iterable[str]], file: Path) -> list[str]:
-    """Return a text in all versions: each parameter ``$name`` is replaced by each of its values.
+    """Return all versions of a text: each parameter ``$name`` is replaced by each of its values.
 
     A parameter without a value is not replaced.
     Mitsuba replaces the names that have a value when it reads the text.
@@ -899,7 +899,7 @@ def _too_many(file: Path, text: str) -> FileFormatError:
 
 
 def check_plugin(name: str, folders: Iterable[Path]) -> None:
-    """Reject a plugin if one of these folders has a library of its name, which Mitsuba would run.
+    """Reject a plugin if one of these folders has a library of this name. Mitsuba would run it.
 
     Raises
     ------
@@ -962,7 +962,7 @@ def _states(files: Iterable[Path]) -> State:
 def what_fails(scene: Any) -> tuple[str, RuntimeError] | None:
     """Return the first material or light that cannot be evaluated, with the error, or None.
 
-    Dr.Jit traces a call of a BSDF for all BSDFs in the process, of all scenes.
+    If Dr.Jit traces a call of a BSDF, it traces all BSDFs in the process, of all scenes.
     If one BSDF cannot be evaluated, all other scenes therefore fail as well.
     For this reason, each BSDF and each light of a scene is called once by itself before use.
     Calls that are only traced take microseconds. The caller must hold `backend.LOCK`.

@@ -1,7 +1,7 @@
 """Screen-space samplers: the points of every pixel and frame, from this package or other code.
 
 A screen-space sampler gives n points of [0,1)^d for each pixel (x, y), frame t and seed.
-Points are made for blocks: rectangles of pixels over some frames. The following can make them:
+Points are made for blocks: rectangles of pixels over some frames. Sources of points are:
 
 * any sampler of this package; with ``decorrelate(mask=…)``, pixels depend on each other;
 * ``command(run='./mine {x} {y} {frame} {n} {seed}')``: a program, see `CommandScreen`;
@@ -146,7 +146,7 @@ class ScreenSampler(Component, ABC):
         n
             Number of points per pixel and frame.
         block
-            The pixels and frames to make.
+            Block of pixels and frames.
         seed
             Number of the block: 0, 1, 2, …
         stream
@@ -262,7 +262,7 @@ def _check_processes(spec: str, processes: int) -> None:
 
 
 _AXES = (("frame", "frames"), ("y", "height"), ("x", "width"))
-"""Axes of a block, slowest first. Placeholders: one for a single place, one for all places."""
+"""Axes of a block, slowest first: the placeholder for one place, and that for all places."""
 
 _PLACEHOLDERS = (*(name for axis in _AXES for name in axis), "n", "seed", "dims")
 
@@ -415,7 +415,7 @@ class CommandScreen(ScreenSampler):
         for index, points in enumerate(map_in_order(part, range(1, total), workers), 1):
             flat[index] = points
             report(self.label, (index + 1) / total)
-        # Join the runs and the printed positions of each axis
+        # Join the results of all runs along each axis
         whole = made.transpose(0, 3, 1, 4, 2, 5, 6, 7)
         whole = whole.reshape(-1, block.height, block.width, n, self.dims)
         for t in range(block.frames):
@@ -427,7 +427,7 @@ ScreenFunction = Callable[[Array, Array, Array, int, int], Any]
 
 
 class _OfFunction(ScreenSampler):
-    """Base class of screen-space samplers from a function, or from the name of a function."""
+    """Base class of sources that call a Python function."""
 
     @abstractmethod
     def _function(self) -> ScreenFunction:

@@ -117,7 +117,7 @@ def sky_technique(scene: Scene, density: Density | str | None, channel: str | in
     """Bind a 2-D density, or the density of a spec, to the environment of a scene.
 
     A spec ``environment`` without a path means the scene's own environment, `sky_pixels`.
-    With None, this environment is interpolated bilinearly.
+    If the density is None, this environment is interpolated bilinearly.
     The density is then proportional to `channel`, or to the luminance for ``"rgb"``.
     """
     if density is None:

@@ -50,7 +50,7 @@ POWERS = {"balance": 1, "power": 2}
 """Exponents β of the power heuristics, by name."""
 
 Techniques = tuple[Any, Any, Any]
-"""Value f/p, density of the technique, and density of the other technique at the direction."""
+"""Three arrays: the value f/p, the density of the technique, and that of the other technique."""
 
 _SCENES, _PIXELS = 4, 256  # number of scenes with cached hits, and of pixels in each
 _PROBES = 16  # number of tested positions along each side of a pixel
@@ -131,7 +131,7 @@ def follow_camera(scene: Any, position: Any) -> Any:
     time = sensor.shutter_open() + 0.5 * sensor.shutter_open_time()
     mitsuba = load_mitsuba()
     ray, _ = sensor.sample_ray(time, 0.5, position, mitsuba.Point2f(0.5))
-    # Rays of neighboring pixels together are faster (coherent): an image takes 10 % less time
+    # Coherent rays (of neighboring pixels together) make an image 10 % faster
     return scene.ray_intersect(ray, mitsuba.RayFlags.All, True)
 
 
@@ -273,8 +273,8 @@ def pixel_sums(
 
     Samples u are (R, n, D), equal for all pixels, or (R, P, n, D).
 
-    Each lane is one realization of one pixel. The function `values` is called with the pixel of
-    each lane, and returns a function of the row of u.
+    Each lane is one realization of one pixel. The function `values` gets the pixel of each lane,
+    and returns a function of the row of u.
     """
     import drjit
 
