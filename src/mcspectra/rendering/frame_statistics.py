@@ -160,9 +160,9 @@ def frames(
         ``error_correlation(n, lag_y, lag_x)``: correlation of errors at a lag in pixels.
         ``image(y, x, band)``: mean of the frames with most samples.
         ``flip(n, y, x)``: the FLIP error [Andersson2021]_ of the first frame against ``image``.
-        FLIP needs the package flip-evaluator. With a reference, it is the error against that.
-        ``gaussian_variance(n, sigma)`` and ``gaussian_ratio``, the variance after a Gaussian,
-        and its ratio to the variance that the filter leaves of equally strong white noise.
+        FLIP needs the package flip-evaluator. If a reference is given, FLIP compares with it.
+        ``gaussian_variance(n, sigma)``: variance after a Gaussian filter.
+        ``gaussian_ratio``: this variance divided by that of equally strong white noise.
         ``filtered_variance(n, filter)`` and ``filtered_ratio`` are the same for the `filters`.
         Sequences also have ``joint_spectrum(n, radius, frame_frequency)``, 1 for white noise,
         ``frame_correlation(n, lag_t)``, ``boiling(n)`` (power below 1/8 cycle per frame),

@@ -130,7 +130,7 @@ class Contrast:
         return np.asarray(frames - frames.mean(axis=0, dtype=np.float64).astype(frames.dtype))
 
     def relabelings(self, most: int, rng: np.random.Generator) -> Array:
-        """Return weights of frames or pairs (relabeling, row). The first relabeling is true.
+        """Return weights of frames or pairs (relabeling, row); the first row has the true labels.
 
         All relabelings are listed if their number is at most `most`; otherwise `most` are drawn.
         """

@@ -302,7 +302,7 @@ class Tracer:
     ) -> tuple[Dimension, ...]:
         """Return how paths through these pixels use each of the first `dims` coordinates of u.
 
-        By default, `dims` is what the paths use, at most 64. Later coordinates are "unknown".
+        By default, `dims` is the number that paths use, at most 64. Later ones are "unknown".
         """
         found = self.dry_run(pixels)[0]
         count = min(len(found), _MOST_DIMS) if dims is None else dims

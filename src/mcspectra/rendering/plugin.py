@@ -219,7 +219,7 @@ def _plugin_class(variant: str) -> Any:
                 return
             self._seed_base(seed, wavefront_size)
             per_pass = self.per_pass or self.options.samples_per_pass or self.sets.count
-            # Integrators in C++ set the samples per pass without calling Python: forget it
+            # Mitsuba's own integrators set this without calling Python: drop the old value
             self.per_pass = None
             number = int(seed) if isinstance(seed, int) else int(seed.numpy()[0])
             stream = self.options.stream(number)

@@ -723,7 +723,7 @@ def referenced_files(
                     around = tuple(folders | {file.parent: None})
                     if trust is not None and tag == "string":
                         trust.check_scene_spec(name, where)
-                        for ending in ("eta", "k"):  # Mitsuba may open these two files of a metal
+                        for ending in ("eta", "k"):  # Mitsuba may open these two files
                             places(f"data/ior/{name}.{ending}.spd", around, where)
                     if tag == "path":
                         for folder in (*around, here):
@@ -934,7 +934,7 @@ def _exists(place: Path, kind: Callable[[int], bool] = bool) -> bool:
 
 
 def _regular(place: Path, scene: Path) -> Path | None:
-    """Return the resolved path of a file, or None if missing. A device or pipe is an error."""
+    """Return the resolved path of a file, or None if missing. Devices and pipes raise an error."""
     try:
         place = place.resolve()
         mode = place.stat().st_mode

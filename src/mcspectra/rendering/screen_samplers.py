@@ -636,7 +636,7 @@ class Tiles(ScreenSampler):
         return self.path if isinstance(self.path, str) else " and ".join(self.path)
 
     def blocks(self, block: ScreenBlock, seeds: int) -> tuple[int, bool]:
-        """Return the number of different parts of the tile: 1 if the block holds it whole."""
+        """Return the number of different parts of the tile: 1 if the block contains all of it."""
         if self.points and not as_sampler(self.points, self.dims).fixed:
             return seeds, False
         if all(self.repeats(1, block)):

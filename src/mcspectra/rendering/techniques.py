@@ -131,7 +131,7 @@ def follow_camera(scene: Any, position: Any) -> Any:
     time = sensor.shutter_open() + 0.5 * sensor.shutter_open_time()
     mitsuba = load_mitsuba()
     ray, _ = sensor.sample_ray(time, 0.5, position, mitsuba.Point2f(0.5))
-    # Coherent rays (of neighboring pixels together) make an image 10 % faster
+    # Coherent rays, those of neighboring pixels together, save 10 % of an image's time
     return scene.ray_intersect(ray, mitsuba.RayFlags.All, True)
 
 
