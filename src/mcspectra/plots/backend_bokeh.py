@@ -629,7 +629,7 @@ def _seen(color: str) -> str:
 
 
 def _plain(text: str) -> str:
-    """Make a text printable, and split its TeX delimiters, for which Bokeh would load TeX."""
+    """Make a text printable, and split TeX delimiters in it: Bokeh would load TeX for them."""
     text = printable(text, lines=True)
     joiner = "\u2060"  # invisible, no width
     for mark in ("$$", r"\(", r"\["):

@@ -41,7 +41,7 @@ FORMATS = (".pdf", ".pgf", ".svg")
 """Extensions of the files of each figure."""
 
 _INCHES = {"in": 1.0, "mm": 1.0 / 25.4, "cm": 1.0 / 2.54, "pt": 1.0 / 72.27, "bp": 1.0 / 72.0}
-_WIDTH, _FONT, _LINE = 3.33, 8.0, 1.0  # in inches (one of two columns), points and points
+_WIDTH, _FONT, _LINE = 3.33, 8.0, 1.0  # figure width in inches; font size and line width in points
 _THIN = 0.6  # line width in points of guides and reference lines
 _DOT = 3.2  # largest diameter of markers in points
 _USUAL = 2.3  # width of a panel on an HTML page in inches

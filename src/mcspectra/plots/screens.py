@@ -44,7 +44,7 @@ def filter_names(data: xr.Dataset) -> dict[str, str]:
 
 
 def mask_names(specs: Sequence[str], length: int = 40) -> dict[str, str]:
-    """Return short distinct names, for a mask as in ``sobol, blue-noise, golden``."""
+    """Return short and distinct names, which for masks look like ``sobol, blue-noise, golden``."""
     short = []
     for spec in specs:
         try:

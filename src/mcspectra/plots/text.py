@@ -168,7 +168,7 @@ def shorten(text: str, length: int = 30) -> str:
     """Shorten a text to one line of at most `length` characters, by omitting its middle.
 
     Parts of a spec that have a ``name=`` are replaced by that name.
-    Words are kept whole, unless the beginning or the end would lose more than a third by that.
+    Words are kept whole, unless this would remove more than a third of the beginning or the end.
     """
     line = short_spec(" ".join(text.split()))
     if len(line) <= length:

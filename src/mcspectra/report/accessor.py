@@ -77,7 +77,7 @@ class Result:
         ------
         ParameterError
             If no figure shows this result, or if the figure `kind` does not fit this result.
-            Number of points for images, spectrum and quality figures, rounded to a possible count.
+            If the number of `axes` is not the number of panels, or `axes` and `ax` are both given.
 
         Examples
         --------

@@ -40,7 +40,7 @@ _UNSURE = 0.5  # a power with a relative error above this limit is not interpret
 _ALIKE = 0.1  # smallest correlation of neighboring errors that is reported
 # In white noise, the larger of two correlations exceeds 2.24 standard errors in 5 % of cases
 _SURE = 2.24
-_HEAVY = 0.5  # above this index of heavy tails, the variance is infinite
+_HEAVY = 0.5  # tail index above which the variance is infinite
 _CARRIED = 0.05  # fireflies are reported if they hold more than this share of the variance
 _MOST = 0.5  # a cause with more than this share is called the main source of the variance
 _SURELY = 100.0  # effect of findings that change the meaning of all numbers, for example a bias

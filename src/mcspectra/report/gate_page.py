@@ -100,7 +100,7 @@ def _reason(result: xr.Dataset, found: dict[str, Any]) -> str:
 
 
 def _failed(found: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the failed tests: the image, then other tests of means by p, then the noise."""
+    """Return the failed tests: first the image, then other means by p-value, then the noise."""
     order = list(_TESTS)
     failed = [each for each in found["tests"] if each["p"] <= found["level"]]
 

@@ -289,7 +289,7 @@ def map_summary(result: xr.Dataset) -> dict[str, Any]:
 
 
 def _causes(result: xr.Dataset, kind: str) -> dict[str, dict[str, float]]:
-    """Return a table of values over `dims` in the first channel, with their methods."""
+    """Return the share of the variance due to each bounce or decision, for image and pixels."""
     shares, weights = result[f"{kind}_share"], result["path_variance"]
     total = float(weights.where(shares.notnull().all(kind)).sum())
     found = {}

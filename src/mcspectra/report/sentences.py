@@ -418,7 +418,7 @@ def _cross_share(row: SummaryRow) -> str:
 
 
 def _median_frequency(row: SummaryRow, terms: xr.Dataset) -> float | None:
-    """Return the |m| below which half of the power term lies; None without lengths."""
+    """Return the |m| below which half of the power term lies; None if the basis has no |m|."""
     scale = {"fourier": 1.0, "cosine": 0.5}.get(row.basis or "fourier")
     if scale is None or "power_contribution" not in terms:
         return None

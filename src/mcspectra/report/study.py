@@ -64,7 +64,7 @@ _DETAILS: Mapping[str, tuple[str, ...]] = {
 }
 """Titles of collapsed blocks, and the kinds of figures in each of them."""
 
-_MOST_ROWS = 40  # with more estimators, no row of pictures: 40 rows make about 10 MB
+_MOST_ROWS = 40  # largest number of estimators with rows of pictures (about 10 MB)
 _MOST_GAPS = 50  # largest number of rows in the table of missing analyses
 _LONGEST_KEY = 60  # largest number of characters in a group's name in the store
 _NOT_DONE = "not computed yet"
@@ -375,7 +375,7 @@ def _gaps(root: Path, asked: Mapping[str, Sequence[str]]) -> Iterator[html.Block
     heading = html.Paragraph(text="What is missing", kind="heading")
     try:
         status = study_status(root)
-    except StoreError as error:  # without the ledger, which records failures
+    except StoreError as error:  # the ledger, which records failures, is missing
         yield heading
         yield html.Paragraph(text=f"It is unknown whether analyses failed. {error}")
         return
