@@ -21,7 +21,7 @@ from mcspectra.plots.description import Plot
 __all__ = ["JOINT", "STALE", "Board", "Card", "card_of"]
 
 JOINT = "A and B"
-"""Name of the side that a figure of both set-ups has."""
+"""Name of the side for figures that show both set-ups."""
 
 _FRESH: Any = {"opacity": "1", "filter": "none"}
 _FRAMES = {False: 216, True: 100}  # width of a panel in pixels: for one set-up, and for two

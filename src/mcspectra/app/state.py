@@ -280,7 +280,7 @@ class ExplorerState:
             pairs = parse_qsl(
                 query, keep_blank_values=True, strict_parsing=bool(query), errors="strict"
             )
-        except ValueError:  # UnicodeDecodeError is one
+        except ValueError:  # includes UnicodeDecodeError
             raise ParameterError(
                 "The address cannot be read; after '?' it needs key=value pairs joined by '&'."
             ) from None

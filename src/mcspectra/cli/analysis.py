@@ -2,8 +2,7 @@
 
 Every analysis in `mcspectra.core.analysis.ANALYSES` that has a verb becomes a verb.
 This includes analyses from other packages.
-On the command line, the subject comes first: an integrand with densities and sampler,
-or only a sampler.
+The subject comes first: a sampler, or an integrand with densities and a sampler.
 The options of the analysis follow (`mcspectra.core.options.options_of`).
 The module `mcspectra.cli.texts` writes the result as text.
 

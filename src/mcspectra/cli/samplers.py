@@ -334,7 +334,7 @@ def bench_(options: argparse.Namespace) -> VerbOutput:
     bench = mcs.sampler_bench(specs, **given, rng=seed)
 
     # Measure a card of each sampler only if a page is written.
-    # Cards use the largest count only, because the bench already contains the rates
+    # The cards use the largest count only: the result of `sampler_bench` already has the rates
     cards = []
     if not paper and any(is_folder(file) or file.endswith(".html") for file in options.out):
         spectra = min(200, options.realizations or 200)

@@ -548,7 +548,7 @@ class _Grid:
     method: str
     count: int
     samples: Array = field(repr=False)
-    power: Array | None = field(repr=False, default=None)  # entry m: frequency m, also if m < 0
+    power: Array | None = field(repr=False, default=None)  # the index is the frequency m
     power_se: Array = field(repr=False, default_factory=lambda: np.zeros(()))
     gains: Array | None = field(repr=False, default=None)  # gains Γ_l for levels l = (i, j)
 

@@ -49,7 +49,7 @@ def requests_of(dimensions: Sequence[Dimension]) -> tuple[int, ...]:
 def as_rendered(
     sampler: Sampler | str, dimensions: Sequence[Dimension], joint_dims: int | None = None
 ) -> Sampler:
-    """Return the sampler of a path's numbers, as a renderer uses it.
+    """Return the sampler of a path's random numbers, in the way that a renderer uses it.
 
     Parameters
     ----------

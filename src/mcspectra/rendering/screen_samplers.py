@@ -865,8 +865,8 @@ def as_screen_sampler(source: Any, dims: int | None = None) -> ScreenSampler:
     Parameters
     ----------
     source
-        A `ScreenSampler`, a spec string, a function ``points(x, y, frame, n, seed)``,
-        or anything that `mcspectra.samplers.as_sampler` accepts.
+        A `ScreenSampler`, a spec string, or a function ``points(x, y, frame, n, seed)``.
+        Anything that `mcspectra.samplers.as_sampler` accepts is also allowed.
         A command with ``{x}``, ``{y}``, ``{width}`` or ``{height}`` is a `CommandScreen`.
         A single ``python('module:function')`` is a `PythonScreen`.
     dims

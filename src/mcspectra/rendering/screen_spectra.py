@@ -139,8 +139,8 @@ def screen_spectrum(
     Raises
     ------
     ParameterError
-        If an option is out of range, or the integrand is constant, has several channels
-        or an infinite variance.
+        If an option is out of range, or the integrand is constant.
+        If the integrand has several channels or an infinite variance.
         If the block is too large, or two samplers have the same name.
     McspectraError
         If a sampler cannot be created, or cannot make the points.

@@ -1,4 +1,4 @@
-"""The bias of an estimate: a sum over frequencies of the integrand's coefficient times mean S_m."""
+"""The bias of an estimate: the sum of the integrand's coefficients times the means of S_m."""
 
 from __future__ import annotations
 

@@ -163,7 +163,7 @@ class Exhibit:
     Attributes
     ----------
     numbers
-        Values for the names in braces in texts.
+        Values that replace the names in braces in the texts.
     plots
         Plots in the order of the page. Texts and layouts belong to the kinds of plots.
     claims

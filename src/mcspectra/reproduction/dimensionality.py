@@ -209,7 +209,7 @@ def _map_is_row_sums(dims: int, data: xr.Dataset) -> Claim:
 
 
 def _bands_are_blocks(dims: int, data: xr.Dataset) -> Claim:
-    """Compare entries after sorting: bands have the order of labels, but bit masks have another"""
+    """Sort the entries before comparing: bands follow their labels, not the order of bit masks."""
     of = subsets(dims, SMALL[dims][1])
     matrix = data["cross_matrix"].values
     blocks = [matrix[np.ix_(of == a, of == b)].sum().real for a in set(of) for b in set(of)]

@@ -1,4 +1,4 @@
-"""Mirroring of integrands or samples, which prevents that homogenization reduces the rate.
+"""Mirroring of integrands or samples. With it, homogenization does not reduce the rate.
 
 Mirror-uniform evaluates f at n/4 points and at their mirror images, four per point.
 Therefore it samples h, the mean of f over the four images, at n/4 points.
@@ -171,7 +171,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             _take_away(last, seed),
         ),
         claims=(
-            # Draw the integrand wrapped around, and mirrored
+            # Draw the integrand twice: wrapped around, and mirrored
             Claim(
                 "The original jumps by up to 1 − 1/e where it wraps around.",
                 float(np.abs(original).max()),

@@ -66,7 +66,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         high = 2 * float(frequency_sums(name, "random", 0.5).max())
         x, y_axis = count_axis("number of points N", COUNTS), log_axis("variance", low, high)
         panels.append(Panel(marks=tuple(marks), x=x, y=y_axis, title=title, grid=True))
-    nu, whole = np.arange(10, 801) / 200, np.arange(1.0, 5.0)  # with all integers in the range
+    nu, whole = np.arange(10, 801) / 200, np.arange(1.0, 5.0)  # the integers are included
 
     # Draw the power of jittered points also between integer frequencies
     power: list[Mark] = []

@@ -265,8 +265,8 @@ def check_integrand(integrand: Integrand | str, *, dims: int | None = None) -> N
     Notes
     -----
     Closed forms are compared with means over 32 shifted sets of 4096 points.
-    In up to three dims, closed forms that differ from the means by more than seven standard
-    errors are also compared with a quadrature.
+    In up to three dims, closed forms may differ from the means by up to seven standard errors.
+    If they differ by more, they are also compared with a quadrature.
     Errors of a closed form below these limits are not detected.
     If f differs from 0 in less than 1e-4 of the domain, points may miss this region.
     `Integrand.landmarks` must then return a point where f is not 0.
@@ -403,8 +403,8 @@ def check_analysis(analysis: Analysis, estimator: Any = None, sampler: Any = "ji
         The analysis, with options that make it quick to compute.
         It should have more than one block, so that merging is also checked.
     estimator, sampler
-        Subject of the analysis. The estimator may also be an integrand; the default is `gaussian`
-        in two dims. Spec strings are accepted, and some analyses also take lists of samplers.
+        Subject of the analysis. Spec strings are accepted. The estimator may be an integrand,
+        by default `gaussian` in two dims. Some analyses also take lists of samplers.
 
     Raises
     ------
