@@ -268,14 +268,14 @@ class TimeStatistics:
     left
         Covariance of the errors at each lag in frames, after each filter in space.
         The dims are (sequence, filter, lag). The first filter leaves pixels unchanged.
-        joint
+    joint
         Covariance of transformed errors at each lag in frames, summed over rings of frequencies.
         The dims are (sequence, radius, lag).
         Errors are divided by the standard deviation in a square of pixels around each pixel.
         The standard deviation of the pixel itself depends on its errors: it would bias the ratio.
         The last row holds the frequencies outside all rings, so that the sum is complete.
     sums
-        Sum of the squared time averages of the errors of each pixel (y, x).
+        For each pixel (y, x): the squared time average of its error, summed over sequences.
     """
 
     def __init__(self, times: int, space: SpatialPower, rings: Rings, variance: Array) -> None:

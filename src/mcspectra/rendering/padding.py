@@ -98,7 +98,7 @@ class Padded(Sampler):
     Attributes
     ----------
     source
-        The sampler in two dims. Requests for one number use it in one dim, if it has one dim.
+        The sampler in two dims. For requests of one number, its 1-D version is used if it exists.
     joint
         How many of the first numbers of a path come from one joint set, or 0.
     requests

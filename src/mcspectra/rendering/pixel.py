@@ -29,7 +29,7 @@ The columns of u have the following meanings:
 ``dims=5``   position; direction; selection
 ===========  ==================================================================================
 
-With positions, the integral is the mean over the pixel.
+If positions are sampled, the integral is the mean over the pixel.
 The integrand is 0 if a ray leaves the scene or hits a light.
 
 `PixelView.draws` returns the densities of all techniques at one draw.

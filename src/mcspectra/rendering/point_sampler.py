@@ -39,9 +39,9 @@ class MitsubaSampler(Sampler):
     The sampler has 1 to 1024 dims. Pairs of dims are drawn by ``next_2d``.
     If the number of dims is odd, the last dim is drawn by ``next_1d``.
     Counts are at most 2^20. Only counts that Mitsuba does not round are allowed:
-    any count for ``independent``, s² for ``stratified``,
-    s², s(s + 1) and s(s + 2) for ``multijitter``,
-    squares of primes for ``orthogonal``, and powers of 4 from 4 for ``ldsampler``.
+    ``independent`` takes any count, and ``stratified`` takes s².
+    ``multijitter`` takes s², s(s + 1) and s(s + 2).
+    ``orthogonal`` takes squares of primes, and ``ldsampler`` takes powers of 4 from 4.
 
     Attributes
     ----------

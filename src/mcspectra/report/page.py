@@ -164,7 +164,7 @@ class Slider:
     label
         Name of the parameter.
     plots
-        Plots by the text of the parameter's value.
+        The plot for each value. Values are given as texts.
     start
         Value that is shown first, when printed, and without scripts.
     """

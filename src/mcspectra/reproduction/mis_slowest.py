@@ -1,4 +1,4 @@
-"""Multiple importance sampling has the rate of its slowest technique: 1-D and Veach's scene."""
+"""Multiple importance sampling has the rate of its slowest technique: two examples."""
 
 from __future__ import annotations
 
