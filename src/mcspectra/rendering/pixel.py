@@ -522,7 +522,7 @@ SOURCE = "mean of 16 Owen-scrambled sets of 2^17 Sobol' points"
 
 _POINTS, _SETS = 2**17, 16
 _SEED = 20_170_623
-# Relative rounding error of values, which affects all of them alike
+# Relative rounding error of values, which their spread does not show
 _SINGLE = float(np.finfo(np.float32).eps)
 
 

@@ -253,7 +253,7 @@ def _unbiased(seed: int) -> Claim:
 
 
 def _domain(dims: int) -> Claim:
-    """Check that mirroring n points to 2^d n points divides the variance by 2^d."""
+    """Check that 2^d n points on the mirrored integrand have 1/2^d of the variance of n points."""
     f = INTEGRAND if dims == 2 else "gaussian(center=0.2, width=0.4, dims=1)"
     n, images = 64, 2**dims
     mirrored = float(mcs.exact_variance(mcs.Mirrored(f), "jittered", images * n))
