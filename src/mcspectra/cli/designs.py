@@ -70,7 +70,7 @@ _OF_SAMPLERS = ("members",)
 def design_(options: argparse.Namespace) -> VerbOutput:
     """Search for a sampler or a density with small variance, and measure the gain.
 
-    A sampler is searched for a class of integrands.
+    A sampler is optimized for a class of integrands.
     The table compares its mean variance with usual samplers, over other integrands of the class.
     If a usual sampler has less variance, that sampler is saved instead.
     Ctrl-C ends the search and keeps the best sampler found.

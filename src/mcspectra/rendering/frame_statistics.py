@@ -170,8 +170,8 @@ def frames(
         After a moving average: ``average_variance(n, alpha)`` and ``average_ratio(n, alpha)``.
         A command gives ``denoised_variance`` and ``denoised_square``, the mean squared bias.
         A reference gives ``bias_z(y, x)`` and ``squared_bias(n)``.
-        The relative bias, relMSE and SMAPE are given by tile, ``tile_bias(n, tile_y, tile_x)``,
-        and for the whole image, ``image_bias(n)``.
+        The relative bias, relMSE and SMAPE are given by tile: ``tile_bias(n, tile_y, tile_x)``.
+        They are also given for the whole image: ``image_bias(n)``.
         Two sets of frames are compared at the largest n that both have:
         ``difference`` of the means, ``difference_z`` by Welch's test,
         ``variance_ratio``, the variance of the first set of frames over that of the second set,

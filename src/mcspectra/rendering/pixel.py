@@ -182,7 +182,7 @@ class Pixel(MitsubaIntegrand):
     Raises
     ------
     ParameterError
-        If the pixel is outside the film, or shows no surface or a light.
+        If the pixel is outside the film, or shows a light or nothing.
         If its BSDF or a used light is a delta function, or the BSDF needs one more dim.
         If the light does not exist, or other lights are used with ``"environment"``.
         If a parameter is not allowed.

@@ -622,7 +622,8 @@ def watched_state(scene: Path) -> State:
     """Return the state of a scene's file and of all files that it names, for comparison.
 
     The XML is read again only if one of the files has changed since the last call.
-    A file counts as unchanged if its size and time are equal. The check takes microseconds.
+    A file counts as unchanged if its size and its time of change are equal.
+    The check takes a few microseconds per file.
     """
     file = scene.resolve()
     known = _watched.get(file, ())

@@ -314,7 +314,7 @@ _TABLES: Mapping[
             "Ratio",
             "95 % interval",
             "Rate",
-            "Verdict",  # treated as a number, because text would wrap
+            "Verdict",  # not a column of words, because these wrap
             "What to do",
         ),
         (0, 1, -1),

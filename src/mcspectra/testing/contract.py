@@ -403,8 +403,8 @@ def check_analysis(analysis: Analysis, estimator: Any = None, sampler: Any = "ji
         The analysis, with options that make it quick to compute.
         It should have more than one block, so that merging is also checked.
     estimator, sampler
-        Subject of the analysis. Spec strings are accepted. The estimator may be an integrand,
-        by default `gaussian` in two dims. Some analyses also take lists of samplers.
+        Subject of the analysis. The estimator may be an integrand (default: 2-D `gaussian`).
+        Spec strings are accepted. Some analyses also take lists of samplers.
 
     Raises
     ------
