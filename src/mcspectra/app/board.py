@@ -1,4 +1,4 @@
-"""The figures of one set-up on the page, and the job that computes them."""
+"""The figures of one set-up on the page, and the background job that computes them."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from mcspectra.plots.description import Plot
 __all__ = ["JOINT", "STALE", "Board", "Card", "card_of"]
 
 JOINT = "A and B"
-"""Side of a figure that shows both set-ups."""
+"""Name of the side for figures that show both set-ups."""
 
 _FRESH: Any = {"opacity": "1", "filter": "none"}
-_FRAMES = {False: 216, True: 100}  # Width of a panel in pixels, for one set-up and for two set-ups
+_FRAMES = {False: 216, True: 100}  # width of a panel in pixels: for one set-up, and for two
 STALE: Any = {"opacity": "0.35", "filter": "grayscale(1)"}
-"""Style of a figure whose set-up has changed or cannot be computed."""
+"""Style of a figure if its set-up has changed or cannot be computed."""
 
 
 @final
@@ -40,21 +40,21 @@ class Card:
 
 @final
 class Board:
-    """Figures with texts, a progress bar and a cancel button for one set-up.
+    """The figures of one set-up, with texts, a progress bar and a cancel button.
 
     Parameters
     ----------
     side
-        ``"A"`` or ``"B"``.
+        Side of the set-up, ``"A"`` or ``"B"``.
     sheet
         Style sheet of the widgets.
     later
-        Schedules a function without arguments in the page's thread, holding the page's lock.
+        Schedules a function without arguments in the page's thread, with the lock of the page.
     on_update
-        Called in the job's thread with an empty text before the first part is shown.
-        If nothing can be computed, the text is a sentence that gives the reason.
+        Called in the job's thread, with an empty text, before the first part is shown.
+        If nothing can be computed, the text is a sentence with the reason.
     on_shown
-        Called in the page's thread after a part was shown or the job has ended.
+        Called in the page's thread after a part was shown, and after the job has ended.
         The argument is True if figures were added or removed.
     """
 
@@ -73,10 +73,10 @@ class Board:
         self._later, self._on_update, self._on_shown = later, on_update, on_shown
         self._job: Job | None = None
         self._inbox: SimpleQueue[tuple[Job, Update | str]] = SimpleQueue()
-        self._fresh: set[str] = set()  # Kinds of figures that the current job has shown
+        self._fresh: set[str] = set()  # kinds of figures that the current job has already shown
         self._drawn: dict[
             str, tuple[Any, list[str]]
-        ] = {}  # Displayed value and figures of each part
+        ] = {}  # displayed value and figures of each part
         self._paired = False
         self._fraction = 0.0
         self._status = Div(sizing_mode="stretch_width", stylesheets=[sheet])
@@ -113,21 +113,21 @@ class Board:
         return self._job is not None
 
     def refuse(self, sentence: str) -> None:
-        """Report why an entry is not computed; the earlier figures stay and turn gray."""
+        """Report why an entry is not computed. The earlier figures remain, but turn gray."""
         self.cancel(quiet=True)
         self.latest.clear()
         self._fresh.clear()
         self._end(sentence, alert=True)
 
     def pair(self, paired: bool) -> None:
-        """Choose whether headings of figures name the side, A or B."""
+        """Choose whether the headings of figures name the side (A or B)."""
         self._paired = paired
         for kind, card in self.cards.items():
             card.layout.children[0].text = self._heading(kind)
             self._size(kind, card.drawn)
 
     def _size(self, kind: str, drawn: Drawn) -> None:
-        """Shrink the panels of the integrand so that they fit side by side in half of the page."""
+        """Shrink the panels of the integrand, so that they fit side by side in half of the page."""
         panels: list[Any] = getattr(drawn.model, "children", [])
         if kind != "integrand" or not panels:
             return
@@ -153,13 +153,13 @@ class Board:
         self._later(self._read)
 
     def _read(self) -> None:
-        """Process updates in the order of arrival, which the page's callbacks do not keep."""
+        """Process updates in their order of arrival, which callbacks of the page do not keep."""
         while not self._inbox.empty():
             job, news = self._inbox.get()
-            if job is not self._job:  # An earlier job sent this update
+            if job is not self._job:  # an earlier job sent this update
                 continue
             if isinstance(news, Update):
-                # Show a part of the results; a part with the same value is not shown or sent again
+                # Show a part of the results. If the part has not changed, nothing is sent
                 self.latest[news.kind] = news.value
                 before, kinds = self._drawn.get(news.kind, (None, []))
                 new = False
@@ -181,7 +181,7 @@ class Board:
                 self._end(news or "Done.", alert=bool(news) and not self.latest)
 
     def _place(self, plot: Plot) -> bool:
-        """Show a plot in its card; return True if the card is new."""
+        """Show a plot in its card (figure with heading). Return True if the card is new."""
         before = self.cards.get(plot.kind)
         card = card_of(plot, self._side, before, self._sheet, named=self._paired)
         if card is before:
@@ -191,7 +191,7 @@ class Board:
         return True
 
     def _end(self, sentence: str, *, alert: bool = False) -> None:
-        """Report the end of the job; remove figures without results, or turn old figures gray."""
+        """Report the end of the job. Remove figures without results, or turn old figures gray."""
         self._cancel.disabled = True
         old = [kind for kind in self.cards if kind not in self._fresh]
         if len(self.latest) > 0 and sentence == "Done.":
@@ -224,9 +224,9 @@ class Board:
 def card_of(
     plot: Plot, side: str, before: Card | None, sheet: InlineStyleSheet, *, named: bool = True
 ) -> Card:
-    """Show a plot of a side in the card `before` if it fits, or else in a new card.
+    """Show a plot of a side in the card `before` if it fits, otherwise in a new card.
 
-    The heading names the side if `named` is true. The label for screen readers always names it.
+    The heading names the side if `named` is true. The label for screen readers always does.
     """
     words = f'<p>{escape_html(plot.words)}</p><p class="soft">{escape_html(plot.caption)}</p>'
     if before is not None and before.drawn.fits(plot):

@@ -1,9 +1,9 @@
 """Compute the datasets of a set-up in rounds with more and more realizations, until canceled.
 
-Each round repeats all work with four times the realizations of the round before.
-All earlier rounds together therefore add a third to the work of the last round.
-The last round gives the same bits as the program of "Copy as Python".
-Estimators are cached, so that their integrands keep computed coefficients.
+Each round repeats all work with four times as many realizations as the round before.
+All earlier rounds together therefore add only a third to the work of the last round.
+The last round gives the same bits as the program that "Copy as Python" exports.
+Estimators are cached, so that their integrands keep coefficients that were computed.
 """
 
 from __future__ import annotations
@@ -52,41 +52,41 @@ __all__ = [
 ]
 
 UPDATE_KINDS = ("points", "integrand", "spectrum", "convergence", "terms", "predict")
-"""Parts of an update in order of computation. Later rounds omit points, integrand and predict."""
+"""Parts of a result, in order of computation. Later rounds omit points, integrand and predict."""
 
 MOST_AT_ONCE = 2
-"""Maximum number of parts that all pages compute at once; a second part uses idle times."""
+"""Maximum number of parts that all pages compute at once. A second part uses idle time."""
 
-_PATIENCE = 0.2  # Seconds between checks whether a waiting job was canceled
+_PATIENCE = 0.2  # seconds between checks whether a waiting job was canceled
 _INTEGRAND = ("integrand", "density", "dims", "mirror", "channel", "smoothing")
-_OWN = {  # Fields of the set-up on which each part depends
+_OWN = {  # for each part, the fields of the set-up that affect it
     "integrand": _INTEGRAND,
     "predict": (*_INTEGRAND, "sampler", "n", "strata_shift", "seed", "counts"),
 }
 
 _FIRST_ROUND, _GROWTH = 16, 4
-_LONGEST_ROUND = 30.0  # Longest expected duration of a round in seconds; longer ones are not begun
-_MATRIX_HALF_WIDTH = 64  # Largest half width at which the cross matrix is computed
-_KEPT = 64  # Maximum number of cached datasets, of about 1 MB each
-_GRID = {1: 1024, 2: 128}  # Grid points per axis for plots of the integrand, by dims
-_FILTERS = threading.Lock()  # Warning filters belong to the process, not to a thread
+_LONGEST_ROUND = 30.0  # a round that is expected to take longer, in seconds, is not begun
+_MATRIX_HALF_WIDTH = 64  # largest half width at which the cross matrix is computed
+_KEPT = 64  # maximum number of cached datasets, of about 1 MB each
+_GRID = {1: 1024, 2: 128}  # grid points per axis for plots of the integrand, by dims
+_FILTERS = threading.Lock()  # warning filters belong to the process, not to a thread
 
 
 @final
 @dataclass(frozen=True)
 class Update:
-    """A newly computed part of the figures.
+    """A part of the results that was just computed.
 
     Attributes
     ----------
     kind
-        Kind of the part, one of `UPDATE_KINDS`.
+        Name of the part, one of `UPDATE_KINDS`.
     value
-        Dataset of the analysis; for ``integrand``, f, p and f/p on a grid.
+        Dataset of the analysis. For ``integrand``, it has f, p and f/p on a grid.
     realizations
-        Number of realizations of this value.
+        Number of realizations of this result.
     fraction
-        Share of the job's work that is done, 0 to 1.
+        Fraction of the job's work that is done, 0 to 1.
     """
 
     kind: str
@@ -96,7 +96,7 @@ class Update:
 
 
 def rounds(setup: ExplorerSetup) -> Iterator[int]:
-    """Yield the number of realizations of each round. The last round has the set-up's number."""
+    """Yield the number of realizations of each round; the last round has the set-up's number."""
     count = _FIRST_ROUND
     while count < setup.realizations:
         yield count
@@ -105,7 +105,7 @@ def rounds(setup: ExplorerSetup) -> Iterator[int]:
 
 
 def compute(kind: str, setup: ExplorerSetup, realizations: int) -> xr.Dataset:
-    """Compute one of `UPDATE_KINDS`; results are cached by the fields they depend on.
+    """Compute one of `UPDATE_KINDS`. Results are cached by the fields that affect them.
 
     Raises
     ------
@@ -124,7 +124,7 @@ def compute(kind: str, setup: ExplorerSetup, realizations: int) -> xr.Dataset:
 def _computed(kind: str, setup: ExplorerSetup) -> xr.Dataset:
     parts = make_parts(setup)
     if kind == "integrand":
-        # Tabulate f, p and f/p on the unit square.
+        # Tabulate f, p and f/p on the unit square
         # For a sum of techniques, only f/p is known, with x in primary space
         dims, f = parts.sampler.dims, parts.estimator.domain_integrand
         size = _GRID[dims]
@@ -152,11 +152,11 @@ def _computed(kind: str, setup: ExplorerSetup) -> xr.Dataset:
 
 
 class _Cancelled(Exception):
-    """Stops the analysis of a canceled job."""
+    """Raised to stop the analysis of a canceled job."""
 
 
 _TURNS = threading.BoundedSemaphore(MOST_AT_ONCE)
-_own = threading.local()  # Holds the job of this thread
+_own = threading.local()  # holds the job of this thread
 
 
 def _stop_if_cancelled(what: str, fraction: float) -> None:
@@ -169,7 +169,7 @@ def _stop_if_cancelled(what: str, fraction: float) -> None:
 
 @final
 class Job:
-    """Computes one set-up round by round in its own thread.
+    """Computes a set-up round by round in a separate thread.
 
     Parameters
     ----------
@@ -179,13 +179,13 @@ class Job:
         Called in the job's thread with each finished part.
     on_end
         Called once with a text when the job ends, but not after `cancel`.
-        This text says what was refused or why refinement stopped early; otherwise it is empty.
+        The text is empty, or says what was refused or why refinement stopped early.
 
     Notes
     -----
-    Jobs of all pages take turns, so that at most `MOST_AT_ONCE` parts are computed at once.
-    `cancel` returns immediately, and no further analysis begins after it.
-    The running analysis stops at its next progress report, after a block of realizations.
+    The jobs of all pages take turns: at most `MOST_AT_ONCE` parts are computed at once.
+    `cancel` returns immediately, and no further analysis begins afterwards.
+    The analysis that is running stops at its next progress report, after a block of realizations.
     """
 
     def __init__(
@@ -205,7 +205,7 @@ class Job:
         return self
 
     def cancel(self) -> None:
-        """Stop the running analysis; no further analysis begins."""
+        """Stop the running analysis. No further analysis begins."""
         self._cancelled.set()
 
     def join(self, timeout: float | None = None) -> None:
@@ -248,11 +248,11 @@ class Job:
 
     def _refine(self) -> str:
         with self._turn():
-            make_parts(self.setup)  # Refuse an invalid set-up before anything is shown
+            make_parts(self.setup)  # refuse an invalid set-up before anything is shown
         planned = list(rounds(self.setup))
         spent, last = 0.0, 0
         for number, count in enumerate(planned):
-            # The first round includes loading and compilation, so it does not predict later rounds
+            # The first round includes loading and compiling: it does not predict later times
             expected = spent * count / last if number > 1 else 0.0
             if expected > _LONGEST_ROUND:
                 return (
@@ -276,7 +276,7 @@ class Job:
 @final
 @dataclass(frozen=True)
 class EstimatorParts:
-    """Density, estimator, sampler and space of a set-up; `notes` holds warnings about it."""
+    """Density, estimator, sampler and space of a set-up. `notes` contains warnings about it."""
 
     density: Density | None
     estimator: AbstractEstimator
@@ -286,15 +286,15 @@ class EstimatorParts:
 
 
 def integrand_specs(setup: ExplorerSetup) -> tuple[str, ...]:
-    """Return specs of the integrands for `mcspectra.integrand`, one per technique.
+    """Return specs of the integrands for `mcspectra.integrand`, one spec per technique.
 
-    The digest of an upload is replaced by its file.
-    The chosen channel is added to integrands with several channels.
+    The digest of an upload is replaced by the path of its file.
+    If an integrand has several channels, the chosen channel is added.
 
     Raises
     ------
     McspectraError
-        If a spec cannot be made, or an upload is not on this machine.
+        If a component cannot be made from its spec, or an upload is not on this machine.
     """
     channel = setup.channel if setup.channel == "luminance" else int(setup.channel)
     found = []
@@ -310,12 +310,12 @@ def integrand_specs(setup: ExplorerSetup) -> tuple[str, ...]:
 
 
 def make_parts(setup: ExplorerSetup) -> EstimatorParts:
-    """Make density, estimator and sampler; all rounds share them.
+    """Create density, estimator and sampler, which all rounds share.
 
     Raises
     ------
     McspectraError
-        If a spec cannot be made, or the parts do not fit together.
+        If a component cannot be made from its spec, or the components do not fit together.
     """
     return _parts(replace(setup, realizations=2))
 
@@ -338,7 +338,7 @@ def _parts(setup: ExplorerSetup) -> EstimatorParts:
 def _estimator(
     specs: tuple[str, ...], density_spec: str, mirror: str, smoothing: float, dims: int
 ) -> AbstractEstimator:
-    """Make an estimator. The cache keeps the coefficients that its integrands have computed."""
+    """Create an estimator. The cache keeps coefficients that its integrands have computed."""
     p = _density(density_spec, dims)
     integrands = [_integrand(spec, dims) for spec in specs]
     several = next((f for f in integrands if f.channels), None)
@@ -371,7 +371,7 @@ def _integrand(spec: str, dims: int, width: float = 0.0) -> Integrand:
 
 
 def analyses_of(setup: ExplorerSetup) -> dict[str, Analysis]:
-    """Return the displayed analyses of a set-up, with its options.
+    """Return the analyses of a set-up that the page shows, with their options.
 
     Raises
     ------
@@ -381,20 +381,20 @@ def analyses_of(setup: ExplorerSetup) -> dict[str, Analysis]:
     given = {each.name: getattr(setup, each.name) for each in dataclasses.fields(setup)}
     given["counts"] = setup.counts or tuple(ladder(setup))
     given["space"] = setup.space or make_parts(setup).space
-    # In 1-D also compute the matrix of all pairs of frequencies, for one technique
+    # In 1-D, also compute the matrix for all pairs of frequencies, if there is one technique
     small = setup.dims == 1 and setup.half_width <= _MATRIX_HALF_WIDTH
     given["cross_matrix"] = small and len(techniques(setup.integrand)) == 1
     made = {
         name: kind(**{o.name: given[o.name] for o in options_of(kind) if o.name in given})
         for name, kind in ANALYSES.items()
     }
-    # Also predict the variance at the n of the terms
+    # Also predict the variance for the n at which the terms are computed
     made["predict"] = Prediction(counts=tuple(sorted({*given["counts"], setup.n})))
     return made
 
 
 def ladder(setup: ExplorerSetup) -> list[int]:
-    """Return supported numbers of points for the convergence plot, up to about 4n."""
+    """Return the numbers of points for the convergence plot that are possible, up to about 4n."""
     source = make_parts(setup).sampler
     top = min(4 * setup.n, MOST_POINTS, source.max_count)
     asked = [round(top / 4**k) for k in range(6) if top >= 4 ** (k + 1)]

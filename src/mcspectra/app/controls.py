@@ -1,4 +1,4 @@
-"""The widgets of one set-up; widgets of analysis options are derived from these options."""
+"""The widgets of one set-up. Widgets for options of analyses are derived from the options."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ __all__ = ["Controls"]
 
 _STEPS = ["shift", "owen", "digital-shift", "random-rotation", "mirror", "shuffle"]
 _NEEDS_MORE = {
-    # Components that need parameters or files
+    # Components that require parameters or files
     "command", "python", "points", "digital-net", "aligned-strata", "bilinear", "defensive",
     "environment", "formula", "grid", "image", "mixture", "piecewise-constant",
     "piecewise-linear", "pixel", "product",
 }  # fmt: skip
 _OTHER = "use the spec below"
-_EXPONENTS = range(2, 13)  # Exponents of 2 for the counts on the slider
+_EXPONENTS = range(2, 13)  # the slider for counts has these powers of 2
 _EXAMPLE = "exp(-x**2 - y**2)"
 _PICTURES = ".png,.jpg,.jpeg,.exr,.npy"
 _TEXTS = {
@@ -59,7 +59,7 @@ _SLIDERS: dict[str, tuple[tuple[str, float, float, float], ...]] = {
     "exponential": (("rate", 0.1, 8.0, 1.0),),
     "truncated-normal": (("mean", 0.0, 1.0, 0.5), ("sigma", 0.05, 1.0, 0.2)),
     "tent": (("peak", 0.05, 0.95, 0.5),),
-}  # Parameters of densities: name, smallest, largest and default value
+}  # parameters of densities, each with a name, smallest, largest and default value
 
 
 @final
@@ -71,17 +71,17 @@ class Controls:
     setup
         Set-up shown at first.
     side
-        ``"A"`` or ``"B"``; it is part of all labels, so that screen readers can distinguish them.
+        ``"A"`` or ``"B"``. All labels contain it, so that screen readers can tell the sides apart.
     sheet
         Style sheet of the widgets.
     on_change
         Called with the new set-up.
     on_error
-        Called with a sentence if an entry is refused; the set-up and the entered text stay.
+        Called with a sentence if an entry is refused. The set-up and the text of the entry remain.
     on_scene
         Called when the user opens Veach's scene.
     later
-        Schedules a function in the page's thread, after all events of the same message.
+        Schedules a function in the page's thread, to run after all events of the same message.
     """
 
     def __init__(
@@ -100,7 +100,7 @@ class Controls:
         self._on_change, self._on_error, self._later = on_change, on_error, later
         self._filling = self._refused = False
         self._density_sliders: Any = Column(sizing_mode="stretch_width")
-        # Menus offer choices in addition to specs
+        # Menus offer common specs; text fields accept any spec
         make, density, integrand = self._make, self._named("density"), self._named("integrand")
         steps = CheckboxGroup(labels=_STEPS, stylesheets=[self._sheet])
         self._watch(steps, "active", self._choose_sampler)
@@ -120,7 +120,7 @@ class Controls:
             ),
             "dims": make(Select, "Dims", self._choose_dims, options=["1", "2"]),
         }  # fmt: skip
-        # Add the fields of the set-up
+        # Add widgets for the fields of the set-up
         for name, label in _TEXTS.items():
             w[name] = make(TextInput, label, self._entered(name))
         for name, (label, most, step) in _PARTS.items():
@@ -128,7 +128,7 @@ class Controls:
             w[name] = make(Slider, label, self._entered(name), "value_throttled", **options)
         for name, (label, choices) in _CHOICES.items():
             w[name] = make(Select, label, self._entered(name), options=list(choices))
-        # Add the options of the analyses
+        # Add widgets for the options of the analyses
         for name, option in OPTIONS.items():
             label = name.replace("_", " ").capitalize()
             free = option.required or option.default is None
@@ -164,17 +164,17 @@ class Controls:
         )  # fmt: skip
 
     def show(self, setup: ExplorerSetup) -> None:
-        """Show another set-up in the widgets, but do not report it as a change by the user."""
+        """Show another set-up in the widgets, without reporting a change by the user."""
         self.setup, self._refused = setup, False
         self._fill()
 
     def refuse(self, sentence: str) -> None:
-        """Report why an entry is refused; the entry stays for correction."""
+        """Report why an entry is refused. The entry stays, so that the user can correct it."""
         self._refused = True
         self._on_error(sentence)
 
     def change(self, **values: Any) -> None:
-        """Change fields of the set-up as a user would; texts are parsed as in an address."""
+        """Change fields of the set-up as a user would. Texts are read as in the page's address."""
         try:
             read = {
                 k: ExplorerSetup.read(k, v) if isinstance(v, str) else v for k, v in values.items()
@@ -200,7 +200,7 @@ class Controls:
         return widget
 
     def _watch(self, widget: Any, name: str, act: Callable[[Any], object]) -> None:
-        """Call `act` with entries of the user, but not with changes that `_fill` makes."""
+        """Call `act` for entries by the user, but not for changes that `_fill` makes."""
         widget.sizing_mode = "stretch_width"
 
         def heard(attribute: str, old: Any, new: Any) -> None:
@@ -208,7 +208,7 @@ class Controls:
             if not self._filling:
                 act(new)
                 if not self._refused:
-                    self._fill()  # Replace an invalid entry by the current value
+                    self._fill()  # show the current value again instead of an invalid entry
 
         widget.on_change(name, heard)
 
@@ -222,7 +222,7 @@ class Controls:
         w = self._widgets
         if w["base"].value == _OTHER:
             return
-        # Keep the earlier randomizations in their order, then add new ones
+        # Keep earlier randomizations in their order, and append new ones
         _, before = base_and_steps(self.setup.sampler)
         ticked = [w["steps"].labels[k] for k in w["steps"].active]
         steps = [*(s for s in before if s in ticked), *(s for s in ticked if s not in before)]
@@ -271,7 +271,7 @@ class Controls:
                 w[name].value = setup.text(name)
             for name in _PARTS:
                 w[name].value = getattr(setup, name)
-            # Show sliders for the parameters of the density; another density gets new sliders
+            # Show sliders for the parameters of the density. Another density gets new sliders
             call = parse(self.setup.density)
             ranges = _SLIDERS.get(call.name, ())
             sliders = self._density_sliders
@@ -300,7 +300,7 @@ def _offered(registry: Any) -> list[str]:
 
 
 def _nearest(text: str, dims: int, n: int) -> int:
-    """Return the supported count nearest to n; return n itself for an invalid sampler."""
+    """Return the possible count that is nearest to n, or n itself if the sampler is invalid."""
     try:
         return min(sampler(text, dims).nearest_count(n), MOST_POINTS)
     except Exception:  # noqa: BLE001 - the job reports the error of the sampler

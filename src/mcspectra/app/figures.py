@@ -35,12 +35,12 @@ def figures_of(kind: str, value: xr.Dataset, name: str) -> list[Plot]:
     Parameters
     ----------
     kind
-        Kind of the result, one of `mcspectra.app.compute.UPDATE_KINDS`.
+        Name of the part, one of `mcspectra.app.compute.UPDATE_KINDS`.
     value, name
-        The result and its name in the figures.
+        The result, and its name in the figures.
     """
     if kind == "integrand":
-        # Show f, p and f/p side by side: a constant f/p would have no variance
+        # Show f, p and f/p side by side, because a constant f/p would mean no variance
         flat = len(value.dims) == 1
         panels = tuple(_panel(str(name), each, flat) for name, each in value.items())
         values = {name: each.to_numpy() for name, each in value.items()}
@@ -59,7 +59,7 @@ def figures_of(kind: str, value: xr.Dataset, name: str) -> list[Plot]:
                 share="x" if flat else "both",
             )
         ]
-    # The figure of f, p and f/p replaces the plot "integrand" of the points
+    # Skip the plot "integrand" of the points: the figure of f, p and f/p replaces it
     shown = set(kinds_of(value)) - {"integrand"}
     return [describe(each, {name: value}) for each in FIGURES if each in shown]
 

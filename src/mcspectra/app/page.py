@@ -1,4 +1,4 @@
-"""The explorer's page: controls, figures in a grid, and exports; one session per browser tab."""
+"""The page of the explorer: controls, figures in a grid, and exports; a session per browser tab."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ _EXAMPLES = {
     "&b.sampler=jittered | shift&b.integrand=linear&b.dims=1&b.n=16&b.mirror=integrand",
     "A pixel of Veach's scene": f"integrand={pixel_spec(96, 100)}&n=64",
 }
-"""Main examples of the talk: text of the link, and query of the state."""
+"""Main examples of the talk: the text of the link, and the query string of the state."""
 
 
 @final
@@ -93,15 +93,15 @@ class Explorer:
     Parameters
     ----------
     document
-        Document of the session.
+        Bokeh document of the session.
     query
-        Query string of the address.
+        Query string in the address.
     """
 
     def __init__(self, document: Any, query: str) -> None:
         refused = ""
         try:
-            # Without a set-up in the address, begin with the first example
+            # If the address has no set-up, begin with the first example
             first = "" if "=" in query.replace("theme=", "") else next(iter(_EXAMPLES.values()))
             begin = urlencode(parse_qsl(first) + parse_qsl(query)) if first else query
             self.state = ExplorerState.from_query(begin)
@@ -112,7 +112,7 @@ class Explorer:
         self._sheet = InlineStyleSheet(css=_WIDGETS)
         self._boards: dict[str, Board] = {}
         self._controls: dict[str, Controls] = {}
-        self._both: Card | None = None  # The curves of A and B in one plot
+        self._both: Card | None = None  # the curves of A and B in one plot
 
         def block(**options: Any) -> Any:
             return Div(
@@ -137,7 +137,7 @@ class Explorer:
         )  # fmt: skip
         self._compare.on_change("active", self._choose_comparison)
         self._scene = SceneView(self._sheet, self._choose_pixel, self._later)
-        # Exported texts, each with a button that copies it to the clipboard
+        # Texts to export, each with a button that copies it to the clipboard
         self._texts: dict[str, Any] = {}
         texts = Column(stylesheets=[_GRID.format(columns=_ALONE)], sizing_mode="stretch_width")
         for name in ("Python", "TOML"):
@@ -153,7 +153,7 @@ class Explorer:
             for title, query in _EXAMPLES.items()
         )
         talk = f"<details><summary>Examples of the talk</summary><ul>{examples}</ul></details>"
-        # Use separate roots, so that a changed text does not move the figures
+        # Use separate roots, so that a change of text does not move the figures
         self.roots: dict[str, Any] = {
             "side": Column(
                 children=[block(text=talk), self._compare, self._sides], sizing_mode="stretch_width"
@@ -169,12 +169,12 @@ class Explorer:
         self._arrange()
 
     def start(self) -> None:
-        """Start computing when a browser shows the page; a request alone computes nothing."""
-        if not self._started:  # The event is repeated when a browser reconnects
+        """Start computing when a browser shows the page. Requests alone compute nothing."""
+        if not self._started:  # the event occurs again when a browser reconnects
             self._started = True
             for side, setup in self.state.setups():
                 self._boards[side].run(setup)
-            # A shared link to a pixel also shows the picture
+            # If a link contains a pixel, show the picture as well
             if any("pixel(" in setup.integrand for _, setup in self.state.setups()):
                 self._scene.open()
 
@@ -185,7 +185,7 @@ class Explorer:
             board.cancel(quiet=True)
 
     def _arrange(self) -> None:
-        """Make and lay out controls and boards for the current set-ups."""
+        """Create and lay out the controls and figures for the current set-ups."""
         setups = dict(self.state.setups())
         for side in [side for side in self._boards if side not in setups]:
             self._boards.pop(side).cancel(quiet=True)
@@ -216,7 +216,7 @@ class Explorer:
         self._tell_address()
 
     def _lay_out(self) -> None:
-        """Lay out figures in the order of their kinds; figures of A and B form pairs."""
+        """Lay out figures in the order of their kinds. Figures of A and B are put in pairs."""
         boards = list(self._boards.values())
         columns = _ABREAST if len(boards) > 1 else _ALONE
         self._grid.stylesheets = [
@@ -236,14 +236,14 @@ class Explorer:
         self._grid.children = [*joint, *children]
 
     def _draw_both(self) -> bool:
-        """Draw the curves of A and B in one plot; return True if the plot appeared or vanished."""
+        """Draw the curves of A and B in one plot; return True if it appeared or disappeared."""
         curves = {
             f"{side}: {setup.displaced_sampler}": curve
             for side, setup in self.state.setups()
             if (curve := self._boards[side].latest.get("convergence")) is not None
         }
         before = self._both
-        if len(curves) < 2:  # Keep the figure while a set-up is computed again
+        if len(curves) < 2:  # keep the figure while a set-up is computed again
             if self.state.b is None:
                 self._both = None
             elif before is not None and not any(board.busy for board in self._boards.values()):
@@ -253,7 +253,7 @@ class Explorer:
         return self._both is not before
 
     def _later(self, act: Any) -> None:
-        """Schedule `act` in the session's thread with the document's lock; any thread may call."""
+        """Schedule `act` in the session's thread with the document's lock. Any thread may call."""
 
         def add() -> None:
             if not self._closed:
@@ -292,7 +292,7 @@ class Explorer:
         self.roots["head"].tags = [self.state.query()]
 
     def _write_texts(self, refused: str) -> None:
-        """Write the exported texts from cached results; a job's thread may call this method."""
+        """Write the exported texts from cached results; the thread of a job may call this."""
         try:
             texts = (
                 (f"# {refused}",) * 2 if refused else (as_python(self.state), as_toml(self.state))
@@ -307,7 +307,7 @@ class Explorer:
         self._later(show)
 
     def _shown(self, moved: bool) -> None:
-        """Update the table of results, and lay out figures again if some were added or removed."""
+        """Update the table of results. If figures were added or removed, lay them out again."""
         if self._draw_both() or moved:
             self._lay_out()
         rows = [_row(side, setup, self._boards[side]) for side, setup in self.state.setups()]
@@ -319,7 +319,7 @@ class Explorer:
 
 
 def build_page(document: Any) -> None:
-    """Make the page of a new session from the query of its address."""
+    """Create the page of a new session from the query string in its address."""
     arguments = document.session_context.request.arguments
     query = urlencode([(key, value) for key, values in arguments.items() for value in values])
     explorer = Explorer(document, query)
@@ -337,7 +337,7 @@ def _row(side: str, setup: ExplorerSetup, board: Board) -> str:
     terms, curve = board.latest.get("terms"), board.latest.get("convergence")
     missing = "…" if board.busy else "–"
 
-    # Show measured and predicted variance at the n of the terms, like the summary of a report
+    # Show measured and predicted variance at the n of the terms, as the summary of a report does
     parts = {k: v for k, v in board.latest.items() if k in ("terms", "predict")}
     ratio = missing
     if len(parts) == 2:
@@ -356,17 +356,17 @@ def _row(side: str, setup: ExplorerSetup, board: Board) -> str:
 
 
 def as_python(state: ExplorerState) -> str:
-    """Return a program that computes and prints the results that the explorer shows.
+    """Return a program that computes and prints the results shown in the explorer.
 
     Raises
     ------
     McspectraError
-        If a set-up cannot be made.
+        If a set-up cannot be created.
     """
     parts = [_PROGRAM]
     several = state.b is not None
     for name, setup in state.setups():
-        # Make density and estimator
+        # Create density and estimator
         specs, lines = integrand_specs(setup), []
         density = "None"
         if setup.density != "uniform":
@@ -411,12 +411,12 @@ def as_python(state: ExplorerState) -> str:
 
 
 def _exported(setup: ExplorerSetup) -> dict[str, Analysis]:
-    """Return the analyses that print numbers; each of these analyses draws its own points."""
+    """Return the analyses that print numbers. Each of them draws its own points."""
     return {name: each for name, each in analyses_of(setup).items() if name != "points"}
 
 
 def _chosen(analysis: Analysis) -> dict[str, Any]:
-    """Return the options of an analysis that differ from the defaults; tuples become lists."""
+    """Return the options of an analysis that differ from their defaults, with tuples as lists."""
     given = {o.name: getattr(analysis, o.name) for o in options_of(type(analysis))}
     defaults = {o.name: o.default for o in options_of(type(analysis))}
     return {
@@ -427,12 +427,12 @@ def _chosen(analysis: Analysis) -> dict[str, Any]:
 
 
 def as_toml(state: ExplorerState) -> str:
-    """Return a study file with the same analyses, for ``mcspectra run``.
+    """Return a study file with the same analyses, for the command ``mcspectra run``.
 
     Raises
     ------
     McspectraError
-        If a set-up cannot be made.
+        If a set-up cannot be created.
     """
     entries: list[dict[str, Any]] = []
     for name, setup in state.setups():
@@ -452,6 +452,6 @@ def as_toml(state: ExplorerState) -> str:
     study = {"title": "From the explorer", "seed": state.a.seed, "estimators": entries}
     specs = [spec for _, setup in state.setups() for spec in techniques(setup.integrand)]
     uploaded = any(parse(spec).name == UPLOAD for spec in specs)
-    # A study reads files only from its own folder, unless other folders are allowed
+    # By default, a study reads files only from its own folder; others must be allowed
     note = "# Run with --allow-path and the folder of the picture below.\n" if uploaded else ""
     return note + study_toml(study)

@@ -1,4 +1,4 @@
-"""The picture of Veach's scene on the page: a click or two numbers choose a pixel."""
+"""The picture of Veach's scene on the page. A click or two numbers choose a pixel."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ __all__ = ["HEIGHT", "STRATEGIES", "WIDTH", "SceneView", "pixel_spec", "veach_pi
 
 WIDTH, HEIGHT = 192, 128
 STRATEGIES = ("light", "bsdf", "balance", "power", "mis-light", "mis-bsdf")
-_HEURISTICS = ("balance", "power")  # Heuristics for the sum of light and BSDF sampling
+_HEURISTICS = ("balance", "power")  # heuristics for the sum of light and BSDF sampling
 _SCENE = f"veach(width={WIDTH}, height={HEIGHT})"
 _SPP = 64
 _LABELS = {"balance": "light + bsdf, balance", "power": "light + bsdf, power"}
@@ -34,10 +34,10 @@ _ADVICE = "Click a point of the picture, or enter its pixel, to analyze the ligh
 
 
 def pixel_spec(x: int, y: int, strategy: str = "light") -> str:
-    """Return the spec of the integrand of a pixel, counted from the left and from the top.
+    """Return the spec of the integrand at a pixel, counted from the left and from the top.
 
     The strategies ``"balance"`` and ``"power"`` are sums of light and BSDF sampling.
-    In each sum, the heuristic of this name weights both techniques.
+    In each sum, the heuristic with this name weights both techniques.
     The strategies ``"mis-light"`` and ``"mis-bsdf"`` are the two terms of the sum ``"balance"``.
 
     Raises
@@ -78,7 +78,7 @@ def _rendered() -> Array:
 
 @final
 class SceneView:
-    """Picture, pixel and strategy; the picture is rendered when the user opens it.
+    """Picture, pixel and strategy. The picture is rendered when the user opens it.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ class SceneView:
         threading.Thread(target=self._work, name="explorer scene", daemon=True).start()
 
     def _work(self) -> None:
-        """Render in a separate thread, because Mitsuba compiles for seconds."""
+        """Render in a separate thread: Mitsuba compiles for several seconds."""
         try:
             image = veach_picture()
         except McspectraError as error:

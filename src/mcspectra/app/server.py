@@ -1,13 +1,13 @@
-"""The explorer's server, which answers only requests of this machine and of its own pages.
+"""The server of the explorer. It answers only requests from this machine and from its own pages.
 
 The server listens on the loopback interface, which excludes other machines.
-Pages of other hosts in the user's browser are not excluded.
-Pages of other hosts may send requests here, or point their domain name to 127.0.0.1.
-Every request must therefore name this server as its Host, and as its Origin if it has one.
-The only accepted request from another site is a link to the page.
+Pages from other hosts, open in the user's browser, may still send requests to this server,
+or let their domain name point to 127.0.0.1.
+Every request must therefore name this server as its Host, and as its Origin if it has any.
+The only request from another site that is accepted is a link to the page.
 No other page may embed this page in a frame.
 
-The number of open pages is bounded. `mcspectra.app.compute` also bounds their computations.
+The number of open pages is limited. `mcspectra.app.compute` also limits their computations.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from mcspectra.core.errors import ParameterError
 __all__ = ["ADDRESS", "MOST_SESSIONS", "Guard", "make_server", "serve"]
 
 ADDRESS = "127.0.0.1"
-"""Address where the server listens."""
+"""Address at which the server listens."""
 
 MOST_SESSIONS = 32
-"""Maximum number of open pages: each holds 50 MB of figures, and takes 0.2 s to make."""
+"""Maximum number of open pages. Each page holds 50 MB of figures, and takes 0.2 s to create."""
 
 _HEADERS = {
     "Content-Security-Policy": "frame-ancestors 'none'",
@@ -42,21 +42,21 @@ _HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "X-Content-Type-Options": "nosniff",
 }
-_MOST_SENT = 64 * 2**20  # Maximum size of a message in bytes; pictures arrive as text
+_MOST_SENT = 64 * 2**20  # maximum size of a message in bytes; pictures arrive as text
 
 
 @final
 class Guard(routing.Router):
-    """Forwards requests of the server's own pages to an application, and answers others with 403.
+    """Forwards requests by the server's own pages to an application. Others are answered with 403.
 
     Parameters
     ----------
     application
-        Application that answers trusted requests.
+        Application that answers the forwarded requests.
     port
         Port of the server.
     sessions
-        Returns the number of open pages.
+        Function that returns the number of open pages.
     """
 
     def __init__(
@@ -66,10 +66,10 @@ class Guard(routing.Router):
         self._sessions = sessions
         self._hosts = {f"{name}:{port}" for name in (ADDRESS, "localhost")}
         self._origins = {f"http://{host}" for host in self._hosts}
-        # Requests for pages that are not open yet; a request is dropped when its connection closes
+        # Requests whose page is not open yet. A request is removed when its connection closes
         self._awaited: weakref.WeakSet[httputil.HTTPServerRequest] = weakref.WeakSet()
         application.add_transform(_Headers)
-        # Called at the end of each request instead of printing a log line
+        # Called at the end of each request; by default, tornado would print a log line
         application.settings["log_function"] = self._ended
         others: dict[str, Any] = {"transforms": [_Headers], "log_function": self._ended}
         self._refusal = web.Application([(".*", _Refusal)], **others)
@@ -78,7 +78,7 @@ class Guard(routing.Router):
     def find_handler(
         self, request: httputil.HTTPServerRequest, **kwargs: Any
     ) -> httputil.HTTPMessageDelegate | None:
-        """Return the handler of a request."""
+        """Return the handler for a request."""
         if not self._is_trusted(request):
             chosen = self._refusal
         elif request.path == "/" and self._sessions() + len(self._awaited) >= MOST_SESSIONS:
@@ -100,7 +100,7 @@ class Guard(routing.Router):
             return False
         if not all(each.lower() in self._origins for each in origins):
             return False
-        # Bokeh's other paths open sessions as well; its pattern of autoload.js matches other names
+        # Other paths of bokeh also open sessions. Its pattern for autoload.js matches more names
         if request.path not in ("/", "/ws") and not request.path.startswith("/static/"):
             return False
         is_page = request.path == "/" and request.method in ("GET", "HEAD")
@@ -109,18 +109,18 @@ class Guard(routing.Router):
             link = (headers.get("Sec-Fetch-Mode"), headers.get("Sec-Fetch-Dest"))
             linked = is_page and link == ("navigate", "document")
             return linked or all(site in ("same-origin", "none") for site in sites)
-        # Browsers before 2023 send no Sec-Fetch-Site, but a Referer
+        # Browsers before 2023 do not send Sec-Fetch-Site, but they send a Referer
         referers = map(urlsplit, headers.get_list("Referer"))
         return is_page or all(f"{r.scheme}://{r.netloc}".lower() in self._origins for r in referers)
 
 
 class _Headers(web.OutputTransform):
-    """Headers of every answer: no frame and no other site may show the page."""
+    """Headers of every answer: no frame may contain the page, and no other site may read it."""
 
     def transform_first_chunk(
         self, status_code: int, headers: httputil.HTTPHeaders, chunk: bytes, finishing: bool
     ) -> tuple[int, httputil.HTTPHeaders, bytes]:
-        """Add the headers, and remove bokeh's permission for all sites."""
+        """Add the headers, and remove the header by which bokeh permits all sites."""
         del finishing
         for name in [name for name in headers if name.startswith("Access-Control-")]:
             del headers[name]
@@ -132,7 +132,7 @@ class _Refusal(web.RequestHandler):
     """Answers every request with 403 and a sentence."""
 
     def prepare(self) -> Awaitable[None] | None:
-        """Send the refusal before a method such as GET is called."""
+        """Send the refusal before the method for GET, POST and so on is called."""
         self.set_status(403)
         self.set_header("Content-Type", "text/plain; charset=utf-8")
         self.finish("The explorer answers only its own pages; open the address that it printed.\n")
@@ -140,10 +140,10 @@ class _Refusal(web.RequestHandler):
 
 
 class _Busy(web.RequestHandler):
-    """Answers with 503 and a sentence: too many pages are open."""
+    """Answers with 503 and a sentence, because too many pages are open."""
 
     def prepare(self) -> Awaitable[None] | None:
-        """Answer before a method is called."""
+        """Answer before the method of the request is called."""
         self.set_status(503)
         self.set_header("Content-Type", "text/plain; charset=utf-8")
         self.finish(
@@ -154,12 +154,12 @@ class _Busy(web.RequestHandler):
 
 
 def make_server(port: int = 0) -> Any:
-    """Return a server that is bound but not started, `bokeh.server.server.Server`.
+    """Return a `bokeh.server.server.Server` that is bound to its port but not started.
 
     Parameters
     ----------
     port
-        Port on the loopback interface; 0 for any free port.
+        Port on the loopback interface. 0 stands for any free port.
 
     Raises
     ------
@@ -172,7 +172,7 @@ def make_server(port: int = 0) -> Any:
 
     from mcspectra.app.page import build_page
 
-    silence(EMPTY_LAYOUT)  # Figures fill the layout later
+    silence(EMPTY_LAYOUT)  # the layout gets its figures later
     if as_integer("port", port, least=0, most=65535) == 0:
         with socket.socket() as probe:
             probe.bind((ADDRESS, 0))
@@ -203,9 +203,9 @@ def serve(port: int = 0, *, open_browser: bool = True, quiet: bool = False) -> N
     port
         Same as in `make_server`.
     open_browser
-        Whether to open the page.
+        Whether to open the page in a browser.
     quiet
-        Whether to suppress printing the address.
+        Whether to suppress the message with the address.
 
     Raises
     ------
@@ -215,9 +215,9 @@ def serve(port: int = 0, *, open_browser: bool = True, quiet: bool = False) -> N
     import webbrowser
 
     server = make_server(port)
-    # The page shows warnings itself; do not repeat them on standard error.
+    # The page itself shows warnings, so do not repeat them on standard error.
     warnings.simplefilter("ignore")
-    # A tab that closes early is not an error, but bokeh warns about it and an assertion fails
+    # If a tab closes early, bokeh logs a warning and an assertion fails: ignore both
     logging.getLogger("bokeh.server.views.ws").setLevel(logging.ERROR)
     logging.getLogger("tornado.application").addFilter(_is_own_error)
     address = f"http://{ADDRESS}:{server.port}/"
@@ -231,14 +231,14 @@ def serve(port: int = 0, *, open_browser: bool = True, quiet: bool = False) -> N
 
 
 def _is_own_error(record: logging.LogRecord) -> bool:
-    """Whether a logged error is the explorer's own, not a request's; make its text printable."""
+    """Whether a logged error is the explorer's own, not of a request; make its text printable."""
     text = record.getMessage()
     record.msg, record.args = printable(text, lines=True), ()
     return "GET /ws" not in text and "GET /static" not in text
 
 
 def _warm_up() -> None:
-    """Load and compile code while the browser loads the first page, which halves the wait."""
+    """Load and compile code while the browser loads the first page; this halves the wait."""
     from mcspectra.app.compute import UPDATE_KINDS, compute
     from mcspectra.app.state import ExplorerSetup
 

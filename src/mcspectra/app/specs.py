@@ -1,10 +1,10 @@
-"""Check and change specs in the explorer: bounded plain text that names no files.
+"""Check and change specs in the explorer: plain text of limited length that names no files.
 
-Any page can link to the explorer.
-A link may cause computation, but must not open files or run code.
-Pictures are therefore uploaded, and named by their digest.
+Any web page can contain a link to the explorer.
+Such a link may cause computation, but must not open files or run code.
+Pictures are therefore uploaded, and specs name them by their digest.
 The user who starts the explorer may allow folders (``--allow-path``) and code (``--allow-code``).
-See `mcspectra.core.trust`.
+The module `mcspectra.core.trust` has the rules.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ __all__ = [
 ]
 
 UPLOAD = "upload"
-"""Name of the integrand ``upload(digest='…')``: a picture uploaded to the explorer."""
+"""Name of the integrand ``upload(digest='…')``, a picture that was uploaded to the explorer."""
 
 FORMULA = "formula"
 """Name of the integrand that evaluates a formula."""
@@ -42,7 +42,7 @@ TECHNIQUES = "technique-sum"
 """Name of ``technique-sum(integrands=['…', '…'])``, a `mcspectra.estimators.TechniqueSum`."""
 
 _MOST_TECHNIQUES = 8
-# Maximum length of a spec in characters: browsers and servers cut URLs at about 8000
+# Maximum length of a spec in characters. Browsers and servers cut URLs at about 8000
 _MOST_TEXT = 2000
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 _FILE = re.compile(r"[/\\]|\.[A-Za-z]\w*\Z")
@@ -50,7 +50,7 @@ _CONTROL = re.compile(r"[\x00-\x1f\x7f\ud800-\udfff]")
 
 
 def _allowed(given: object) -> bool:
-    """Whether all files of a path, a pattern or a list of them lie in allowed folders."""
+    """Whether all files of a path, a pattern or a list are in allowed folders."""
     if isinstance(given, list | tuple):
         return all(map(_allowed, given))
 
@@ -66,7 +66,7 @@ def check_spec(name: str, text: object) -> None:
     """Check the spec of a sampler, a density or an integrand.
 
     The spec of a sampler may chain parts with ``|``.
-    An integrand may be ``upload(digest='…')`` with a SHA-256 digest, or a sum of `TECHNIQUES`.
+    An integrand may also be ``upload(digest='…')`` with a SHA-256 digest, or a sum of `TECHNIQUES`.
 
     Raises
     ------
@@ -93,7 +93,7 @@ def check_spec(name: str, text: object) -> None:
 
 
 def techniques(text: str) -> list[str]:
-    """Return the specs of the integrands that a spec sums; usually only the spec itself.
+    """Return the specs of the integrands in a sum. Usually there is only the spec itself.
 
     Raises
     ------
@@ -114,7 +114,7 @@ def techniques(text: str) -> list[str]:
 
 
 def base_and_steps(text: str) -> tuple[str, list[str]]:
-    """Return the name of a chain's sampler and the names of its randomizations.
+    """Return the name of the sampler in a chain, and the names of its randomizations.
 
     Raises
     ------
@@ -126,7 +126,7 @@ def base_and_steps(text: str) -> tuple[str, list[str]]:
 
 
 def chain(base: str, steps: Sequence[str], text: str) -> str:
-    """Join these names to a chain; components that occur in `text` keep their parameters."""
+    """Join names to a chain. Components that are also in `text` keep their parameters."""
     try:
         known = {call.name: str(call) for call in parse_chain(text)}
     except McspectraError:
@@ -135,7 +135,7 @@ def chain(base: str, steps: Sequence[str], text: str) -> str:
 
 
 def changed(text: str, key: str, value: float | str) -> str:
-    """Return the spec with a new value of one parameter."""
+    """Return the spec with a new value for one parameter."""
     call = parse(text)
     return str(Call(call.name, {**call.arguments, key: value}))
 
@@ -155,16 +155,16 @@ def _plain(name: str, text: object) -> str:
 def _check_call(call: Call) -> None:
     arguments = dict(call.arguments)
     if call.name in RUN_CODE:
-        check_code(call)  # A link cannot allow code
+        check_code(call)  # a link cannot allow code
         arguments = {k: v for k, v in arguments.items() if k not in ("run", "function")}
     if call.name == FORMULA:
-        arguments.pop("expression", None)  # A formula has slashes and dots, but names no file
+        arguments.pop("expression", None)  # a formula may have slashes and dots, but names no file
     for key, value in arguments.items():
         _check_value(call.name, key, value)
 
 
 def _check_value(name: str, key: Any, value: object) -> None:
-    """Refuse file names, also inside lists and nested specs."""
+    """Reject file names, including those inside lists and nested specs."""
     if key in FILE_KEYS and isinstance(value, str | list | tuple):
         if process_trust().folders and _allowed(value):
             return

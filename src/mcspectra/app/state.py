@@ -1,9 +1,9 @@
-"""Immutable state of the explorer, converted to and from the query string of a URL.
+"""Immutable state of the explorer, which is converted to and from the query string of a URL.
 
 A state has one set-up A, or two set-ups A and B to compare.
-The query lists the fields that differ from the defaults, so a bookmark restores the state.
-In the query, keys of B have the prefix ``b.``.
-Anybody may have written a URL, so sizes are bounded, and specs must not name files.
+The query string contains only fields that differ from their defaults, and can be bookmarked.
+In the query string, the fields of B have the prefix ``b.``.
+Anybody may have written a URL. Sizes are therefore limited, and specs must not name files.
 """
 
 from __future__ import annotations
@@ -43,12 +43,12 @@ ANALYSES = {
     "terms": Terms,
     "predict": Prediction,
 }
-"""Displayed analyses of a set-up, by the names of their tables in study files."""
+"""Analyses that the page shows, by the names of their tables in study files."""
 
 _KNOWN = {
     option.name: option
     for name, kind in ANALYSES.items()
-    if name != "predict"  # the page does not show the methods that need realizations
+    if name != "predict"  # the page does not show methods that need realizations
     for option in options_of(kind)
 }
 
@@ -57,10 +57,10 @@ CHANNELS = ("luminance", "0", "1", "2")
 THEMES = ("auto", "light", "dark")
 
 MOST_POINTS = 2**16
-"""Maximum number of points of a set in the explorer; studies accept more."""
+"""Maximum number of points per set in the explorer. Studies accept more."""
 
 MOST_HALF_WIDTH = {1: 1024, 2: 128}
-"""Largest half width of the frequencies by the number of dims."""
+"""Largest half width of the frequencies, by number of dims."""
 
 _MOST_REALIZATIONS = 2**14
 _MOST_QUERY = 8000
@@ -69,7 +69,7 @@ _PREFIX = "b."
 
 
 def _option(name: str) -> Any:
-    """Declare a field of an option; if it is None, the explorer chooses the value."""
+    """Declare the field for an option. If its value is None, the explorer chooses it."""
     option = _KNOWN[name]
     return checked(
         lambda _, given: option.check(given), None if option.required else option.default
@@ -83,31 +83,31 @@ def _as_half_width(name: str, given: object, dims: int) -> int:
 @final
 @dataclass(frozen=True, kw_only=True)
 class ExplorerSetup:
-    """An estimator, a sampler, a number of points, and how they are analyzed.
+    """An estimator, a sampler, a number of points, and settings of the analyses.
 
-    Fields named like options of the analyses have the same meaning.
+    Fields with the name of an option of the analyses have the same meaning.
 
     Parameters
     ----------
     sampler, density, integrand
-        Specs, which name no files. The integrand may be ``upload(digest='…')``.
+        Specs, which must not name files. The integrand may be ``upload(digest='…')``.
         A sum of techniques is ``technique-sum(integrands=['…', '…'])``.
     n
         Points per set.
     dims
         Number of dims, 1 or 2.
     strata_shift
-        Shift of all points as a fraction of a stratum, in [0, 1); 0 for no shift.
+        Shift of all points as a fraction of a stratum, in [0, 1). 0 means no shift.
     mirror
         ``"none"`` or a mode of `mcspectra.Mirrored`.
     channel
-        Displayed channel of an integrand with several: ``"luminance"``, or a number as text.
+        Channel to show if the integrand has several: ``"luminance"``, or a number as text.
     smoothing
-        Width of the ramps that replace edges; 0 for no ramps.
+        Width of the ramps that replace edges. 0 means no ramps.
     realizations
-        Number of realizations of the last round of refinement.
+        Number of realizations in the last round.
     seed
-        Seed of all draws.
+        Seed of all random draws.
 
     Raises
     ------
@@ -154,7 +154,7 @@ class ExplorerSetup:
         return f"{self.sampler} | strata-shift(offset={self.strata_shift!r})"
 
     def differences(self) -> dict[str, str]:
-        """Return the fields that differ from their defaults, as text."""
+        """Return the fields that differ from their defaults, as texts."""
         return {
             each.name: self.text(each.name)
             for each in dataclasses.fields(self)
@@ -163,13 +163,13 @@ class ExplorerSetup:
 
     @staticmethod
     def from_texts(texts: Mapping[str, str]) -> ExplorerSetup:
-        """Make a set-up from texts by field; the other fields get their defaults.
+        """Create a set-up from texts by field. All other fields get their defaults.
 
         Raises
         ------
         ParameterError
-            If a key is unknown, or a text is not a number where a number is needed.
-            If `ExplorerSetup` refuses a value.
+            If a field is unknown, or a text is not a number although a number is needed.
+            If `ExplorerSetup` rejects a value.
         """
         return ExplorerSetup(
             **{name: ExplorerSetup.read(name, text) for name, text in texts.items()}
@@ -177,12 +177,12 @@ class ExplorerSetup:
 
     @staticmethod
     def read(name: str, text: str) -> Any:
-        """Convert a text to the value of a field; an empty text gives the default of an option.
+        """Convert a text to the value of a field. For an option, an empty text gives the default.
 
         Raises
         ------
         ParameterError
-            If the field does not exist, or if `text` should be a number but is not a number.
+            If the field does not exist, or `text` is not a number although the field needs one.
         """
         defaults = {each.name: each.default for each in dataclasses.fields(ExplorerSetup)}
         if name not in defaults:
@@ -213,15 +213,15 @@ OPTIONS = {
     for name in (each.name for each in dataclasses.fields(ExplorerSetup))
     if name in _KNOWN and name not in ("n", "realizations")
 }
-"""Options of the analyses that the page offers."""
+"""Options of the analyses that can be set on the page."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class ExplorerState:
-    """State of the explorer: set-up A, an optional set-up B, and the theme.
+    """State of the explorer: set-up A, perhaps a set-up B, and the theme.
 
-    The default theme is the browser's theme.
+    By default, the browser chooses the theme.
 
     Examples
     --------
@@ -245,7 +245,7 @@ class ExplorerState:
         as_choice("theme", self.theme, THEMES)
 
     def setups(self) -> Iterator[tuple[str, ExplorerSetup]]:
-        """Yield ``"A"`` and its set-up, and ``"B"`` and its set-up if there is one."""
+        """Yield ``"A"`` with its set-up, and ``"B"`` with its set-up if there is one."""
         yield "A", self.a
         if self.b is not None:
             yield "B", self.b
@@ -256,7 +256,7 @@ class ExplorerState:
         if self.b is not None:
             own = self.b.differences() or {
                 "n": str(self.b.n)
-            }  # A key of B is needed even if B has only default values
+            }  # needed even if B has only default values
             pairs += [(_PREFIX + key, text) for key, text in own.items()]
         if self.theme != THEMES[0]:
             pairs.append(("theme", self.theme))
@@ -269,7 +269,7 @@ class ExplorerState:
         Raises
         ------
         ParameterError, SpecError
-            If the query is too long, repeats a key, or has an unknown key or an invalid value.
+            If the query is too long, repeats a field, or has an unknown field or an invalid value.
         """
         if len(query) > _MOST_QUERY:
             raise ParameterError(
@@ -280,7 +280,7 @@ class ExplorerState:
             pairs = parse_qsl(
                 query, keep_blank_values=True, strict_parsing=bool(query), errors="strict"
             )
-        except ValueError:  # UnicodeDecodeError is one
+        except ValueError:  # includes UnicodeDecodeError
             raise ParameterError(
                 "The address cannot be read; after '?' it needs key=value pairs joined by '&'."
             ) from None

@@ -1,6 +1,6 @@
-"""Pictures uploaded to the explorer, stored in the cache folder under their digest.
+"""Pictures uploaded to the explorer, which the cache folder stores under their digest.
 
-The digest is part of the state, so a URL shows the same picture after a restart.
+The state contains the digest, so a URL shows the same picture after a restart.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ def keep_upload(data: bytes, name: str) -> str:
     data
         Content of the file.
     name
-        Name of the file; its extension sets the format.
+        Name of the file. Its extension determines the format.
 
     Raises
     ------
     FileFormatError
-        If the picture is too large, damaged or of an unknown format, or cannot be stored.
+        If the picture is too large, damaged, of an unknown format, or cannot be stored.
     """
     suffix = Path(name).suffix.lower()
     if suffix not in IMAGE_EXTENSIONS:

@@ -1,14 +1,14 @@
-"""Verbs of analyses: options and help are derived from the analysis itself.
+"""Verbs of analyses. Their options and help are derived from the analyses.
 
-Every analysis of `mcspectra.core.analysis.ANALYSES` with a verb becomes a verb of the command.
-This includes analyses of other packages.
-The subject comes first: an integrand with densities and a sampler, or only a sampler.
-The options of the analysis come after the subject (`mcspectra.core.options.options_of`).
-The module `mcspectra.cli.texts` makes the text of the result.
+Every analysis in `mcspectra.core.analysis.ANALYSES` that has a verb becomes a verb.
+This includes analyses from other packages.
+The subject comes first: a sampler, or an integrand with densities and a sampler.
+The options of the analysis follow (`mcspectra.core.options.options_of`).
+The module `mcspectra.cli.texts` writes the result as text.
 
-Several analyses may share a verb; ``--split`` chooses one.
+Several analyses may share a verb. In this case ``--split`` chooses one.
 The parser has the options of the chosen analysis.
-An option of another analysis is an error that names the right ``--split``.
+An option of another analysis is an error. The message names the right ``--split``.
 """
 
 from __future__ import annotations
@@ -78,24 +78,24 @@ _ESTIMATOR = (
         repeated="all",
     ),
 )
-"""Options that describe the estimator; each analysis has its own option for the sampler."""
+"""Options that describe the estimator. For the sampler, each analysis has its own option."""
 
 
 def analysis_verb(names: Sequence[str], given: Sequence[str] = ()) -> Verb:
-    """Make the verb of one or several analyses for these arguments.
+    """Create the verb of one or several analyses, for given arguments.
 
     Parameters
     ----------
     names
-        Names in the registry.
-        If there are several, ``--split`` chooses one; the default is the first.
+        Names of the analyses in the registry.
+        If there are several, ``--split`` chooses one. The default is the first.
     given
-        Arguments after the verb on the command line.
+        Arguments on the command line after the verb.
 
     Raises
     ------
     AnalysisError
-        If the name of an option is already in use (`mcspectra.core.analysis.check_names`).
+        If an option has a name that is already in use (`mcspectra.core.analysis.check_names`).
     ParameterError
         If no analysis has the given split.
     """
@@ -117,7 +117,7 @@ def analysis_verb(names: Sequence[str], given: Sequence[str] = ()) -> Verb:
     views = VIEWS.get(name, {"": table_of_anything})
     usual, *others = views
 
-    # Derive the verb's default values from the signature of the public function
+    # Take the verb's default values from the signature of the public function
     door: Any = mcs
     for part in analysis.function.split("."):
         door = getattr(door, part, None)
@@ -139,7 +139,7 @@ def analysis_verb(names: Sequence[str], given: Sequence[str] = ()) -> Verb:
             option("--sampler SPEC", about, repeated=repeated, required=required),
         ]
     else:
-        # An analysis of point sets uses all given sets, unless an option sets their number
+        # An analysis of point sets uses all given sets, unless an option limits their number
         all_sets = any(each.name == "realizations" for each in own)
         declarations = [
             option(
@@ -181,7 +181,7 @@ def analysis_verb(names: Sequence[str], given: Sequence[str] = ()) -> Verb:
     def run(options: argparse.Namespace) -> VerbOutput:
         view = as_choice("--show", getattr(options, "show", usual), tuple(views))
 
-        # Refuse invalid output files before computing
+        # Reject invalid output files before computing
         if options.out:
             from mcspectra.report.result_files import check_result_file, write_result_file
 
@@ -225,7 +225,7 @@ def analysis_verb(names: Sequence[str], given: Sequence[str] = ()) -> Verb:
 def _subjects(
     options: argparse.Namespace, analysis: type[Analysis], default_sampler: str | None
 ) -> list[Subject]:
-    """Make the subjects: each sampler with its density, or an estimator with its samplers."""
+    """Create the subjects: each sampler with its density, or an estimator with its samplers."""
     if analysis.about == "sampler":
         from mcspectra.densities.registry import as_warp
 
@@ -244,7 +244,7 @@ def _subjects(
 
 
 def _estimator_subject(options: argparse.Namespace, default_sampler: str | None) -> Subject:
-    """Make the subject of an analysis of an estimator with its samplers."""
+    """Create the subject for an analysis of an estimator with samplers."""
     from mcspectra.estimators import (
         MIRRORINGS,
         Estimator,
@@ -254,7 +254,7 @@ def _estimator_subject(options: argparse.Namespace, default_sampler: str | None)
         as_subject,
     )
 
-    # Refuse options that exclude each other
+    # Reject options that exclude each other
     densities = options.density or []
     for name, given in (("--heuristic", options.heuristic), ("--shares", options.shares)):
         if given is not None and len(densities) < 2:
@@ -267,7 +267,7 @@ def _estimator_subject(options: argparse.Namespace, default_sampler: str | None)
     if options.plus and densities:
         raise ParameterError("--plus adds whole techniques; it cannot be used with --density.")
 
-    # Make the estimator
+    # Create the estimator
     estimator: AbstractEstimator
     if options.plus:
         estimator = TechniqueSum([options.integrand, *options.plus], dims=options.dims)
@@ -292,9 +292,9 @@ def _estimator_subject(options: argparse.Namespace, default_sampler: str | None)
 
 
 def _of_splits(chosen: str, options: dict[str, tuple[Option, ...]]) -> list[Declaration]:
-    """Declare the options of all splits; only options of the chosen split may be given.
+    """Declare the options for all values of --split. Only those of the chosen value may be given.
 
-    Options of all splits come first. Then each group has the options of certain splits.
+    Options for all values come first. Each further group has the options for some values.
     """
     owners: dict[str, list[str]] = {}
     for split, its in options.items():
@@ -339,7 +339,7 @@ def _of_splits(chosen: str, options: dict[str, tuple[Option, ...]]) -> list[Decl
 
 
 def _flags(given: Option) -> list[str]:
-    """Return the flags of an option: a letter and the name, or only ``-n`` for ``n``."""
+    """Return the flags of an option: usually a letter and the name, but only ``-n`` for ``n``."""
     own = given.extra.get("flag", given.flag)
     if given.is_flag:
         return [own if "flag" in given.extra or not given.default else f"--no-{own[2:]}"]
@@ -348,7 +348,7 @@ def _flags(given: Option) -> list[str]:
 
 
 def _default(given: Option) -> str:
-    """Format the default for the help; empty without a default."""
+    """Format a default for the help. The text is empty without a default."""
     if given.required or given.default is None or given.is_flag:
         return ""
     values = given.default if isinstance(given.default, tuple) else (given.default,)
@@ -367,13 +367,13 @@ def declared(
     Parameters
     ----------
     given
-        The option to declare: its name, type, default and description.
+        The option to declare, with its name, type, default and description.
     default_note
         Text that follows the default in the help.
     flags
-        Flags to declare; by default all flags of the option.
+        Flags to declare. By default, these are all flags of the option.
     refuse
-        Function that raises an error if the option is given, for options of other splits.
+        Function that raises an error if the option is given but belongs to another --split.
     """
     flags = _flags(given) if flags is None else flags
     text = given.extra.get("help", given.meaning).rstrip(".")
@@ -395,7 +395,7 @@ def declared(
     def read(name: str, text: str) -> Any:
         if not listed:
             return given.read(text, name)
-        # Names have no commas, so commas may separate them; other texts are given one by one
+        # Names have no commas, so commas may separate names; other texts are given one by one
         texts = text.split(",") if given.item_choices else [text]
         return given.check(tuple(each.strip() for each in texts), name)
 

@@ -40,14 +40,14 @@ __all__ = [
     "wholes",
 ]
 
-_LONGEST = 2000  # Maximum length in characters of a printed warning
+_LONGEST = 2000  # maximum length of a printed warning in characters
 _PAGES = frozenset({".html", ".md", ".json", ".csv", ".png", ".svg", ".pdf", ".exr"})
 
 
 class VerbOutput(NamedTuple):
-    """Output of a verb: a text, data for --json, and the exit code.
+    """Output of a verb: a text, data for --json, and the exit code of the command.
 
-    If there is no data, the text is the result itself, such as a schema, also with --json.
+    Without data, the text is the result itself (such as a schema) and is printed even with --json.
     """
 
     text: str = ""
@@ -56,7 +56,7 @@ class VerbOutput(NamedTuple):
 
 
 class Read(argparse.Action):
-    """Parse the value of an option at once, so that an error can name the option.
+    """Parse the value of an option immediately, so that an error can name the option.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ class Read(argparse.Action):
         option_string: str | None = None,
     ) -> None:
         """Parse and store the value, or exit with an error."""
-        if values is None:  # An optional positional argument was not given
+        if values is None:  # an optional positional argument was not given
             return
         value = values if self._read is None else self._read(self._label, values)
         before = getattr(namespace, self.dest)
@@ -100,16 +100,16 @@ class Read(argparse.Action):
 
 
 Declaration = Callable[[Any], Any]
-"""A function that adds options to a parser, or to a group of a parser."""
+"""A function that adds options to a parser or to a group of options."""
 
 
 def option(
     usage: str, help: str, read: Callable[[str, str], Any] | None = None, **further: Any
 ) -> Declaration:
-    """Declare an option from its usage text.
+    """Declare an option by its usage text.
 
-    With ``"-m, --realizations R", "help", whole()`` the option reads a number.
-    With ``"--quick", "help"`` it is a switch, and with ``"SCENE", "help"`` a positional argument.
+    With ``"-m, --realizations R", "help", whole()``, the option takes a number.
+    With ``"--quick", "help"`` it is a switch. With ``"SCENE", "help"`` it is positional.
     Other arguments are passed to `Read` or to argparse.
     """
     *names, last = (word.rstrip(",") for word in usage.split())
@@ -123,14 +123,14 @@ def option(
 
 
 def out(help: str, **further: Any) -> Declaration:
-    """Declare ``-o, --out``, a list of output files of one run, which is empty by default."""
+    """Declare ``-o, --out``, a list of output files, which is empty by default."""
     return option(
         "-o, --out FILE", f"{help}; repeatable", repeated="all", **{"default": [], **further}
     )
 
 
 def group(make: Callable[[Any], Any], *options: Declaration) -> Declaration:
-    """Declare the options of a group; `make` adds the group to the parser."""
+    """Declare the options of a group. The function `make` adds the group to the parser."""
 
     def declare(parser: Any) -> None:
         added = make(parser)
@@ -142,7 +142,7 @@ def group(make: Callable[[Any], Any], *options: Declaration) -> Declaration:
 
 @final
 class Verb(NamedTuple):
-    """A verb of the command line: help text, options and function."""
+    """A verb of the command line, with help text, options and function."""
 
     text: str
     options: tuple[Declaration, ...]
@@ -150,7 +150,7 @@ class Verb(NamedTuple):
 
 
 def verb(*options: Declaration) -> Callable[[Callable[[argparse.Namespace], VerbOutput]], Verb]:
-    """Make a verb from a function, whose docstring becomes the help text."""
+    """Create a verb from a function. The docstring of the function becomes the help text."""
     return lambda run: Verb(inspect.cleandoc(run.__doc__ or ""), options, run)
 
 
@@ -161,7 +161,7 @@ def whole(least: int = 1, most: int | None = None) -> Callable[[str, str], int]:
 
 
 def wholes(form: str = "", least: int = 1) -> Callable[[str, str], list[int]]:
-    """Return a parser of whole numbers with commas; a form such as W,H sets their count."""
+    """Return a parser of whole numbers separated by commas. A form such as W,H sets their count."""
 
     def read(name: str, text: str) -> list[int]:
         parts = text.split(",")
@@ -186,7 +186,7 @@ def real(**limits: float) -> Callable[[str, str], float]:
 
 
 def _folder(name: str, text: str) -> str:
-    """Read the name of a folder; refuse an extension of a page or picture."""
+    """Read the name of a folder, and reject extensions of pages and pictures."""
     if Path(text).suffix.lower() in _PAGES and not Path(text).is_dir():
         raise ParameterError(
             f"{name} is {shown(text)}, the name of a file; give a folder for several files."
@@ -195,20 +195,20 @@ def _folder(name: str, text: str) -> str:
 
 
 def given_of(options: argparse.Namespace, *names: str) -> dict[str, Any]:
-    """Return the options of these names that the user gave."""
+    """Return those of the named options that the user gave."""
     found = ((name, getattr(options, name, None)) for name in names)
     return {name: value for name, value in found if value is not None}
 
 
 def index_or_name(name: str, text: str) -> int | str:
-    """Read an integer, possibly negative, or else a name."""
+    """Read an integer, which may be negative, or else a name."""
     del name
     digits = text.removeprefix("-")
     return int(text) if digits.isdecimal() and len(digits) < 20 else text
 
 
 def read_sampler(text: str, dims: int | None) -> Sampler:
-    """Read a sampler spec, or a point set in UTK text format from standard input for ``-``."""
+    """Read a sampler spec. ``-`` stands for a point set in UTK text format on standard input."""
     from mcspectra.samplers import RANDOMIZATIONS, GivenPoints, sampler
 
     first, bar, rest = text.partition("|")
@@ -228,7 +228,7 @@ def read_sampler(text: str, dims: int | None) -> Sampler:
 
 
 def text_table(header: Sequence[str], rows: Sequence[Sequence[str]], words: int = 2) -> str:
-    """Align columns with gaps of two blanks: the first `words` columns left, the others right."""
+    """Align columns with gaps of two blanks: the first `words` columns left, all others right."""
     table = [[printable(cell) for cell in row] for row in (header, *rows)]
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     lines = []
@@ -243,9 +243,9 @@ def text_table(header: Sequence[str], rows: Sequence[Sequence[str]], words: int 
 
 
 def page_table(table: Table, first: str = "", words: int = 0) -> str:
-    """Align a table of a report.
+    """Align the columns of a table from a report.
 
-    If `first` is given, it renames the first column. At least `words` columns are left-aligned.
+    `first`, if given, renames the first column. At least `words` columns are left-aligned.
     """
     header = [first or table.columns[0], *table.columns[1:]]
     first_row = table.rows[0] if table.rows else ()
@@ -256,12 +256,12 @@ def page_table(table: Table, first: str = "", words: int = 0) -> str:
 
 @contextmanager
 def one_sentence_warnings(quiet: bool) -> Iterator[None]:
-    """Show each warning once, as one line on standard error, or not at all."""
+    """Show each warning once as a line on standard error, or show no warnings."""
     seen: set[str] = set()
 
     def show(message: Warning | str, *_: Any) -> None:
         text = printable(message, _LONGEST)
-        if text in seen:  # Other code has already issued the same warning
+        if text in seen:  # other code has already issued the same warning
             return
         seen.add(text)
         print(f"mcspectra: Warning: {text}", file=sys.stderr)

@@ -1,4 +1,4 @@
-"""The verb `design`: a sampler or an importance density, searched for integrands and measured."""
+"""The verb `design`: search for a sampler or an importance density, and measure the result."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ _OF_SAMPLERS = ("members",)
 def design_(options: argparse.Namespace) -> VerbOutput:
     """Search for a sampler or a density with small variance, and measure the gain.
 
-    A sampler is searched for a class of integrands.
+    A sampler is optimized for a class of integrands.
     The table compares its mean variance with usual samplers, over other integrands of the class.
     If a usual sampler has less variance, that sampler is saved instead.
     Ctrl-C ends the search and keeps the best sampler found.
@@ -98,7 +98,7 @@ def design_(options: argparse.Namespace) -> VerbOutput:
 
 
 def _sampler(options: argparse.Namespace, path: str | None) -> tuple[str, dict[str, Any]]:
-    """Search for a sampler and certify it; the file holds the sampler and the certificate."""
+    """Search for a sampler and certify it. The file stores the sampler and the certificate."""
     seed = options.seed or 0
     sampler = mcs.design(
         options.kind, options.objective, options.n, dims=options.dims, rng=seed, path=path
@@ -117,7 +117,7 @@ def _sampler(options: argparse.Namespace, path: str | None) -> tuple[str, dict[s
         )
     ]
     rows[0][0] = "this design"
-    # Save the rival sampler if it is unbiased, and better with 95 % confidence
+    # If the rival is unbiased, and better with 95 % confidence, save it instead
     spec, saved = sampler.spec, ""
     if low > 1.0:
         rival = mcs.sampler(found.attrs["best_rival"], sampler.dims)
@@ -154,7 +154,7 @@ def _sampler(options: argparse.Namespace, path: str | None) -> tuple[str, dict[s
 
 
 def _density(options: argparse.Namespace, path: str | None) -> tuple[str, dict[str, Any]]:
-    """Learn a density, write it to the file, and measure the variances with it and without it."""
+    """Learn a density, write it to the file, and measure the variances with and without it."""
     n, seed = options.n, options.seed or 0
     sampler = options.sampler or "sobol | owen"
     f = mcs.integrand(options.objective, dims=options.dims)

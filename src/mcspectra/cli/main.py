@@ -1,9 +1,9 @@
-"""The command ``mcspectra``: verbs in lazily imported modules, one sentence per error.
+"""The command ``mcspectra``. Verbs are imported when needed, and errors are one sentence.
 
-Exit codes: 0 success; 1 the run failed; 2 bad input; 130 interrupted.
+Exit codes: 0 for success, 1 if the run failed, 2 for bad input, 130 if interrupted.
 The verb ``gate`` also exits with 3 (fail) and 4 (undecided).
-Verbs are bound by name, so ``--help`` imports none of them (docs/decisions/0002).
-Each verb is a function: the verb ``run`` is the function ``run_``. This module prints its output.
+Verbs are listed by name, so ``--help`` imports none of them (docs/decisions/0002).
+Each verb is a function, for example `run_` for the verb ``run``. This module prints its output.
 The module `mcspectra.cli.analysis` turns each analysis into a verb.
 """
 
@@ -75,10 +75,10 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
         "cite": ("package", "print how to cite the package and its methods"),
     },
 }
-"""Verbs by group in the order of the help, with the module and the summary of each verb."""
+"""Verbs by group, in the order of the help. Each verb has a module and a summary."""
 
 VERBS = {verb: text for verbs in GROUPS.values() for verb, (_, text) in verbs.items()}
-"""Summary of each verb, by name."""
+"""Summaries of verbs by name."""
 
 _MODULES = {verb: module for verbs in GROUPS.values() for verb, (module, _) in verbs.items()}
 
@@ -93,9 +93,9 @@ _ANALYSES: dict[str, tuple[str, ...]] = {
     "remedies": ("remedies",),
     "map": ("map",),
 }
-"""Names in the registry of the analyses of each verb, so that the help need not import them.
+"""Names of the analyses of each verb in the registry, so that the help need not import them.
 
-If several analyses share a verb, ``--split`` chooses one; the first is the default.
+If several analyses share a verb, ``--split`` chooses one. The default is the first.
 """
 
 _NOW = {
@@ -110,16 +110,16 @@ _NOW = {
     "mitsuba": "render SCENE --sampler …",
     "schema": "init --schema",
 }
-"""Verbs of earlier versions and their replacements."""
+"""Verbs of earlier versions, and the verbs that replace them."""
 
 _FAILED_RUNS = ("CellFailed", "ClusterLost", "StorageError")
 """Errors that are not caused by the input."""
 
-_LONGEST = 1000  # Maximum length of an unexpected error's message in characters
-_LONGEST_USAGE = 250  # Maximum length in characters of an error of the argument parser
+_LONGEST = 1000  # maximum length of the message of an unexpected error in characters
+_LONGEST_USAGE = 250  # maximum length of an error message of the argument parser in characters
 
 _BEFORE = {"--json": 0, "--quiet": 0, "--debug": 0, "--seed": 1, "--allow-code": 1}
-"""Options of all verbs that may also precede the verb, and the number of their values."""
+"""Options of all verbs that may also come before the verb, with their numbers of values."""
 
 _HELP = """\
 usage: mcspectra VERB ...     mcspectra VERB --help     mcspectra --version
@@ -134,7 +134,7 @@ Specs chain names with bars: mcspectra points 'jittered | shift' -n 16
 
 
 class _Parser(argparse.ArgumentParser):
-    """An argument parser that reports an error in one sentence, without the usage block."""
+    """An argument parser that reports an error as one sentence, without the usage block."""
 
     def error(self, message: str) -> NoReturn:
         sentence = message[:1].upper() + message[1:]
@@ -146,10 +146,10 @@ class _Parser(argparse.ArgumentParser):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit code."""
     given = list(sys.argv[1:] if arguments is None else arguments)
-    # Threads compute realizations and cells in parallel, so BLAS threads would compete with them
+    # Threads compute realizations and cells in parallel. BLAS threads would compete with them
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     for stream in (sys.stdout, sys.stderr):
-        # On a terminal without a character such as ², print '?' and keep the rest of the result
+        # If a terminal lacks a character such as ², print '?' instead and keep the other text
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
     try:
@@ -161,12 +161,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"mcspectra: {said}.", file=sys.stderr)
         tasks = (each.name == "mcspectra-tasks" for each in threading.enumerate())
         if arguments is None and any(tasks):
-            # Native code that still runs would keep the process alive for a minute, or abort it
+            # Native code that still runs could keep the process alive for a minute, or crash it
             sys.stderr.flush()
             os._exit(130)
         return 130
     except BrokenPipeError:
-        # The reader closed the pipe (… | head), which is normal; keep Python from flushing at exit
+        # The reader closed the pipe (… | head), which is normal. Keep Python from flushing at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except Exception as error:
@@ -174,7 +174,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         from mcspectra.core.errors import McspectraError
 
-        # Exit code 2 marks errors that the user can correct
+        # Exit code 2 means an error that the user can correct
         kind, full = type(error).__name__, (errno.ENOSPC, errno.EDQUOT, errno.EIO)
         if isinstance(error, McspectraError):
             code, sentence = 1 if kind in _FAILED_RUNS else 2, str(error)
@@ -193,8 +193,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _dispatch(given: list[str]) -> int:
-    """Find the verb, read its options, run it and print its output."""
-    # Options may precede the verb: move them after the verb
+    """Find the verb, parse its options, run it, and print its output."""
+    # Options may come before the verb: move them behind it
     first = 0
     while first < len(given) and (name := given[first].partition("=")[0]) in _BEFORE:
         first += 1 if "=" in given[first] else 1 + _BEFORE[name]
@@ -206,12 +206,12 @@ def _dispatch(given: list[str]) -> int:
     from mcspectra.core.progress import progress_bars
     from mcspectra.core.results import strict_json
 
-    # Find the verb in its module, or make the verb from the analyses that share it
+    # Find the verb in its module, or create it from the analyses that share it
     name, module = given[0], _MODULES.get(given[0], "analysis")
     verb: Verb
     if module == "analysis":
         analyses = _ANALYSES.get(name, ())
-        if len(analyses) != 1:  # Other packages may add verbs and splits
+        if len(analyses) != 1:  # other packages may add verbs and splits
             analyses = (*analyses, *_outside_analyses(name))
         if not analyses and name in _NOW:
             raise UnknownName(f"The verb {shown(name)} is now 'mcspectra {_NOW[name]}'.")
@@ -224,7 +224,7 @@ def _dispatch(given: list[str]) -> int:
     else:
         verb = getattr(importlib.import_module(f"mcspectra.cli.{module}"), f"{name}_")
 
-    # Declare the verb's own options and the options of all verbs
+    # Declare the options of the verb, and then the options of all verbs
     parser = _Parser(
         prog=f"mcspectra {name}",
         description=verb.text,
@@ -245,7 +245,7 @@ def _dispatch(given: list[str]) -> int:
     if unknown:
         parser.error(f"unrecognized arguments: {printable(' '.join(unknown), QUOTED)}")
 
-    # For all verbs, let specs use the code and the folders that --allow-code and --allow-path name
+    # For every verb, --allow-code and --allow-path name the code and the folders that specs may use
     folders = getattr(options, "allow_path", ())
     if options.allow_code or folders:
         from mcspectra.core.trust import allow
@@ -286,7 +286,7 @@ def _writer(parser: argparse.ArgumentParser) -> Callable[[Parameter | Function],
             for name in names:
                 analysis = ANALYSES.load(name)
                 if analysis.function == part.name:
-                    # The first analysis of a verb needs no --split
+                    # the first analysis of a verb needs no --split
                     word = analysis.verb if name == names[0] else analysis.command()
                     return f"'mcspectra {word}'"
         return str(part)
@@ -295,7 +295,7 @@ def _writer(parser: argparse.ArgumentParser) -> Callable[[Parameter | Function],
 
 
 def _without_verb(given: list[str]) -> int:
-    """Print the help or the version, if no verb is given."""
+    """Print the help or the version if there is no verb."""
     if given[:1] == ["--version"]:
         from mcspectra.version import __version__
 
@@ -327,14 +327,14 @@ def _without_verb(given: list[str]) -> int:
 
 
 def _outside_analyses(word: str) -> list[str]:
-    """Return the analyses of other packages that have this verb.
+    """Return the analyses from other packages that have this verb.
 
     Raises
     ------
     SpecError
-        If `_outside_verbs` leaves out the analysis; the message gives the reason.
+        If the analysis was left out by `_outside_verbs`; the message gives the reason.
     MissingDependency
-        If this is the name of an analysis that cannot be loaded.
+        If the word is the name of an analysis that cannot be loaded.
     """
     outside, left_out = _outside_verbs()
     if word in outside or word in VERBS:
@@ -351,12 +351,12 @@ def _outside_analyses(word: str) -> list[str]:
 
 
 def _outside_verbs() -> tuple[dict[str, list[str]], dict[str, str]]:
-    """Return other packages' verbs with names of analyses, and left-out names with reasons.
+    """Return verbs from other packages with names of analyses, and omitted names with reasons.
 
-    An analysis is left out if its verb and split, or its function, belong to another analysis.
+    An analysis is omitted if another analysis has the same function, or the same verb and split.
     Analyses of this package have priority.
-    The result does not contain analyses that cannot be loaded.
-    The command `mcspectra list analyses` says why an analysis cannot be loaded.
+    Analyses that cannot be loaded are not in the result.
+    The command `mcspectra list analyses` gives the reason in such a case.
     """
     if not entry_points(group="mcspectra.analyses"):
         return {}, {}

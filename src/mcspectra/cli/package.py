@@ -1,4 +1,4 @@
-"""The verbs of the package itself: the slides' figures, the explorer, a check, and citations."""
+"""The verbs of the package itself: figures of the slides, the explorer, a check, and citations."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _EXTRAS = {
     "frames": ("flip-evaluator", "tevclient"),
     "qmcpy": ("qmcpy",),
 }
-"""Optional packages by the extra that installs them."""
+"""Optional packages, by the package extra that installs them."""
 
 _CITED = {
     "the three terms under importance sampling": "Singh2019",
@@ -82,7 +82,7 @@ def reproduce_(options: argparse.Namespace) -> VerbOutput:
                 why = f": {finding.note}" if finding.note else ""
                 print(f"  does not agree: {finding.statement}{why}", flush=True)
 
-    # Store the command that makes the same gallery, without the folder's name
+    # Store the command that reproduces the gallery, without the name of the folder
     seed = options.seed or 0
     words = ["mcspectra", "reproduce", *options.figures, *(["--quick"] if options.quick else [])]
     made = reproduce(
@@ -152,7 +152,7 @@ def doctor_(options: argparse.Namespace) -> VerbOutput:  # noqa: ARG001
     from mcspectra.rendering.backend import describe
     from mcspectra.spectra.transforms import FrequencyGrid, Transform, direct_sum
 
-    # Compare one NUFFT with the direct sum, because every analysis needs the NUFFT
+    # Compare one NUFFT with the direct sum, because every analysis depends on it
     grid = FrequencyGrid(2, 8)
     points = np.random.default_rng(0).random((2, 256, 2))
     try:
@@ -164,7 +164,7 @@ def doctor_(options: argparse.Namespace) -> VerbOutput:  # noqa: ARG001
         works = off < 1e-8
         transforms = f"NUFFT against the direct sum: largest difference {off:.1e}"
 
-    # Find the package versions of each extra, or the command that installs the extra
+    # Find the package versions of each extra, or the command that installs it
     optional = {}
     for extra, names in _EXTRAS.items():
         versions = []

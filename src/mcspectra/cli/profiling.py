@@ -1,4 +1,4 @@
-"""The verb `profile`: causes of the noise of an integrand, of Markov chains, or of a scene."""
+"""The verb `profile`: causes of noise, for an integrand, for Markov chains, or for a scene."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ __all__ = ["profile_"]
 
 
 _SUFFIXES = (".npy", ".csv", ".nc", ".zarr")
-_TEXT_RATIO = 10  # Bytes of memory for each byte of a .csv file
+_TEXT_RATIO = 10  # bytes of memory per byte of a .csv file
 _PROFILE = analysis_verb(["profile"])
 
 
@@ -82,7 +82,7 @@ def _profile(options: argparse.Namespace) -> VerbOutput:
 
 
 def _is_scene(subject: str) -> bool:
-    """Return whether a subject is an XML file, or the name of a built-in scene."""
+    """Return whether a subject is a scene: an XML file, or the name of a built-in scene."""
     if Path(subject).suffix.lower() == ".xml":
         return True
     from mcspectra.rendering.scenes import SCENES
@@ -91,7 +91,7 @@ def _is_scene(subject: str) -> bool:
 
 
 def _of_scene(options: argparse.Namespace, scene: str) -> VerbOutput:
-    """Compare samplers as the scene is rendered, or print what that takes."""
+    """Compare samplers in renders of the scene, or print how long this takes."""
     from mcspectra.profiler.scene_profile import plan_scene, profile_scene
 
     profiling: Any = ANALYSES.load("profile")
@@ -114,14 +114,14 @@ def _of_scene(options: argparse.Namespace, scene: str) -> VerbOutput:
 
 
 def _of_draws(options: argparse.Namespace, files: list[str]) -> VerbOutput:
-    """Analyze Markov chains: errors of means, frequencies that cause these errors, and problems."""
+    """Analyze Markov chains: errors of means, the frequencies that cause them, and problems."""
     from mcspectra.measure.chains import chain_error
     from mcspectra.report.result_files import check_result_file, write_result_file
 
     for file in options.out:
         check_result_file(file)
 
-    # Read the draws, with one chain per file, and separate the weights
+    # Read the draws, one chain per file, and separate the weights
     found = [_draws(file) for file in files]
     draws, weights, named = found[0], None, options.weights
     if len(found) > 1:
@@ -154,7 +154,7 @@ def _of_draws(options: argparse.Namespace, files: list[str]) -> VerbOutput:
     plain = result.drop_dims("band") if several else result
     names, said = (np.atleast_1d(result[key].values) for key in ("cause", "evidence"))
     lines = [f"{result.attrs['chains']} × {result.attrs['draws']} draws"]
-    if not np.isnan(result["mcse"]).all():  # If no chain moves, all errors are NaN: omit the table
+    if not np.isnan(result["mcse"]).all():  # if no chain moves, all errors are NaN
         lines.append(table_of_anything(plain).text)
     for k, name in enumerate(names):
         start = f"{result['quantity'].values[k]}: " if several else ""
@@ -253,7 +253,7 @@ def _posterior(tree: xr.DataTree) -> xr.Dataset:
 
 
 def _table(text: str, file: str) -> xr.Dataset:
-    """Read the quantities of a .csv file, without Stan's diagnostics (names ending in __)."""
+    """Read the quantities in a .csv file. Stan's diagnostics (names ending in __) are left out."""
     import xarray as xr
 
     lines = [line for line in text.splitlines() if line.strip()]

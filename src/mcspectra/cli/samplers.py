@@ -1,4 +1,4 @@
-"""The verbs of samplers: list spec names, draw points, compare samplers."""
+"""The verbs of samplers: list names, draw points, integrate and compare samplers."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ _REGISTRIES = {
 
 
 def _choice(known: tuple[str, ...]) -> Callable[[str, str], str]:
-    """Return a parser of one of a few words."""
+    """Return a parser that accepts a few given words."""
     return lambda name, text: as_choice(name, text, known)
 
 
@@ -61,7 +61,7 @@ def list_(options: argparse.Namespace) -> VerbOutput:
     module, attribute = _REGISTRIES[kind]
     registry = getattr(importlib.import_module(module), attribute)
 
-    # Describe each entry; if an entry cannot be loaded, the reason is its summary
+    # Describe each entry. If an entry cannot be loaded, show the reason instead of its summary
     rows: list[dict[str, Any]] = []
     for name in registry:
         try:
@@ -88,7 +88,7 @@ def list_(options: argparse.Namespace) -> VerbOutput:
             row = {"name": name, "summary": f"not available: {reason}", "parameters": []}
         rows.append(row)
 
-    # Print summary and parameters of each name; then its verb, or its dims, counts and sources
+    # Print summary and parameters of each name, and then its verb, or its dims, counts and sources
     widest, lines = max(len(row["name"]) for row in rows), []
     for row in rows:
         lines.append(f"{row['name'].ljust(widest)}  {row['summary']}")
@@ -122,7 +122,7 @@ def points_(options: argparse.Namespace) -> VerbOutput:
     from mcspectra.plots.backend_matplotlib import FORMATS, write
     from mcspectra.plots.points import point_sets
 
-    # Refuse files that cannot be written before drawing
+    # Before drawing, reject files that cannot be written
     sampler = read_sampler(options.sampler, options.dims)
     density = as_density(options.density, sampler.dims)
     seed, n = options.seed or 0, options.n
@@ -138,7 +138,7 @@ def points_(options: argparse.Namespace) -> VerbOutput:
             )
         path_to_write(file, "a file", (extension,))
 
-    # Draw the requested number of sets, or the number that quality figures need
+    # Draw the requested number of sets, or as many as the quality figures need
     count = options.realizations
     if count is None and options.quality:
         from mcspectra.core.streams import Stream
@@ -165,7 +165,7 @@ def points_(options: argparse.Namespace) -> VerbOutput:
 
         source: Any = sampler if density is None else points
         count, n, _ = points.shape
-        with one_sentence_warnings(quiet=True):  # Drawing has already shown these warnings
+        with one_sentence_warnings(quiet=True):  # drawing has already shown these warnings
             figures = summarize(quality_figures(source, n, realizations=count, rng=seed))
         rows: list[list[str]] = []
         missing: list[str] = []
@@ -334,7 +334,7 @@ def bench_(options: argparse.Namespace) -> VerbOutput:
     bench = mcs.sampler_bench(specs, **given, rng=seed)
 
     # Measure a card of each sampler only if a page is written.
-    # A card is measured at the largest count only, because `bench` already contains the rates
+    # The cards use the largest count only: the result of `sampler_bench` already has the rates
     cards = []
     if not paper and any(is_folder(file) or file.endswith(".html") for file in options.out):
         spectra = min(200, options.realizations or 200)
@@ -366,7 +366,7 @@ _MASKS = (
     "sobol | decorrelate(mask='blue-noise', time='golden')",
     "sobol | decorrelate(mask='spatiotemporal')",
 )
-"""Samplers that ``bench --screen`` compares by default."""
+"""Samplers that ``bench --screen`` compares if none are given."""
 
 
 def _screen(options: argparse.Namespace) -> VerbOutput:

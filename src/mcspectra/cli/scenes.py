@@ -1,4 +1,4 @@
-"""The verbs of scenes: an image, a pixel, a map of all pixels, frames of any renderer."""
+"""The verbs of scenes: an image, a pixel, a map of all pixels, and frames of any renderer."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ if TYPE_CHECKING:
 
 __all__ = ["frames_", "map_", "pixel_", "render_"]
 
-_WIDTH = 100  # Width of wrapped sentences in columns
-_AROUND = 8  # side of the square of pixels at which samplers are compared for a target
+_WIDTH = 100  # width of wrapped sentences in columns
+_AROUND = 8  # side in pixels of the square in which samplers are compared for a target
 _SPP, _COMPARED_SPP, _REFERENCE_SPP = 16, 4, 1024
 
 
@@ -163,7 +163,7 @@ def render_(options: argparse.Namespace) -> VerbOutput:
         "rng": options.seed or 0,
     }
 
-    # Add the size of the film to the scene's parameters
+    # Add the size of the film to the parameters of the scene
     scene = str(options.scene)
     sizes = given_of(options, "width", "height")
     if sizes:
@@ -178,7 +178,7 @@ def render_(options: argparse.Namespace) -> VerbOutput:
     if options.compare:
         return _compare(options, scene, settings, files)
 
-    # Render the image and measure the time
+    # Render the image, and measure the time
     if options.reference_spp is not None:
         raise ParameterError("--reference-spp is for --compare; with --reference give --spp.")
     settings["strategy"] = options.strategy or "mis"
@@ -224,7 +224,7 @@ def render_(options: argparse.Namespace) -> VerbOutput:
 
 
 def _samples(told: Mapping[Any, Any]) -> int:
-    """Return the number of samples of a pixel in all images; for MIS, of both techniques."""
+    """Return the number of samples per pixel in all images together; MIS counts both techniques."""
     return int(told["spp"] * told["realizations"] * (2 if told["strategy"] == "mis" else 1))
 
 
@@ -235,7 +235,7 @@ def _colour(values: Any) -> str:
 def _compare(
     options: argparse.Namespace, scene: str, settings: Mapping[str, Any], files: list[Path]
 ) -> VerbOutput:
-    """Render a reference and all strategies, write these images, and print their errors."""
+    """Render a reference and all strategies. Write these images, and print their errors."""
     from mcspectra.plots.backend_matplotlib import draw, encode
     from mcspectra.plots.maps import rms_error, strategy_images
     from mcspectra.rendering.files import write_comparison
@@ -275,7 +275,7 @@ def _compare(
 
 
 def _whole_paths(options: argparse.Namespace, scene: str, files: list[Path]) -> VerbOutput:
-    """Render a scene with one of Mitsuba's integrators, and write the film."""
+    """Render a scene with one of Mitsuba's integrators, and write the image."""
     from mcspectra.rendering.files import write_png
     from mcspectra.rendering.scenes import render_file
 
@@ -403,7 +403,7 @@ def pixel_(options: argparse.Namespace) -> VerbOutput:
 
         check_page_packages("render,report")
 
-    # Pass only the given options, because the function has defaults for the others
+    # Pass only options that were given, because the function has defaults for the others
     passed = ("light", "channel", "dims", "samplers", "counts", "realizations", "budget")
     asked = {
         "remedies": not options.no_remedies,
@@ -454,7 +454,7 @@ def pixel_(options: argparse.Namespace) -> VerbOutput:
         write = path_page.write_path
     written = None if options.out is None else write(tree, options.out)
 
-    # Print the tried changes, the findings in sentences, and the name of a written page
+    # Print the changes that were tried, the findings in sentences, and the name of a written page
     def filled(named: list[tuple[str, str]]) -> list[str]:
         return [textwrap.fill(f"{k}: {v}", _WIDTH, subsequent_indent="  ") for k, v in named]
 
@@ -471,7 +471,7 @@ def pixel_(options: argparse.Namespace) -> VerbOutput:
     if options.target is not None:
         from mcspectra.rendering.scenes import film_size
 
-        # Compare samplers at the pixels around this one
+        # Compare samplers at pixels around this pixel
         width, height = film_size(options.scene)
         side = min(_AROUND, width, height)
         corner = [
@@ -488,7 +488,7 @@ def pixel_(options: argparse.Namespace) -> VerbOutput:
 
 
 def _map_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of the map analysis, which is imported only when needed."""
+    """Declare the options of the map analysis, which is imported only if needed."""
     from mcspectra.cli.analysis import declared
     from mcspectra.core.options import options_of
     from mcspectra.rendering.maps import Map
@@ -535,7 +535,7 @@ def map_(options: argparse.Namespace) -> VerbOutput:
     from mcspectra.studies import StudyConfig, open_results, run_study
     from mcspectra.studies.files import SceneConfig
 
-    # Refuse invalid options before the folder is created
+    # Reject invalid options before the folder is created
     check_page_packages("render,report")
     if options.target is not None and (options.integrator is None or options.size is not None):
         raise ParameterError(
@@ -546,13 +546,13 @@ def map_(options: argparse.Namespace) -> VerbOutput:
     subjects = [Subject(None, read_sampler(each, analysis.points_dims)) for each in samplers]
     parts = analysis.of_samplers(subjects)
 
-    # Run a study with one map per sampler, and write the results
+    # Run a study with one map per sampler, and write its results
     entries = tuple(
         SceneConfig(name=f"map-{k}" if k else "map", samplers=(each,), kind="map", analysis=part)
         for k, (each, part) in enumerate(zip(samplers, parts, strict=True))
     )
     study = StudyConfig(title=f"Map of {options.scene}", seed=options.seed or 0, scenes=entries)
-    # The user named the scene's files on the command line, so they may be in any folder
+    # The user gave the scene on the command line, so its files may be in any folder
     trust = process_trust().widened(folders=(Path(Path.cwd().anchor),))
     folder = options.out or "out/map"
     run_study(study, folder, resume=options.resume, workers=options.workers, trust=trust)
@@ -571,7 +571,7 @@ def map_(options: argparse.Namespace) -> VerbOutput:
 
 
 def _as_rendered(options: argparse.Namespace, crop: Any) -> Any:
-    """Compare samplers as they are rendered, for a target at the pixels of a crop."""
+    """Compare samplers in renders of a scene, for a target error at the pixels of a crop."""
     from mcspectra.profiler.scene_profile import profile_scene
 
     return profile_scene(
@@ -667,7 +667,7 @@ def frames_(options: argparse.Namespace) -> VerbOutput:
 
 
 def _show(result: xr.Dataset, address: str) -> None:
-    """Send every layer to tev as a separate picture."""
+    """Send every layer to the viewer tev as a separate picture."""
     import numpy as np
 
     from mcspectra.report.frames_page import frame_layers
@@ -685,5 +685,5 @@ def _show(result: xr.Dataset, address: str) -> None:
                 tev.create_image(title, width, height, channels)
                 tev.update_image(title, values, channel_names=channels)
     except OSError as error:
-        tev.__exit__(None, None, None)  # Close the socket whose connection failed
+        tev.__exit__(None, None, None)  # close the socket after a failed connection
         raise ParameterError(f"No tev answers at {address}: {error.strerror or error}.") from None

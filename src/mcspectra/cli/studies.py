@@ -35,9 +35,9 @@ if TYPE_CHECKING:
 
 __all__ = ["estimate_text", "export_", "init_", "report_", "run_", "status_"]
 
-_LONGEST_TITLE = 200  # Maximum number of characters shown of a title
-_LONGEST_REASON = 1000  # Maximum number of characters shown of a cell and its error
-_LISTED = 10  # Maximum number of unfinished cells listed per state
+_LONGEST_TITLE = 200  # maximum number of characters of a title that are shown
+_LONGEST_REASON = 1000  # maximum number of characters of a cell and its error that are shown
+_LISTED = 10  # maximum number of unfinished cells to list, per state
 
 
 @verb(
@@ -133,7 +133,7 @@ def run_(options: argparse.Namespace) -> VerbOutput:
         data = {"seconds": wall, "workers": count, "cells": cells}
         return VerbOutput(estimate_text(estimates, wall, count), data)
 
-    # Warn before the run if the report cannot be written
+    # Warn before the run if the report could not be written
     reported = True
     try:
         check_page_packages()
@@ -145,7 +145,7 @@ def run_(options: argparse.Namespace) -> VerbOutput:
             MissingPackageWarning,
         )
 
-    # Run the cells; the report shows the finished cells, even if other cells fail
+    # Run the cells. The report shows all finished cells, even if other cells fail
     code = 0
     try:
         run_study(
@@ -184,7 +184,7 @@ def run_(options: argparse.Namespace) -> VerbOutput:
         rows = summarize(open_results(target))
     page = write_report(target) if reported else None
     data = {"report": page, "rows": [msgspec.to_builtins(row) for row in rows]}
-    # Show the first columns of the report's first table: rates, variances and predictions
+    # Show the first columns of the first table of the report: rates, variances and predictions
     summary = summary_table(rows)
     shown = page_table(columns_of(summary, summary.columns[:5]))
     if "unresolved" in shown:
@@ -194,7 +194,7 @@ def run_(options: argparse.Namespace) -> VerbOutput:
 
 
 def _cluster_engine(options: argparse.Namespace, time_limit: float | None) -> MakeExecutor | None:
-    """Return a function that makes the executor chosen by the options; None without --cluster."""
+    """Return a function that creates the executor for the given options; None without --cluster."""
     if options.cluster is not None or time_limit is not None:
         optional_package("distributed", "cluster", "Processes and clusters of dask need")
     if options.cluster is None:
@@ -223,7 +223,7 @@ def _cluster_engine(options: argparse.Namespace, time_limit: float | None) -> Ma
 
 
 def estimate_text(estimates: Sequence[CellEstimate], wall: float, workers: int) -> str:
-    """Return a table with one row per estimator and analysis, with sums over all samplers."""
+    """Return a table with a row per estimator and analysis, which sums over all samplers."""
     from mcspectra.core.memory import shown_bytes
 
     groups: dict[tuple[str, str], list[CellEstimate]] = {}
@@ -299,7 +299,7 @@ def status_(options: argparse.Namespace) -> VerbOutput:
     status = study_status(options.folder, verify=options.verify)
     lines = [f"{printable(status.title, _LONGEST_TITLE)}: {status.state}"]
 
-    # Report when, where and by which process the folder was written
+    # Report when, on which machine and by which process the folder was written
     if status.started is not None:
         ended = "" if status.finished is None else f", finished {status.finished}"
         on = f" on {shown(status.hosts[0])}" if status.hosts else ""
@@ -310,7 +310,7 @@ def status_(options: argparse.Namespace) -> VerbOutput:
         ended = "" if status.state == "running" else ", which has ended"
         lines.append(f"written by {status.holder.in_words}{ended}")
 
-    # Count the cells of each analysis, and the bytes of their results
+    # Count the cells of each analysis, and the size of their results in bytes
     rows = [
         [name, str(of.done), str(of.failed), str(of.missing), str(of.damaged)]
         for name, of in status.analyses.items()
@@ -326,7 +326,7 @@ def status_(options: argparse.Namespace) -> VerbOutput:
     )
     lines += ["", table, "", held]
 
-    # List the first few unfinished cells, with the reasons
+    # List the first few cells that are not finished, with the reasons
     missing = dict.fromkeys(status.missing, "")
     listed = {"damaged": status.damaged, "failed": status.failed, "missing": missing}
     for kind, reasons in listed.items():

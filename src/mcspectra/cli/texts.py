@@ -1,8 +1,8 @@
-"""Text and extra --json data of the result of an analysis.
+"""Text of the result of an analysis, and additional data for --json.
 
-Analyses with their own tables are in `VIEWS`.
-The function `table_of_anything` shows all other analyses.
-It shows the scalars with their meanings and intervals, and then one table per dim.
+`VIEWS` contains the analyses that have their own tables.
+For all other analyses, the function `table_of_anything` makes a table.
+It lists scalars with their meanings and intervals, and then has one table per dim.
 """
 
 from __future__ import annotations
@@ -28,20 +28,20 @@ if TYPE_CHECKING:
 __all__ = ["VIEWS", "View", "data_of", "remedies_table", "table_of_anything"]
 
 _WIDTH = 100
-_CERTAIN = 2e-6  # Relative width below which no interval is printed
-_ROUNDING = 1e-14  # Share of the variance below which a sum is rounding error
-_MANY = 10_000  # Maximum number of values of a variable in --json
+_CERTAIN = 2e-6  # below this relative width, an interval is not printed
+_ROUNDING = 1e-14  # below this share of the variance, a sum is a rounding error
+_MANY = 10_000  # maximum number of values per variable in --json
 
 
 View = Callable[["xr.Dataset"], VerbOutput]
-"""Function of a result: returns a text, and JSON entries that are merged into `data_of`."""
+"""Function of a result that returns a text, and JSON entries to add to those of `data_of`."""
 
 VIEWS: dict[str, dict[str, View]] = {}
-"""Views by analysis and name; the first view is the default, and --show selects another."""
+"""Views by analysis and name. The first view is the default, and --show selects another."""
 
 
 def _view(analysis: str, name: str = "") -> Callable[[View], View]:
-    """Register a view of an analysis."""
+    """Register a view of the result of an analysis."""
 
     def register(shows: View) -> View:
         VIEWS.setdefault(analysis, {})[name] = shows
@@ -51,17 +51,17 @@ def _view(analysis: str, name: str = "") -> Callable[[View], View]:
 
 
 def _shown(*parts: str, **data: Any) -> VerbOutput:
-    """Join the non-empty parts, each on its own lines."""
+    """Join the parts that are not empty, each on its own lines."""
     return VerbOutput("\n".join(filter(None, parts)), data)
 
 
 def _columns(result: xr.Dataset, *names: str) -> Iterator[tuple[Any, ...]]:
-    """Iterate over variables of equal shape, and yield the values of each entry."""
+    """Iterate over several variables of equal shape at once, entry by entry."""
     return zip(*(result[name].values.ravel() for name in names), strict=True)
 
 
 def data_of(result: xr.Dataset) -> dict[str, Any]:
-    """Return all attributes, and all variables of a readable size."""
+    """Return all attributes, and those variables that are small enough to read."""
     small = {str(name): v.values for name, v in result.variables.items() if v.size <= _MANY}
     return {**{str(key): value for key, value in result.attrs.items()}, **small}
 
@@ -96,7 +96,7 @@ def table_of_anything(result: xr.Dataset) -> VerbOutput:
 
 
 def _title(result: xr.Dataset) -> str:
-    """Return a title with the specs of the estimator and the sampler, and n."""
+    """Return a title with n and the specs of the estimator and the sampler."""
     known = result.attrs
     names = [str(known[key]) for key in ("estimator", "sampler") if key in known]
     counts = f",  n = {known['n']}" if "n" in known else ""
@@ -108,7 +108,7 @@ def _note(result: xr.Dataset) -> str:
 
 
 def _number(value: float, digits: int = 5, missing: str = "–") -> str:
-    """Format a number with `digits` digits, and infinity as a word."""
+    """Format a number with `digits` digits. Infinity becomes a word."""
     if math.isinf(value):
         return "infinite"
     return missing if math.isnan(value) else f"{value:.{digits}g}"
@@ -119,7 +119,7 @@ def _cell(value: Any) -> str:
 
 
 def _value(result: xr.Dataset, name: str, place: tuple[int, ...]) -> str:
-    """Format a number; an unresolved rate becomes ``unresolved``."""
+    """Format a rate. A rate that is not resolved becomes ``unresolved``."""
     if name.endswith("rate") and f"{name}_ci" in result:
         low, high = result[f"{name}_ci"].values[place]
         if high - low > 0 and not is_resolved(low, high):
@@ -128,7 +128,7 @@ def _value(result: xr.Dataset, name: str, place: tuple[int, ...]) -> str:
 
 
 def _interval(ends: Any, digits: int = 4) -> str:
-    """Format an interval, whose upper end may be infinite; the text is empty for unknown ends."""
+    """Format an interval, whose upper end may be infinite; empty if an end is unknown."""
     low, high = ends
     known = math.isfinite(low) and not math.isnan(high)
     return f"{low:.{digits}g} … {_number(high, digits)}" if known else ""
@@ -169,7 +169,7 @@ def convergence(result: xr.Dataset) -> VerbOutput:
                     )
             elif below_rounding(curve):
                 fit[0] = BELOW_ROUNDING
-            # If the interval has no upper end, print the lower end with the number
+            # If the interval has no upper end, print the lower end next to the number
             variances = [
                 f"{v:.4g}" + (f" (≥ {low:.4g})" if math.isinf(high) else "")
                 for v, (low, high) in zip(
@@ -318,7 +318,7 @@ def anova(result: xr.Dataset) -> VerbOutput:
     labels, order = list(map(str, result["subset_label"].values)), result.attrs["order"]
 
     def part(values: Sequence[float], floor: float) -> list[str]:
-        # Variance, standard error and share; they are 0 below the rounding level
+        # Variance, standard error and share. They are 0 below the level of rounding
         floors = (floor, floor, _ROUNDING)
         return [
             "0" if abs(value) < least else _number(value, missing="undefined")
@@ -453,21 +453,21 @@ def remedies(result: xr.Dataset) -> VerbOutput:
 
 
 def remedies_table(result: xr.Dataset) -> str:
-    """Return the table of tried changes, in the same form as in a report."""
+    """Return the table of changes that were tried, as a report has it."""
     from mcspectra.report.page import columns_of
     from mcspectra.report.tables import analysis_table
 
     made = analysis_table("remedies", {"": result})
     assert made is not None
     columns = ("Remedy", "Verdict", "Variance", "Ratio", "95 % interval", "Rate")
-    return page_table(columns_of(made[1], columns), words=2)  # Align remedy and verdict left
+    return page_table(columns_of(made[1], columns), words=2)  # align remedy and verdict to the left
 
 
 @_view("modes")
 def modes(result: xr.Dataset) -> VerbOutput:
     """Prints the eigenvalues, their shares of the sum, and the variance of each mode."""
     trace, edge = float(result["band_trace"]), float(result["noise_edge"])
-    # Numerically, eigenvalues that should be zero are about 1e-13 of the sum
+    # By rounding, eigenvalues that should be zero are about 1e-13 of the sum
     there = int(np.count_nonzero(result["eigenvalue"].values > 1e-13 * trace))
     if not there:
         return _shown(f"{_title(result)}\nno mode: the coefficients do not vary")

@@ -1,5 +1,5 @@
-"""Plots: functions turn a result into a description (`Plot`), and one of two backends draws it.
+"""Plots: functions turn a result into a description (`Plot`), and a backend draws it.
 
-Matplotlib draws files, notebooks and the accessor ``.mcspectra.plot()``.
+There are two backends. Matplotlib draws files, notebooks and the accessor ``.mcspectra.plot()``.
 Bokeh draws reports and the explorer. The description is independent of the backend.
 """

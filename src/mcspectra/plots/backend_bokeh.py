@@ -1,9 +1,9 @@
-"""Draw plots with Bokeh for pages: plots with zoom, tooltips and legends that hide marks.
+"""Draw plots with Bokeh for pages. Readers can zoom, see tooltips, and hide marks in the legend.
 
 Plots load nothing from a network and are readable on light and dark pages.
-The description of a plot in words is its ARIA label.
+The description of a plot in words becomes its ARIA label.
 
-A `Drawn` can show another plot of the same structure by changing only data, limits and texts.
+A `Drawn` can show another plot of the same structure if only data, limits and texts change.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ _SEEN = {
     FAINT: _GRID,
     "#4D4D4D": "#8A8A8A",
     "#7F5733": "#9C6B41",
-}  # colors for light and dark pages
+}  # colors that are readable on light and dark pages
 _NOWHERE = "#808080"
 _MARKERS = {
     "o": "circle",
@@ -90,7 +90,7 @@ _SIDES = {
     "below": ("center", "top", 0, 5),
     "middle": ("center", "middle", 0, 0),
 }
-_SHADES = 255  # number of colors of a palette; shade 0 means no value
+_SHADES = 255  # number of colors of a palette; color 0 means no value
 _KEPT_BITS = 10  # mantissa bits of values in tooltips, enough for three digits
 _PIXELS = 4 / 3  # pixels per point
 _ALONE, _WIDE, _ABREAST, _PAIR = 260, 300, 216, 260  # widths of frames in pixels
@@ -104,10 +104,10 @@ def draw(plot: Plot) -> Drawn:
 
 
 def packed(model: LayoutDOM) -> str:
-    """Return a model's JSON for ``Bokeh.embed.embed_item``, gzipped, in base64.
+    """Return a model's JSON for ``Bokeh.embed.embed_item``, compressed with gzip, in base64.
 
-    Bokeh numbers models over the life of a process.
-    Here the models of each plot are renumbered from 0, so the same plot gives the same text.
+    Bokeh counts models over the life of a process.
+    Here, the models of each plot are numbered from 0, so the same plot gives the same text.
     """
     item = json.loads(serialize_json(json_item(model)))
     numbers: dict[str, str] = {}
@@ -119,7 +119,7 @@ def packed(model: LayoutDOM) -> str:
 
 @cache
 def script() -> str:
-    """Return Bokeh's own script without widgets, tables and WebGL, gzipped, in base64."""
+    """Return Bokeh's own script without widgets, tables and WebGL, as gzip in base64."""
     resources = Resources(mode="inline", components=["bokeh"], log_level="error")
     return _compressed("\n".join(resources.js_raw))
 
@@ -140,7 +140,7 @@ class Drawn:
         self._shown: Plot | None = None
         self._structure = _structure(plot)
         self._figures = [_figure(panel, _options(plot, k)) for k, panel in enumerate(plot.panels)]
-        # If each panel has its own tools, show them only while the pointer is over the panel
+        # If each panel has tools, show the tools only while the pointer is over the panel
         for each in self._figures:
             each.toolbar.autohide = len(self._figures) > 1 and not _stacked(plot)
         if _stacked(plot):
@@ -154,7 +154,7 @@ class Drawn:
                 self._sources += [each.data_source for each in drawn]
                 if label := getattr(mark, "label", ""):
                     entries.setdefault(label, {}).setdefault(k, []).extend(drawn)
-        # Add color bars. For a scale of names, add a legend of its colors below the figure
+        # Add color bars. For a scale of names, list the names with their colors below the figure
         self._bars: list[Any] = []
         for scale, k in _bars(plot).items():
             frame = self._figures[k]
@@ -172,7 +172,7 @@ class Drawn:
             )  # fmt: skip
             frame.add_layout(bar, "below")
             self._bars.append(bar)
-        # Put each legend entry below the last figure that has it; clicks hide its marks everywhere
+        # Put each legend entry below the last figure that has it. A click hides its marks
         items: dict[str, Any] = {}
         for k, frame in enumerate(self._figures):
             own = {label: drawn[k] for label, drawn in entries.items() if max(drawn) == k}
@@ -202,7 +202,7 @@ class Drawn:
         return _structure(plot) == self._structure
 
     def update(self, plot: Plot) -> None:
-        """Show another plot of the same structure; unchanged limits keep the reader's zoom.
+        """Show another plot of the same structure. If limits are equal, the reader's zoom is kept.
 
         Raises
         ------
@@ -247,7 +247,7 @@ class Drawn:
 
 
 def _structure(plot: Plot) -> list[Any]:
-    """Return everything that an update cannot change."""
+    """Return all properties of a plot that an update cannot change."""
     found: list[Any] = [plot.columns, plot.share]
     for k, panel in enumerate(plot.panels):
         ticks = [axis.ticks is None for axis in (panel.x, panel.y)]
@@ -262,14 +262,14 @@ def _structure(plot: Plot) -> list[Any]:
 
 
 def _bars(plot: Plot) -> dict[Scale, int]:
-    """Return the color scales that need a bar or legend, with the last panel that uses each."""
+    """Return the color scales that need a bar or legend, each with the last panel that uses it."""
     found = {scale: k for k, panel in enumerate(plot.panels) for scale in panel.scales}
     return {scale: k for scale, k in found.items() if scale.label or scale.names}
 
 
 @dataclass(frozen=True)
 class _Layer:
-    """One Bokeh glyph: data properties, constant properties and tooltips."""
+    """One Bokeh glyph, with its data properties, constant properties and tooltips."""
 
     glyph: str
     columns: Mapping[str, Any]
@@ -402,7 +402,7 @@ def _segments(at: Array, start: Array, end: Array, lying: bool) -> dict[str, Any
 
 
 def _band(mark: Line, panel: Panel) -> dict[str, Any]:
-    """Return the outlines of a band, one per run without gaps."""
+    """Return the outlines of a band: one outline for each run of values without gaps."""
     x, (low, high) = _place(panel.x, mark.x), _ends(panel.y, mark.low, mark.high)
     if mark.step and len(x) > 1:
         middle = (x[1:] + x[:-1]) / 2
@@ -419,7 +419,7 @@ def _band(mark: Line, panel: Panel) -> dict[str, Any]:
 
 
 def _ends(axis: Axis, low: Any, high: Any) -> tuple[Array, Array]:
-    """Return positions of the ends of intervals; on a log axis, low ends at 0 move to its limit."""
+    """Return where intervals end. On a log axis, a low end at 0 moves to the limit of the axis."""
     low = np.asarray(low, dtype=float)
     if axis.kind == "log" and axis.low is not None:
         low = np.where(low <= 0, axis.low, low)
@@ -427,7 +427,7 @@ def _ends(axis: Axis, low: Any, high: Any) -> tuple[Array, Array]:
 
 
 def _place(axis: Axis, values: Any) -> Array:
-    """Return values in Bokeh's coordinates; NaN for values outside the domain of the axis."""
+    """Return values in Bokeh's coordinates; NaN for values that the axis cannot show."""
     given = np.asarray(values, dtype=float)
     if axis.kind == "signed":
         return signed_place(given, axis.threshold)
@@ -452,7 +452,7 @@ def _limits(scale: Scale) -> tuple[float, float]:
 
 
 def _along(scale: Scale, values: Any) -> Array:
-    """Return positions of values along a color scale."""
+    """Return the positions of values along a color scale."""
     given = np.asarray(values, dtype=float)
     if scale.kind == "signed":
         return signed_place(given, scale.threshold)
@@ -466,7 +466,7 @@ def _extent(places: Array) -> tuple[float, float]:
 
 
 def _compact(values: Array) -> Array:
-    """Round to float32 with few mantissa bits, since trailing zeros compress well."""
+    """Round to float32 with few mantissa bits, because trailing zeros compress well."""
     mantissa, exponent = np.frexp(np.asarray(values, dtype=np.float64))
     rounded = np.ldexp(np.round(mantissa * 2.0**_KEPT_BITS), exponent - _KEPT_BITS)
     return np.ascontiguousarray(rounded, dtype=np.float32)
@@ -499,7 +499,7 @@ def _options(plot: Plot, k: int) -> dict[str, Any]:
         "width": None,
         "height": None,
         "outline_line_color": _INK if panel.framed else None,
-        # Only the first of stacked panels has tools. A narrow panel has no space above for tools
+        # If panels are stacked, only the first has tools. Narrow panels have no space above
         "toolbar_location": None
         if _stacked(plot) and k
         else ("above" if stretched or not panel.title else "right"),
@@ -507,12 +507,12 @@ def _options(plot: Plot, k: int) -> dict[str, Any]:
 
 
 def _stacked(plot: Plot) -> bool:
-    """Whether the panels are stacked and share an axis, which only the last panel labels."""
+    """Whether the panels are stacked and share an axis, which is labeled only at the last panel."""
     return plot.columns == 1 and plot.share in ("x", "both")
 
 
 def _figure(panel: Panel, options: dict[str, Any]) -> Any:
-    """Create an empty figure without active tools, which would capture gestures for scrolling."""
+    """Create an empty figure without active tools, which would capture scroll gestures."""
     padding = 0.0 if any(isinstance(mark, Heatmap | Pixels) for mark in panel.marks) else 0.06
     ranges: Any = {
         name: DataRange1d(flipped=axis.flipped, range_padding=padding)
@@ -547,7 +547,7 @@ def _figure(panel: Panel, options: dict[str, Any]) -> Any:
 
 
 def _texts(panel: Panel) -> dict[str, dict[float, str]]:
-    """Return the texts of bars as ticks of a second axis, on the right or at the top."""
+    """Return the texts of bars as ticks of a second axis at the right or at the top."""
     found: dict[str, dict[float, str]] = {}
     for mark in panel.marks:
         if isinstance(mark, BarChart) and mark.texts:
@@ -569,7 +569,7 @@ def _add(frame: Any, layer: _Layer) -> Any:
     drawn = getattr(frame, layer.glyph)(**options, source=ColumnDataSource(layer.data))
     if layer.hover:
         tips = [(_plain(title), f"@h{k}") for k, title in enumerate(layer.hover)]
-        # Show one toolbar button for all tooltips instead of one per hover tool
+        # Show one toolbar button for all tooltips, instead of one per hover tool
         visible = not any(isinstance(tool, HoverTool) for tool in frame.tools)
         frame.add_tools(HoverTool(renderers=[drawn], tooltips=tips, visible=visible, limit=6))
     return drawn
@@ -582,12 +582,12 @@ def _gradient(palette: str) -> tuple[str, ...]:
 
 
 def _palette(scale: Scale) -> tuple[str, ...]:
-    """Return the color of each shade."""
+    """Return the color of each color index."""
     return scale.colors or _gradient(scale.palette)
 
 
 def _set_axis(axis: Any, limits: Any, new: Axis, old: Axis | None) -> None:
-    """Set label and ticks of an axis, and the limits if they changed."""
+    """Set the label, the ticks, and the limits (if they changed) of an axis."""
     axis.axis_label = _plain(new.label)
     if new.ticks is not None:
         _set_ticks(axis, _place(new, list(new.ticks)), [shorten(t, 24) for t in new.ticks.values()])
@@ -612,7 +612,7 @@ def _set_ticks(axis: Any, places: Iterable[float], texts: Iterable[str]) -> None
 
 
 def _legend(frame: Any, entries: Mapping[str, list[Any]]) -> list[Any]:
-    """Add a legend below a figure, one row per entry; a click hides or shows the entry's marks."""
+    """Add a legend below a figure, one row per entry. A click hides or shows the entry's marks."""
     items = [LegendItem(label=_plain(label), renderers=drawn) for label, drawn in entries.items()]
     legend = Legend(
         items=items, click_policy="hide", location="top_left", background_fill_color=None,
@@ -624,12 +624,12 @@ def _legend(frame: Any, entries: Mapping[str, list[Any]]) -> list[Any]:
 
 
 def _seen(color: str) -> str:
-    """Return the replacement of a color that is readable on light and dark pages."""
+    """Return a similar color that is readable on light and dark pages."""
     return _SEEN.get(color, color)
 
 
 def _plain(text: str) -> str:
-    """Make a text printable and split its TeX delimiters, since Bokeh would load TeX for them."""
+    """Make a text printable, and split TeX delimiters in it: Bokeh would load TeX for them."""
     text = printable(text, lines=True)
     joiner = "\u2060"  # invisible, no width
     for mark in ("$$", r"\(", r"\["):
@@ -642,7 +642,7 @@ def _compressed(text: str) -> str:
 
 
 def _renumbered(node: Any, numbers: dict[str, str]) -> Any:
-    """Return a copy with model ids replaced by numbers in the order of first mention."""
+    """Return a copy in which model ids are numbers, in the order of their first mention."""
     if isinstance(node, list):
         return [_renumbered(each, numbers) for each in node]
     if not isinstance(node, dict):

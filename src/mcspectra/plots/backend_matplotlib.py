@@ -1,8 +1,8 @@
 """Draw plots with Matplotlib, for files, notebooks and the accessor.
 
 Each artist is styled separately, so no global settings are read or changed.
-Texts are plain, and ticks have fixed positions and plain labels.
-Typesetting mathematics would take most of the time of a small figure.
+Texts are plain, and ticks have fixed positions and plain labels:
+typesetting of formulas would take most of the time for a small figure.
 The same plot always gives the same bytes.
 """
 
@@ -61,7 +61,7 @@ __all__ = [
 ]
 
 GivenAxes: TypeAlias = "Axes | Iterable[Axes] | np.ndarray[Any, Any] | None"
-"""Axes to draw into, one per panel (an array is read row by row); None makes a new figure."""
+"""Axes to draw into, one per panel (an array is read row by row). None creates a new figure."""
 
 FORMATS = (".svg", ".png", ".pdf", ".pgf")
 """Extensions of files that `write` accepts."""
@@ -69,19 +69,19 @@ FORMATS = (".svg", ".png", ".pdf", ".pgf")
 # Figure widths in inches: for small pictures, for one or two columns of panels,
 # and for more columns or wide plots
 _TINY, _NARROW, _WIDE = 2.35, 4.9, 7.4
-# Inches: smallest side of a panel among several panels, and largest side of a square panel
+# In inches: smallest side of one of several panels, and largest side of a square panel
 _LEAST_SIDE, _LARGEST_SQUARE = 2.3, 3.4
 _LETTER = 0.0083  # mean width of a letter in inches, per point of its size
-_CLOSE_LETTER = 0.0076  # the same without a margin for wide letters
-_TITLE_LETTER = 0.0088  # the same for titles, which may have many capitals
+_CLOSE_LETTER = 0.0076  # mean width of a letter without a margin for wide letters
+_TITLE_LETTER = 0.0088  # mean width of a letter in titles, which may have many capitals
 _DPI, _PDF_DPI = 120, 200  # resolution of PNG files, and of rasterized parts of a PDF
-_MOST_VECTORS = 5000  # largest number of points drawn as vectors; more make files large and slow
+_MOST_VECTORS = 5000  # largest number of points drawn as vectors: more make files large and slow
 _PGF_DPI = 400  # resolution of maps and dots that belong to a PGF file
-_MOST_PGF = 1500  # largest number of dots in a PGF file; TeX's memory ends at about 5000
-# Number of colors of a PNG. Files are three times smaller, and flat colors look the same
+_MOST_PGF = 1500  # largest number of dots in a PGF file: TeX runs out of memory at about 5000
+# Number of colors of a PNG. Files become a third of the size, and flat colors do not change
 _COLORS = 256
-_MOST_PIXELS = 2**15  # largest side of an image in pixels; half of Matplotlib's own limit
-# Space of a legend's handle and gaps, in letters, in figures of a free and of a given width
+_MOST_PIXELS = 2**15  # largest side of an image in pixels: half of Matplotlib's own limit
+# Width of a legend's symbol and gaps, in letters: for a free and for a given figure width
 _HANDLE, _TIGHT_HANDLE = 7.0, 5.5
 _LINEAR = 0.45  # each side of the linear part of an axis takes half a decade
 _SIDES = {
@@ -101,9 +101,9 @@ class Look:
     Attributes
     ----------
     width
-        Width of the figure in inches. None: chosen from the numbers of panels and columns.
+        Width of the figure in inches. None: computed from the numbers of panels and columns.
     label, small, title
-        Font sizes in points: labels of axes, other small texts, and titles of panels.
+        Font sizes in points for labels of axes, other small texts, and titles of panels.
     background
         Color behind the panels.
     colors
@@ -205,22 +205,22 @@ def panel_axes(figure: Figure) -> list[Axes]:
 
 
 def encode(figure: Figure, *, with_pdf: bool = True) -> tuple[bytes, bytes]:
-    """Return the PNG and the PDF of a figure, without time stamps.
+    """Return the PNG and the PDF of a figure without time stamps.
 
     Without `with_pdf`, the PDF is empty. The layout is computed once for both files.
 
-    The PNG has a palette of 256 colors if the figure has no maps or images.
-    Otherwise rounded colors would be visible, so the PNG has all colors.
+    If the figure has no maps or images, the PNG has a palette of 256 colors.
+    In maps and images, rounded colors would be visible, so these PNG files have all colors.
     """
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.backends.backend_pdf import FigureCanvasPdf
     from PIL import Image as Picture
 
-    # Ignore warnings about characters that the font lacks; the text of the page shows them
+    # Ignore warnings about characters that the font lacks: the text of the page has them
     with warnings.catch_warnings(), mpl.rc_context({"pdf.fonttype": 42}):
         warnings.filterwarnings("ignore", message="Glyph .* missing from", category=UserWarning)
-        figure.set_dpi(_DPI)  # the layout needs this dpi, because hinted text has another width
+        figure.set_dpi(_DPI)  # hinted text has other widths at another dpi
         engine = figure.get_layout_engine()
         if engine is not None:
             engine.execute(figure)
@@ -230,7 +230,7 @@ def encode(figure: Figure, *, with_pdf: bool = True) -> tuple[bytes, bytes]:
         pixels = np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3])  # type: ignore[no-untyped-call]
         pdf = io.BytesIO()
         if with_pdf:
-            # Call the backend directly: savefig would draw the figure once more for the layout
+            # Call the backend directly: savefig would draw the figure again for the layout
             figure.set_dpi(_PDF_DPI)
             metadata = {"CreationDate": None, "Creator": "mcspectra"}
             FigureCanvasPdf(figure).print_pdf(pdf, metadata=metadata)  # type: ignore[no-untyped-call]
@@ -240,7 +240,7 @@ def encode(figure: Figure, *, with_pdf: bool = True) -> tuple[bytes, bytes]:
     if not any(axes.images for axes in figure.axes):
         octree, no_dither = Picture.Quantize.FASTOCTREE, Picture.Dither.NONE
         image = image.quantize(_COLORS, method=octree, dither=no_dither)
-        # The octree rounds colors. Restore the exact background, which must match the page
+        # Reduction to a palette rounds colors. Restore the background, which must match the page
         palette, paper = image.getpalette() or [], int(np.asarray(image)[0, 0])
         palette[3 * paper : 3 * paper + 3] = pixels[0, 0].tolist()
         image.putpalette(palette)
@@ -251,7 +251,7 @@ def encode(figure: Figure, *, with_pdf: bool = True) -> tuple[bytes, bytes]:
 def write(plot: Plot, path: str | PathLike[str], *, captioned: bool = False) -> None:
     """Write a plot to a file in the format of its extension.
 
-    PDF files have Type 42 fonts. PGF files are for ``\\input`` in LaTeX, but need no LaTeX here.
+    PDF files have Type 42 fonts. PGF files are for ``\\input`` in LaTeX, but LaTeX is not needed.
 
     Parameters
     ----------
@@ -282,7 +282,7 @@ def write(plot: Plot, path: str | PathLike[str], *, captioned: bool = False) -> 
 def write_figure(figure: Figure, file: Path) -> None:
     """Write a figure in its own size to a file in the format of its extension.
 
-    A map in a PGF file is a PNG file with the same name and a number.
+    A map in a PGF file becomes a PNG file with the same name and a number.
 
     Raises
     ------
@@ -325,7 +325,7 @@ def write_pages(pages: Iterable[tuple[str, Plot] | Figure], path: str | PathLike
 
 
 def _write_pgf(figure: Figure, file: Path) -> None:
-    """Write PGF; Matplotlib measures the texts, since LaTeX may not be installed."""
+    """Write PGF. Matplotlib measures the texts, because LaTeX may not be installed."""
     from matplotlib.backend_bases import RendererBase
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.backends.backend_mixed import MixedModeRenderer
@@ -348,7 +348,7 @@ def _write_pgf(figure: Figure, file: Path) -> None:
             from PIL import Image as Picture
 
             _graphics, x, y, im, *_transform = given
-            # PGF has lines and points only, so a map is a picture of its own
+            # PGF has only lines and points, so a map becomes a separate picture
             picture = file.with_name(f"{file.stem}-{self.image_counter}.png")
             Picture.fromarray(im[::-1]).save(picture)
             self.image_counter += 1
@@ -404,7 +404,7 @@ def _empty(size: tuple[float, float], pyplot: bool, layout: Any, background: str
 
 
 def _new_figure(plot: Plot, pyplot: bool, look: Look) -> tuple[Figure, list[Axes]]:
-    """Create a figure for the panels of a plot; inner labels of shared axes are hidden."""
+    """Create a figure for the panels of a plot. Inner labels of shared axes are hidden."""
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     count, columns = len(plot.panels), min(plot.columns, len(plot.panels))
@@ -418,7 +418,7 @@ def _new_figure(plot: Plot, pyplot: bool, look: Look) -> tuple[Figure, list[Axes
         min(side, _LARGEST_SQUARE) if columns == 1 and plot.height > 0.8 and not plot.wide else side
     )
     if look.width and all(panel.square for panel in plot.panels):
-        side -= 0.028 * look.label  # labels of a square panel make it narrower and lower
+        side -= 0.028 * look.label  # labels of a square panel reduce its width and height
     heights = [side * plot.height * part for part in plot.rows or (1.0,) * rows]
 
     # Add the space for titles, tick labels, axis labels and the legend
@@ -442,7 +442,7 @@ def _new_figure(plot: Plot, pyplot: bool, look: Look) -> tuple[Figure, list[Axes
         axes = figure.add_subplot(grid[divmod(k, columns)])
         if made:
             _share(axes, made[0], plot.share)
-        # In a given width, also a panel without a panel below it has no labels
+        # If the width is given, panels above an empty place have no labels either
         if below and (k // columns < rows - 1 if look.width else k + columns < count):
             axes.tick_params(labelbottom=False)
             axes.xaxis.label.set_visible(False)
@@ -455,7 +455,7 @@ def _new_figure(plot: Plot, pyplot: bool, look: Look) -> tuple[Figure, list[Axes
 
 def _exact_figure(plot: Plot, shape: tuple[int, ...], pyplot: bool) -> tuple[Figure, list[Axes]]:
     """Create a figure whose PNG shows each image pixel as a square of whole pixels."""
-    least, gap, strip = 240, 12, 25  # in pixels: smallest side, gap between panels, title height
+    least, gap, strip = 240, 12, 25  # in pixels: least side, gap between panels, title height
     height, width, _ = shape
     zoom, columns = max(1, -(-least // width)), min(plot.columns, len(plot.panels))
     foot = gap + 16 * max(panel.x.label.count("\n") + 1 for panel in plot.panels)
@@ -477,16 +477,16 @@ def _exact_figure(plot: Plot, shape: tuple[int, ...], pyplot: bool) -> tuple[Fig
 
 
 def _panel(axes: Axes, panel: Panel, look: Look) -> Iterator[tuple[Scale, ScalarMappable]]:
-    """Draw the marks of a panel; yield its color scales with the artists that show them."""
+    """Draw the marks of a panel. Yield its color scales with the artists that show them."""
     named = any(isinstance(mark, BarChart) and mark.lying for mark in panel.marks)
-    # Draw thin axis lines on two or four sides, small dark ticks, and faint grid lines if requested
+    # Draw thin axis lines on two or four sides, small dark ticks, and optional faint grid lines
     axes.set_facecolor("white")
     for side, spine in axes.spines.items():
         spine.set_linewidth(0.6)
         spine.set_color(GRAY)
         plain = side == "bottom" or (side == "left" and not named)
         spine.set_visible(panel.framed or plain)
-        spine.set_in_layout(False)  # a spine needs no extra space, and is slow to measure
+        spine.set_in_layout(False)  # a spine needs no extra space, and measuring it is slow
     axes.tick_params(**look.ticks)
     if named:
         axes.tick_params(axis="y", length=0)
@@ -511,8 +511,8 @@ def _panel(axes: Axes, panel: Panel, look: Look) -> Iterator[tuple[Scale, Scalar
         _finish_axis(axes, which, axis, look)
     room = axes.get_window_extent().width / axes.figure.dpi
     if panel.title:
-        # Fix the title's y, because finding a free place takes longer than the rest of the layout
-        # In a given width, letters are counted closely, so that fewer titles are shortened
+        # Fix the position of the title: the search for a free place is slow.
+        # If the width is given, letters are counted closely, so that fewer titles are shortened
         size = look.title * (_TITLE_LETTER if look.width is None else _CLOSE_LETTER)
         letters = max(int(room / size), 12 if look.width is None else 13)
         lines = textwrap.wrap(panel.title, letters, break_long_words=False)
@@ -542,7 +542,7 @@ def _finish_axis(axes: Axes, which: str, given: Axis, look: Look) -> None:
     if ticks is None and given.kind == "log":
         ticks = log_ticks(low, high)
     if which == "x" and ticks and look.width:
-        # In a given width, omit ticks whose labels would touch the next label on the right
+        # If the width is given, omit ticks whose labels would touch the next label on the right
         places = {
             tick: float(axis.get_transform().transform(np.array([tick]))[0]) for tick in ticks
         }
@@ -566,7 +566,7 @@ def _finish_axis(axes: Axes, which: str, given: Axis, look: Look) -> None:
     label = escaped(_broken(given.label, length, look))
     axis.set_label_text(label, fontsize=look.label, color=INK)
     if which == "x" and ticks and look.width is None:
-        # Rotate labels that would touch
+        # Rotate labels that would touch each other
         at = np.sort(axis.get_transform().transform(np.array(list(ticks))))
         first, last = axis.get_transform().transform(np.array([low, high]))
         gap = length * np.diff(at).min(initial=np.inf) / (last - first)
@@ -575,12 +575,12 @@ def _finish_axis(axes: Axes, which: str, given: Axis, look: Look) -> None:
 
 
 def _broken(label: str, length: float, look: Look) -> str:
-    """Put the note of a label on its own line if the label is longer than `length` inches."""
+    """Put the note in a label on a separate line if the label is longer than `length` inches."""
     return label.replace("   (", "\n(") if len(label) * look.letter * 1.15 > length else label
 
 
 def _mark(axes: Axes, mark: Mark, depth: float, look: Look) -> ScalarMappable | None:
-    """Draw a mark; return the artist if its colors show a scale."""
+    """Draw a mark. If its colors show a scale, return the artist."""
     from matplotlib.collections import LineCollection
 
     paint: dict[str, Any] = {"color": getattr(mark, "color", INK), "zorder": depth}
@@ -667,7 +667,7 @@ def _mark(axes: Axes, mark: Mark, depth: float, look: Look) -> ScalarMappable | 
         case Pixels():
             height, width = mark.rgb.shape[:2]
             zoom = max(1, round(axes.get_window_extent().width / width))
-            # Repeat pixels here, since Matplotlib's scaling may shift a row by half a pixel
+            # Repeat pixels here, because Matplotlib's scaling may shift a row by half a pixel
             squares = np.repeat(np.repeat(mark.rgb, zoom, axis=0), zoom, axis=1)
             axes.imshow(
                 squares, extent=(0, width, 0, height), interpolation="nearest", zorder=depth
@@ -702,7 +702,7 @@ def _whiskers(
 
 
 def _norm(scale: Scale, look: Look) -> tuple[Any, Any]:
-    """Return the norm and the color map of a scale; NaN is light gray."""
+    """Return the norm and the color map of a scale. NaN becomes light gray."""
     from matplotlib import colormaps, colors
 
     if scale.kind == "names":
@@ -737,10 +737,10 @@ def _entries(plot: Plot) -> dict[str, list[Mark | str]]:
 
 
 def _legend_columns(labels: Iterable[str], width: float, look: Look) -> int:
-    """Return the largest number of columns, at most four, whose texts fit into the width."""
+    """Return the largest number of columns, at most four, for which the texts fit in the width."""
     lengths, handle = list(map(len, labels)), _TIGHT_HANDLE if look.width else _HANDLE
     for columns in (4, 3, 2):
-        # Matplotlib fills the columns one after the other
+        # Matplotlib fills one column after the other
         rows = math.ceil(len(lengths) / columns)
         parts = [lengths[start : start + rows] for start in range(0, len(lengths), rows)]
         if sum(look.letter * (max(part) + handle) for part in parts) <= width:
@@ -759,7 +759,7 @@ def _legend(figure: Figure, given: Axes | None, plot: Plot, look: Look) -> None:
     handles = [_handle(marks) for marks in entries.values()]
     texts = [escaped(label) for label in entries]
     if given is not None:
-        # If the legend overlaps lines, whiskers or dots, add space above, at most half the axes
+        # If the legend overlaps lines, whiskers or dots, add space above, up to half of the axes
         box = given.legend(handles, texts, loc="best", **options).get_window_extent()
         drawn = [line.get_transform().transform_path(line.get_path()) for line in given.lines]
         for each in given.collections:
@@ -788,7 +788,7 @@ def _legend(figure: Figure, given: Axes | None, plot: Plot, look: Look) -> None:
 
 
 def _handle(marks: list[Mark | str]) -> Any:
-    """Return the legend handle of an entry: a patch, or a line with the marker of its dots."""
+    """Return the legend symbol of an entry: a patch, or a line with the marker of its dots."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -811,5 +811,5 @@ def _handle(marks: list[Mark | str]) -> Any:
 
 
 def escaped(text: str) -> str:
-    """Return a printable text with escaped dollar signs, so that none starts mathematics."""
+    """Return a printable text in which dollar signs do not start mathematics."""
     return printable(text, lines=True).replace("$", r"\$")

@@ -1,4 +1,4 @@
-"""Plots of samplers, densities, integrands and estimators: their method ``plot``."""
+"""Plots of samplers, densities, integrands and estimators, for their method ``plot``."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 
 __all__ = ["component_result", "plot"]
 
-_POINTS = {1: 16, 2: 64}  # default numbers of points by dims; more dims use the last
-_HALF_WIDTH, _SETS = 32, 50  # half width and realizations of a spectrum of about a second
-_REALIZATIONS = 1000  # estimates of a histogram
-_SUBCELLS = {1: 256, 2: 16}  # values of f along each axis of a stratum, by dims
+_POINTS = {1: 16, 2: 64}  # default numbers of points by dims; with more dims, the last number
+_HALF_WIDTH, _SETS = 32, 50  # half width and realizations of a spectrum that takes about a second
+_REALIZATIONS = 1000  # number of estimates in a histogram
+_SUBCELLS = {1: 256, 2: 16}  # number of values of f along each axis of a stratum, by dims
 
 
 def plot(
@@ -56,7 +56,7 @@ def component_result(
     sampler: Any = "jittered",
     rng: RngLike = 0,
 ) -> tuple[str, Mapping[str, xr.Dataset]]:
-    """Return the kind of a component's plot and the results that it shows, by name.
+    """Return the kind of plot for a component, and the results that it shows, by name.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def _spectrum(_: Any, source: Sampler, n: int, rng: RngLike) -> xr.Dataset:
 
 
 def _integrand(component: Any, source: Sampler, n: int, rng: RngLike) -> xr.Dataset:
-    """Return f and p with points; the values of a density are those of p itself."""
+    """Return f and p with points. For a density, f is p itself."""
     if isinstance(component, Density):
         f = Integrand.from_function(component.pdf, dims=component.dims)
         found = compute(Points(n=n), Subject(Estimator(f, component), source), rng=rng)
@@ -106,7 +106,7 @@ def _integrand(component: Any, source: Sampler, n: int, rng: RngLike) -> xr.Data
 
 
 def _strata(component: AbstractEstimator, _: Sampler, n: int, __: RngLike) -> xr.Dataset:
-    """Return the exact parts of the variance of jittered strata, and their sum as they slide."""
+    """Return the exact variance in each jittered stratum, and the sum when the strata slide."""
     g = component.primary_integrand()
     side = round(n ** (1 / g.dims))
     if g.dims > 2 or side**g.dims != n:

@@ -1,6 +1,6 @@
 """Backend-independent description of a plot: panels with axes, marks and color scales.
 
-A `Plot` is plain data. Functions of this package make plots from results.
+A `Plot` is plain data. The functions of this package create plots from results.
 Both backends draw every mark, scale and axis that is declared here.
 Positions are data coordinates, and sizes are in points (1/72 inch).
 Texts are plain, without TeX or HTML.
@@ -32,11 +32,11 @@ __all__ = [
 ]
 
 Hover: TypeAlias = Mapping[str, Sequence[str]]
-"""Tooltips of a mark: title → one text per item. Only Bokeh shows them."""
+"""Tooltips of a mark: from each title to one text per item. Only Bokeh shows them."""
 
 Dashes: TypeAlias = Literal["-", "--", ":", "-."]
 Marker: TypeAlias = Literal["o", "s", "^", "D", "v", "P", "X", "*", "|"]
-"""Shapes of `Dots`; ``|`` is a vertical stroke whose length is the size."""
+"""Shapes of `Dots`. The shape ``|`` is a vertical stroke, as long as the size."""
 
 
 @final
@@ -52,9 +52,9 @@ class Axis:
         A ``signed`` axis is linear within ± `threshold` and logarithmic beyond.
         Each side of its linear part takes as much space as half a decade.
     low, high
-        Limits. None: limits of the marks, with a small margin.
+        Limits. None: the limits of the marks, with a small margin.
     ticks
-        Positions and texts of the ticks. None: chosen by the backend.
+        Positions and texts of the ticks. None: the backend chooses them.
     threshold
         End of the linear part of a ``signed`` axis.
     flipped
@@ -73,29 +73,29 @@ class Axis:
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scale:
-    """A mapping of values to colors. Panels with the same scale share one color bar.
+    """A mapping of values to colors. Panels with the same scale have one color bar.
 
     Attributes
     ----------
     label
         Label of the color bar. A scale with an empty label and no `names` has no bar.
     kind
-        In a ``names`` scale, a value is an integer k that stands for ``names[k - low]``.
+        In a ``names`` scale, the integer value k stands for ``names[k - low]``.
         A legend replaces the color bar of such a scale.
         A ``signed`` scale is symmetric, linear within ± `threshold` and logarithmic beyond.
     low, high
-        Values at the ends; −high and high for a ``signed`` scale.
+        Values at the two ends; for a ``signed`` scale, −high and high.
     ticks
-        Positions and texts of the ticks on the color bar. None: chosen by the backend.
+        Positions and texts of the ticks on the color bar. None: the backend chooses them.
     threshold
         End of the linear part of a ``signed`` scale.
     palette
-        ``sequential`` runs from dark to light, and ``diverging`` from blue over white to orange.
+        ``sequential`` runs from dark to light, and ``diverging`` from blue through white to orange.
         ``gray`` runs from black to white, and ``paper`` from white to black.
     names, colors
         Names and colors of a ``names`` scale, one per value.
     beyond
-        Whether values above `high` occur; an arrow at the end of the bar shows this.
+        Whether some values are above `high`. An arrow at the end of the bar shows this.
     """
 
     label: str = ""
@@ -113,18 +113,18 @@ class Scale:
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Line:
-    """A polyline with an optional band. NaN interrupts the line; width 0 draws only the band.
+    """A polyline, perhaps with a band. NaN interrupts the line; width 0 draws only the band.
 
     Attributes
     ----------
     x, y
         Coordinates of the vertices, with shape (k,).
     low, high
-        Lower and upper end of the band, with shape (k,). None: no band.
+        Lower and upper ends of the band, with shape (k,). None: no band.
     step
-        Whether y is the value of the whole cell around x.
+        Whether the line is a step function: y is the value in a whole cell around x.
     label
-        Entry in the legend; marks with the same label share one entry.
+        Entry in the legend. Marks with the same label share an entry.
     """
 
     x: Array
@@ -142,7 +142,7 @@ class Line:
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Dots:
-    """Markers, with whiskers if `low` and `high` are given.
+    """Markers, with whiskers if both `low` and `high` are given.
 
     Attributes
     ----------
@@ -151,7 +151,7 @@ class Dots:
     size
         Diameter in points, a scalar or one per dot.
     low, high
-        Ends of the whiskers, with shape (k,). NaN omits a whisker.
+        Ends of the whiskers, with shape (k,). NaN means no whisker.
     across
         Whether the whiskers run along x instead of y.
     """
@@ -172,22 +172,22 @@ class Dots:
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BarChart:
-    """Vertical or horizontal bars from `base` to `value` at positions `at`, with whiskers if given.
+    """Vertical or horizontal bars from `base` to `value`, with whiskers if given.
 
     Attributes
     ----------
     at, value
-        Positions and values, with shape (k,). NaN omits a bar.
+        Positions and values, with shape (k,). NaN means no bar.
     thickness
-        Thickness in data coordinates; 0 draws stems.
+        Thickness in data coordinates. With 0, stems are drawn.
     color
         One color, or one per bar.
     base
-        Value at which bars begin, a number or one per bar.
+        Value at which bars begin: one number, or one per bar.
     lying
         Whether the bars are horizontal, with positions on the y axis.
     texts
-        Texts at the far end of the panel, one per bar. Default: no texts.
+        One text per bar at the far end of the panel. Default: no texts.
     """
 
     at: Array
@@ -216,7 +216,7 @@ class Heatmap:
     x, y
         Centers of the columns and rows, ascending.
     hover
-        Further values for the tooltip, by title, in arrays of the same shape as `values`.
+        Further values for the tooltip by title: arrays of the same shape as `values`.
     name
         Title of `values` in the tooltip.
     """
@@ -232,7 +232,7 @@ class Heatmap:
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Pixels:
-    """An RGB image, uint8 (height, width, 3), first row on top, in [0, width] × [0, height]."""
+    """An RGB image, uint8 (height, width, 3), drawn in [0, width] × [0, height]; row 0 on top."""
 
     rgb: Array
 
@@ -240,7 +240,7 @@ class Pixels:
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Segments:
-    """Straight line segments; `ends` has shape (k, 2, 2): start and end, x and y."""
+    """Straight line segments. `ends` (k, 2, 2) has start and end of each, as x and y."""
 
     ends: Array
     color: str
@@ -264,7 +264,7 @@ class ReferenceLine:
 @final
 @dataclass(frozen=True, kw_only=True)
 class TextMark:
-    """A short text next to a point; `side` is its position relative to the point."""
+    """A short text next to a point. `side` is the position relative to the point."""
 
     x: float
     y: float
@@ -279,20 +279,20 @@ Mark: TypeAlias = Line | Dots | BarChart | Heatmap | Pixels | Segments | Referen
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Panel:
-    """One pair of axes with marks; the first mark is drawn at the back.
+    """One pair of axes with marks. The first mark is drawn behind the others.
 
     Attributes
     ----------
     title
-        Title above the panel; the middle of a long title is omitted.
+        Title above the panel. If it is too long, its middle is omitted.
     square
-        Whether units have the same length on both axes.
+        Whether both axes have the same scale.
     framed
-        Whether the panel has axis lines on all four sides instead of two.
+        Whether the panel has axis lines on all four sides, instead of on two.
     grid
-        Whether faint lines mark the ticks behind the marks.
+        Whether there are faint lines at the ticks, behind the marks.
     note
-        Text in the middle of an empty panel that says why the panel is empty.
+        Text in the middle of a panel without marks, which gives the reason.
     """
 
     marks: tuple[Mark, ...]
@@ -306,7 +306,7 @@ class Panel:
 
     @property
     def scales(self) -> tuple[Scale, ...]:
-        """The distinct color scales of the marks."""
+        """The distinct color scales of all marks."""
         found = (getattr(mark, "scale", None) for mark in self.marks)
         return tuple(dict.fromkeys(scale for scale in found if scale is not None))
 
@@ -324,7 +324,7 @@ class Plot:
         Kebab-case name of the kind of plot, such as ``convergence``.
         This name is set by the functions of `mcspectra.plots.kinds`.
     columns
-        Number of panels per row on paper; narrow screens use fewer.
+        Number of panels per row when printed. Narrow screens show fewer.
     caption
         One or two sentences on the contents and how to read them.
     words
@@ -334,11 +334,11 @@ class Plot:
     rows
         Relative heights of the rows. Default: equal.
     share
-        Axes that all panels share: they zoom together, and inner labels are omitted.
+        Axes that all panels share. They zoom together, and inner labels are omitted.
     wide
         Whether the figure takes the full width of a page.
     small
-        Whether the figure is one of a row of small pictures. It keeps the size of its texts.
+        Whether the figure is one of a row of small pictures. Its texts keep their size.
     """
 
     panels: tuple[Panel, ...]

@@ -1,4 +1,4 @@
-"""Groups of results of one analysis, by name. Functions that describe plots take such groups."""
+"""Groups of results of one analysis, by name. Functions that describe plots use such groups."""
 
 from __future__ import annotations
 
@@ -40,15 +40,15 @@ __all__ = [
 ]
 
 Group: TypeAlias = "Mapping[str, xr.Dataset]"
-"""Results by the name of their sampler, reduced to one channel, with labels as coordinates."""
+"""Results by name of their sampler, reduced to one channel. Labels are coordinates."""
 
 Data: TypeAlias = "xr.Dataset | Group"
-"""Results by name, or one result, optionally over several estimators, samplers or variants."""
+"""Results by name, or one result, which may have several estimators, samplers or variants."""
 
 Styles: TypeAlias = Mapping[str, LineStyle]
 """Style of each sampler."""
 
-# Variables of a curve. A result with several variants of a curve is split by variant
+# Variables of a curve. If a result has several variants of a curve, they are separated
 _CURVE = {
     "n",
     "variance",
@@ -59,7 +59,7 @@ _CURVE = {
 
 
 def as_group(data: Data) -> tuple[dict[str, xr.Dataset], str]:
-    """Return the first channel of results by name, and a note if there are several channels.
+    """Return the first channel of results by name, and a note if there are more channels.
 
     Raises
     ------
@@ -86,7 +86,7 @@ def as_group(data: Data) -> tuple[dict[str, xr.Dataset], str]:
 
 
 def pairs(data: xr.Dataset) -> Iterator[tuple[str, str, str, xr.Dataset]]:
-    """Yield estimator, points (sampler and variant), a name and the result for each combination."""
+    """Yield each combination: estimator, points (sampler and variant), name, and result."""
     several, variants = {"estimator", "sampler"} & set(data.dims), variant_dims(data)
     for estimator, of_estimator in along(data, "estimator"):
         for sampler, of_sampler in along(of_estimator, "sampler"):
@@ -122,17 +122,17 @@ def root_of_n(dims: int) -> str:
 
 
 def point_dims(data: xr.Dataset) -> int:
-    """Return the number of dims of the points of a result; a bench lists several numbers."""
+    """Return the number of dims of the points of a result; for a bench, the first number."""
     return int(str(data.attrs["dims"]).strip("[]").partition(",")[0])
 
 
 def abreast(count: int) -> int:
-    """Return the number of panels per row, at most three; four panels are placed 2 by 2."""
+    """Return the number of panels per row: at most three, or two for four panels."""
     return -(-count // -(-count // 3))
 
 
 def shared(panels: Sequence[Panel]) -> Literal["", "x", "y", "both"]:
-    """Return the axes that are equal in all panels and can be shared."""
+    """Return which axes are equal in all panels and can be shared."""
     x, y = (
         all(axis == axes[0] for axis in axes)
         for axes in zip(*((p.x, p.y) for p in panels), strict=True)
@@ -141,7 +141,7 @@ def shared(panels: Sequence[Panel]) -> Literal["", "x", "y", "both"]:
 
 
 def for_each(group: Group, words: Callable[[xr.Dataset], str]) -> str:
-    """Return the name and description of each result as one text."""
+    """Return the names and descriptions of all results as one text."""
     return "; ".join(f"{name}: {words(each)}" for name, each in group.items()) + "."
 
 
@@ -153,12 +153,12 @@ def lines_of(
     texts: Mapping[str, Sequence[str]] | None = None,
     notes: Mapping[str, str] | None = None,
 ) -> list[Line]:
-    """Return one line per name, the first ones thickest, so that coinciding lines stay visible.
+    """Return one line per name. Earlier lines are thicker, so that coinciding lines stay visible.
 
     Parameters
     ----------
     curves
-        x and y, and optionally the two ends of a band, by name.
+        For each name: x and y, and optionally the two ends of a band.
     styles
         Style of each name.
     under
@@ -166,7 +166,7 @@ def lines_of(
     texts
         Texts for y in the tooltip. Default: numbers.
     notes
-        Texts that the legend appends to the names.
+        Texts that follow the names in the legend.
     """
     names, made = labels(list(curves), 40), list[Line]()
     for (name, (x, y, *ends)), width in zip(curves.items(), line_widths(len(curves)), strict=True):
@@ -193,9 +193,9 @@ def numbers(values: Array | Iterable[float], digits: int = 4) -> list[str]:
 
 
 def not_finite(values: Array | float, data: xr.Dataset | None = None) -> str:
-    """Return a text for values without finite numbers; infinity means that ∫1/p diverges.
+    """Return a text if values are not finite; infinity means that ∫1/p diverges.
 
-    If `data` has infinite terms or an infinite ∫1/p, NaN values count as infinite.
+    If `data` has infinite terms or an infinite ∫1/p, NaN values also count as infinite.
     """
     known = [] if data is None else [data[t].values for t in ("dc_term", "power_term") if t in data]
     level = 0.0 if data is None else float(data.attrs.get("random_level", 0.0))
@@ -209,7 +209,7 @@ def intervals(ends: Array, digits: int = 4) -> list[str]:
 
 
 def along(data: xr.Dataset, dim: str) -> Iterator[tuple[str, xr.Dataset]]:
-    """Yield label and part for each index along a dim, or the whole result if it lacks the dim."""
+    """Yield the label and the part for each index along a dim, or the whole result without it."""
     if dim not in data.dims:
         yield str(data.attrs.get(f"{dim}_spec", data.attrs.get(dim, dim))), data
         return
@@ -219,7 +219,7 @@ def along(data: xr.Dataset, dim: str) -> Iterator[tuple[str, xr.Dataset]]:
 
 
 def method_of(one: xr.Dataset, channel: int = 0) -> str:
-    """Return the method of a single prediction with its details: ``torus (464 sets)``."""
+    """Return the method of a prediction with its details: ``torus (464 sets)``."""
     name, how = (str(one[key].item()) for key in ("method", "how"))
     known = not np.isnan(one["predicted_variance"].values.reshape(-1)[channel])
     return f"{name} ({how})" if known and how else name
@@ -233,15 +233,15 @@ def _place(dim: str, value: Any) -> str:
 
 
 def labelled(stored: xr.Dataset) -> xr.Dataset:
-    """Return a stored result with text coordinates restored from the attributes ``labels_*``."""
+    """Return a stored result in which the attributes ``labels_*`` are text coordinates again."""
     texts = {
         str(key).removeprefix("labels_"): np.array(value)
         for key, value in stored.attrs.items()
         if str(key).startswith("labels_")
     }
-    # Labels that are named like a dim belong to this dim.
+    # Labels with the name of a dim belong to this dim.
     # All other labels, such as verdicts, belong to a dim with as many entries.
-    # The dim "bound" (of size 2) comes first, so that another dim of size 2 has priority
+    # The dim "bound" has size 2. Put it first, so that another dim of size 2 has priority
     dims = sorted(map(str, stored.dims), key=lambda dim: dim != "bound")
     own: dict[tuple[int, ...], Any] = {
         texts[dim].shape: dim for dim in dims if dim in texts and dim != "bound"

@@ -1,4 +1,4 @@
-"""Kinds of plots, and the function that describes a plot of a result."""
+"""Kinds of plots: which results they can show, and which function describes the plot."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ class PlotKind:
     variables
         Variables that a result must have.
     dims
-        Required number of frequency dims. None: any number.
+        Number of frequency dims that a result must have. None: any number.
     pixels
-        Whether the kind shows results over the pixels of an image.
+        Whether this kind shows results over the pixels of an image.
     """
 
     describe: Callable[[Group, Styles], Plot]
@@ -59,17 +59,17 @@ class PlotKind:
         return not self.lacks(data) and self.dims in (None, len(frequency_dims(data)))
 
     def lacks(self, data: xr.Dataset) -> list[str]:
-        """Return the required variables that the result lacks; labels may be attributes."""
+        """Return the required variables that the result does not have; labels may be attributes."""
         return [
             v for v in self.variables if v not in data.variables and f"labels_{v}" not in data.attrs
         ]
 
 
 def shown_variables(data: xr.Dataset) -> dict[str, int]:
-    """Return the real variables that `anything` shows, with their numbers of dims.
+    """Return the variables that `anything` shows, with their numbers of dims.
 
-    The shown variables are over one or two dims, or else they are scalars.
-    Intervals and standard errors are not included, since they belong to other variables.
+    These are real variables over one or two dims, or, if there are none, scalars.
+    Intervals and standard errors are left out, because they belong to other variables.
     """
     partners = {f"{name}{end}" for name in data.data_vars for end in ("_ci", "_se")}
     found = {
@@ -81,7 +81,7 @@ def shown_variables(data: xr.Dataset) -> dict[str, int]:
 
 
 def anything(group: Group, styles: Styles) -> Plot:
-    """Plot all variables of a result that no other kind shows, for instance from other packages.
+    """Plot all variables of a result that no other kind of plot shows.
 
     Variables over one dim become curves of all samplers in one panel.
     Variables over two dims become maps, one panel per sampler.
@@ -120,7 +120,7 @@ def anything(group: Group, styles: Styles) -> Plot:
             y, style = np.atleast_1d(each[name].values), styles[sampler]
             hover = {"sampler": [names[sampler]] * x.size, "x": numbers(x), "value": numbers(y)}
             both: dict[str, Any] = {"x": x, "y": y, "color": style.color, "label": names[sampler]}
-            # Use each value's interval if it has one, or else two standard errors on either side
+            # Use each value's interval if it has one, otherwise two standard errors on either side
             ends = None
             if f"{name}_ci" in each:
                 ends = np.reshape(each[f"{name}_ci"].values, (-1, 2))
@@ -202,11 +202,11 @@ PLOT_KINDS: Mapping[str, PlotKind] = {
     },
     "anything": PlotKind(anything, (), pixels=True),
 }
-"""Kinds of plots by name. The accessor's ``plot`` draws the first kind that fits a result."""
+"""Kinds of plots by name. The accessor's ``plot`` uses the first kind that fits a result."""
 
 
 def kinds_of(data: Data) -> tuple[str, ...]:
-    """Return the kinds of plots that can show a result; ``anything`` if no other kind can."""
+    """Return the kinds of plots that can show a result; ``anything`` if there is no other."""
     first = next(iter(as_group(data)[0].values()))
     fitting = (name for name, kind in PLOT_KINDS.items() if kind.fits(first) and name != "anything")
     return tuple(fitting) or (("anything",) if shown_variables(first) else ())
@@ -220,7 +220,7 @@ def describe(kind: str, data: Data, styles: Styles | None = None) -> Plot:
     kind
         One of `PLOT_KINDS`.
     data
-        A dataset, optionally with the dims estimator and sampler, or datasets by sampler name.
+        A dataset, which may have the dims estimator and sampler, or datasets by sampler name.
         Only the first channel is shown.
     styles
         Style of each name. Default: distinct styles.
@@ -231,7 +231,7 @@ def describe(kind: str, data: Data, styles: Styles | None = None) -> Plot:
         If the kind is unknown, if there is nothing to draw, or if the kind does not fit the result.
     """
     chosen = PLOT_KINDS[as_choice("kind", kind, tuple(PLOT_KINDS))]
-    # Only curves of a bench are split by integrand
+    # Only curves of a bench are separated by integrand
     if isinstance(data, xr.Dataset) and "points_made" in data and kind != "convergence":
         data = data.drop_vars("rate")
     group, note = as_group(data)

@@ -1,4 +1,4 @@
-"""Plots of scenes: maps over an image, renderer frames, strategy images, light at a pixel."""
+"""Plots of scenes: maps over an image, frames of renderers, strategies, and light at a pixel."""
 
 from __future__ import annotations
 
@@ -50,9 +50,9 @@ STRATEGIES = {
 """Names of the strategies in maps and images."""
 
 _MIDDLE = 0.18  # displayed value of the geometric mean radiance [Reinhard2002]_
-_SPREAD = (1.0, 99.0)  # percentiles at the ends of a color scale; outlier pixels are clipped
-_DECADES, _LIGHT_DECADES = 6, 4  # largest ranges in decades: of a map, and of radiance
-_LARGEST_RATIO = 8.0  # largest end of a color scale of ratios
+_SPREAD = (1.0, 99.0)  # percentiles at the ends of a color scale, so that outliers are clipped
+_DECADES, _LIGHT_DECADES = 6, 4  # largest ranges in decades: for a map, and for radiance
+_LARGEST_RATIO = 8.0  # largest ratio at the end of a color scale
 _RATIOS = (0.125, 0.25, 0.5, 0.8, 1.0, 1.25, 2.0, 4.0, 8.0)
 _MOST_STOPS = 64.0
 _DARKEST = 1e-3  # smallest relative power that is shown
@@ -69,11 +69,11 @@ def _image_map(
     once: bool = False,
     wide: bool = True,
 ) -> Plot:
-    """Map a quantity over the image: one panel per sampler and strategy, and one color scale.
+    """Map a quantity over the image, with a panel per sampler and strategy, and one color scale.
 
-    With `once`, the quantity does not depend on the sampler and is shown only once.
+    If `once` is true, the quantity does not depend on the sampler and is shown once.
     """
-    # Use the largest number of samples; predictions exist only at some rows and columns
+    # Use the largest number of samples. Predictions exist only at some rows and columns
     shown = {name: each[variable] for name, each in group.items()}
     shown = {name: data.isel(n=-1) if "n" in data.dims else data for name, data in shown.items()}
     if variable == "predicted_ratio" and all(np.isfinite(d.values).any() for d in shown.values()):
@@ -119,7 +119,7 @@ def _over_pixels(
     labels: tuple[str, str] = ("x", "y"),
     title: str = "",
 ) -> Panel:
-    """Return a panel of values per pixel, first row on top, with limits at the pixel borders."""
+    """Return a panel of values per pixel, with the first row on top and limits at pixel borders."""
     return Panel(
         marks=(Heatmap(values=values, x=x, y=y, scale=scale, name=name),),
         x=Axis(label=labels[0], low=x[0] - 0.5, high=x[-1] + 0.5),
@@ -145,7 +145,7 @@ def _map_words(values: Array, scale: Scale) -> str:
 
 
 def _logarithmic(label: str) -> Callable[[Array], Scale]:
-    """Return a function that makes a logarithmic scale for positive values, except outliers."""
+    """Return a function that makes a logarithmic scale for positive values, without outliers."""
 
     def scale(values: Array) -> Scale:
         found = values[np.isfinite(values) & (values > 0)]
@@ -160,14 +160,14 @@ def _rates(values: Array) -> Scale:
     """Return the color scale of a map of convergence exponents."""
     found = values[np.isfinite(values)]
     low, high = np.percentile(found, _SPREAD) if found.size else (-2.0, -1.0)
-    # The scale covers at least −2 … −1 (smooth to random), or else noise would look like structure.
-    # A much wider scale is useless, because extreme rates come from variances of few realizations.
+    # The scale includes at least −2 … −1 (smooth to random): otherwise noise looks like structure.
+    # A wide scale is useless, because extreme rates come from variances of few realizations.
     low, high = max(min(low, -2.0), -3.0), min(max(high, -1.0), -0.5)
     return Scale(label="exponent of variance", low=float(low), high=float(high))
 
 
 def _ratios(label: str) -> Callable[[Array], Scale]:
-    """Return a function that makes a scale of ratios, symmetric about 1."""
+    """Return a function that makes a scale of ratios, which is symmetric about 1."""
 
     def scale(values: Array) -> Scale:
         sizes = np.abs(np.log(values[np.isfinite(values) & (values > 0)]))
@@ -182,14 +182,14 @@ def _ratios(label: str) -> Callable[[Array], Scale]:
 
 
 def _which(values: Array) -> Scale:
-    """Return the color scale of the better technique of two; one color means undecided."""
+    """Return the color scale for the better of two techniques. One color means undecided."""
     del values
     names, colors = ("undecided", "light", "BSDF"), ("#FFFFFF", *PALETTE[:2])
     return Scale(kind="names", names=names, colors=colors, low=-1.0)
 
 
 def _shares(values: Array) -> Scale:
-    """Return a scale of shares from 0 to 1, widened for estimates outside but not for outliers."""
+    """Return a scale for shares, at least from 0 to 1. It is wider if estimates are outside."""
     found = values[np.isfinite(values)]
     low, high = np.percentile(found, _SPREAD) if found.size else (0.0, 1.0)
     return Scale(
@@ -200,7 +200,7 @@ def _shares(values: Array) -> Scale:
 def _choice(
     group: Group, styles: Styles, *, variable: str, of: str, none: str, caption: str
 ) -> Plot:
-    """Map the chosen bounce, decision or sampler of each pixel; some pixels have no choice."""
+    """Map the bounce, decision or sampler that is chosen at each pixel, if one is."""
     data = next(iter(group.values()))
     labels: list[Any] = list(group) if of == "sampler" else data[of].values.tolist()
     names = (none, *(bounce_name(v) if of == "bounce" else str(v) for v in labels))
@@ -211,7 +211,7 @@ def _choice(
 
 
 def _picture(group: Group, _: Styles, *, caption: str) -> Plot:
-    """Show the mean image of frames or of the last strategy, exposed to a middle gray."""
+    """Show the mean image of frames or of the last strategy, exposed so that its mean is gray."""
     from mcspectra.rendering.files import encode_srgb
 
     data = next(iter(group.values()))
@@ -233,7 +233,7 @@ def _picture(group: Group, _: Styles, *, caption: str) -> Plot:
 
 
 def _spectrum(group: Group, _: Styles) -> Plot:
-    """Plot radial power of the errors per number of samples, relative to white noise."""
+    """Plot the radial power of the errors for each number of samples, relative to white noise."""
     data = next(iter(group.values()))  # each result has its own page
     marks: list[Mark] = [ReferenceLine(at=1.0, dashes="--", label="white noise")]
     levels = []
@@ -270,7 +270,7 @@ def _spectrum(group: Group, _: Styles) -> Plot:
 
 
 def _correlation(group: Group, _: Styles) -> Plot:
-    """Plot the error correlation of pixels at small lags, at the largest number of samples."""
+    """Plot the correlation of errors at small lags in pixels, at the largest number of samples."""
     found = next(iter(group.values()))["error_correlation"].isel(n=-1)
     x, y = (found[dim].values.astype(float) for dim in ("lag_x", "lag_y"))
     values = found.transpose("lag_y", "lag_x").values.copy()
@@ -290,7 +290,7 @@ def _correlation(group: Group, _: Styles) -> Plot:
 
 
 def _after_filters(group: Group, _: Styles, *, name: str) -> Plot:
-    """Plot the error after filters of one parameter, and what they leave of white noise."""
+    """Plot the error after filters, by their parameter, and the error of white noise after them."""
     data = next(iter(group.values())).isel(n=-1)
     dim, label, words = _CURVES[name]
     x = data[dim].values.astype(float)
@@ -360,7 +360,7 @@ def _joint(group: Group, _: Styles) -> Plot:
 
 
 def _over_time(group: Group, _: Styles) -> Plot:
-    """Plot the correlation of the errors of two frames by their distance in time."""
+    """Plot the correlation of the errors of two frames, against their distance in time."""
     data = next(iter(group.values())).isel(n=-1)
     x, y = (data[name].values.astype(float) for name in ("lag_t", "frame_correlation"))
     low, high = data["frame_correlation_ci"].values.T
@@ -383,7 +383,7 @@ def _over_time(group: Group, _: Styles) -> Plot:
 
 
 def _deviates(values: Array) -> Scale:
-    """Return the scale of normal deviates, clipped at ± 8."""
+    """Return the color scale for normal deviates, clipped at ± 8."""
     finite = np.abs(values[np.isfinite(values)])
     top = float(np.clip(finite.max() if finite.size else 4.0, 4.0, 8.0))
     return Scale(label="standard errors", low=-top, high=top, palette="diverging")
@@ -392,7 +392,7 @@ def _deviates(values: Array) -> Scale:
 def _tile_map(
     group: Group, _: Styles, *, variable: str, scale: Callable[[Array], Scale], caption: str
 ) -> Plot:
-    """Map a number of each tile of a gate over the image."""
+    """Map a value for each tile of a gate over the image."""
     data = next(iter(group.values()))  # each result has its own page
     values = data[variable].transpose("y", "x").values.astype(float)
     x, y = (data[dim].values.astype(float) for dim in ("x", "y"))
@@ -419,14 +419,14 @@ def _tile_map(
 
 
 def _p_values(values: Array) -> Scale:
-    """Return a logarithmic scale of p-values; white is 1."""
+    """Return a logarithmic color scale for p-values. White means 1."""
     finite = values[np.isfinite(values) & (values > 0)]
     low = float(np.clip(finite.min() if finite.size else 1e-3, 1e-6, 1e-3))
     return replace(log_scale("p-value", low, 1.0), palette="sequential")
 
 
 def _relative(values: Array) -> Scale:
-    """Return a symmetric scale of differences in units of the mean."""
+    """Return a symmetric color scale for differences in units of the mean."""
     sizes = np.abs(values[np.isfinite(values)])
     top = float(np.percentile(sizes, _SPREAD[1])) if sizes.size else 0.0
     top = top or 1e-3
@@ -434,7 +434,7 @@ def _relative(values: Array) -> Scale:
 
 
 def _p_histogram(group: Group, _: Styles) -> Plot:
-    """Plot the histogram of the p-values of single tiles; equal images give equal bars."""
+    """Plot the histogram of the p-values of single tiles. For equal images, bars are equal."""
     data = next(iter(group.values()))
     share, at = data["p_share"].values, data["bin"].values
     width = 1.0 / share.size
@@ -698,11 +698,11 @@ MAPS: Mapping[str, tuple[tuple[str, ...], Callable[[Group, Styles], Plot]]] = {
         partial(_picture, caption="The mean estimate as an image."),
     ),
 }
-"""Kinds of maps and of frame plots: required variables and the function that describes the plot."""
+"""Kinds of maps and of frame plots, with required variables and the function for the plot."""
 
 
 def incident_maps(data: xr.Dataset) -> Plot:
-    """Plot the two maps of a result of `mcspectra.rendering.pixel.incident_light`."""
+    """Plot both maps of a result of `mcspectra.rendering.pixel.incident_light`."""
     titles = {
         "incident_radiance": "radiance of the visible lights",
         "reflected_radiance": "f: radiance × BSDF × cosine",
@@ -711,7 +711,7 @@ def incident_maps(data: xr.Dataset) -> Plot:
     for name, title in titles.items():
         shown = data[name].transpose("elevation", "azimuth").values
         top = float(shown.max())
-        # Use a logarithmic scale that shows directions without light in black
+        # Use a logarithmic scale on which directions without light are black
         low = float(np.min(shown, where=shown > 0, initial=np.inf))
         low = min(max(low, top * 10.0**-_LIGHT_DECADES), 0.5 * top) / 2
         scale = replace(log_scale(str(data[name].attrs.get("units", "")), low, top), palette="gray")
@@ -757,7 +757,7 @@ def strategy_images(images: Group, *, exposure: float = 0.0) -> Plot:
         Result of `mcspectra.rendering.compare_strategies`: a ``reference`` and other strategies.
         At least one strategy is needed, and all images have the same size.
     exposure
-        Exposure in stops, −64 to 64; positive values brighten all images.
+        Exposure in stops, −64 to 64. Positive values brighten all images.
 
     Raises
     ------

@@ -17,20 +17,20 @@ from mcspectra.plots.variance import convergence, terms
 
 __all__ = ["overview"]
 
-_HEIGHT = 0.95  # height of a panel relative to its width, so that all pictures are equally high
-_TITLE = 24  # longest title of a small picture, in letters
+_HEIGHT = 0.95  # height of a panel relative to its width, equal for all pictures
+_TITLE = 24  # largest number of letters in the title of a small picture
 _TERMS = ("dc", "power", "cross", "predicted", "measured")
 
 
 def overview(analyses: Mapping[str, Group], sampler: str, styles: Styles) -> Iterator[Plot]:
-    """Yield the small pictures of an estimator; analyses without results have no picture.
+    """Yield the small pictures of an estimator, for those analyses that have results.
 
     Parameters
     ----------
     analyses
         Results by analysis and sampler.
     sampler
-        Sampler of the pictures that show only one sampler.
+        Sampler that is shown in pictures of a single sampler.
     styles
         Style of each sampler.
     """
@@ -90,7 +90,7 @@ def _plain(panel: Panel) -> Panel:
 
 
 def _named_only(panel: Panel, curves: Group, styles: Styles) -> Panel:
-    """Return a panel of curves whose legend has the names of the samplers only."""
+    """Return a panel of curves whose legend shows only the names of the samplers."""
     short = labels(list(curves), _TITLE)
     names = {styles[name].color: short[name] for name in curves}
     marks: list[Any] = []

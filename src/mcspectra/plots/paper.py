@@ -1,6 +1,6 @@
-"""Figures for a paper: a given width and font size, white, readable in gray.
+"""Figures for a paper, with a given width and font size, on white, and readable in gray.
 
-Options that are not given follow the user's rcParams of Matplotlib where these were changed.
+Options that are not given follow the user's rcParams of Matplotlib if those were changed.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ FORMATS = (".pdf", ".pgf", ".svg")
 """Extensions of the files of each figure."""
 
 _INCHES = {"in": 1.0, "mm": 1.0 / 25.4, "cm": 1.0 / 2.54, "pt": 1.0 / 72.27, "bp": 1.0 / 72.0}
-_WIDTH, _FONT, _LINE = 3.33, 8.0, 1.0  # inches (a column of two), points, points
-_THIN = 0.6  # width in points of guides and reference lines
-_DOT = 3.2  # largest diameter in points of markers
-_USUAL = 2.3  # width in inches of a panel on a page
-_MARKERS = 6  # number of markers along a curve without dots
-# Least width of a panel in units of the font size. Labels of ticks then do not touch
+_WIDTH, _FONT, _LINE = 3.33, 8.0, 1.0  # figure width in inches; font size and line width in points
+_THIN = 0.6  # line width in points of guides and reference lines
+_DOT = 3.2  # largest diameter of markers in points
+_USUAL = 2.3  # width of a panel on an HTML page in inches
+_MARKERS = 6  # number of markers on a curve without dots
+# Least width of a panel in units of the font size, so that labels of ticks do not touch
 _SQUARE, _WIDE = 9.5, 14.0
 
 
@@ -60,7 +60,7 @@ class PaperStyle:
     look
         Width, font sizes and color map.
     line
-        Width of all curves in points.
+        Line width of all curves in points.
     colors
         Colors of the samplers, in order.
     """
@@ -76,7 +76,7 @@ class PaperStyle:
         font_size: float | None = None,
         colors: str | None = None,
     ) -> PaperStyle:
-        """Return the style of some options; rcParams that the user changed give the others.
+        """Return the style for the given options. Others come from rcParams that the user changed.
 
         Parameters
         ----------
@@ -131,12 +131,12 @@ class PaperStyle:
         )
 
     def styles(self, names: Iterable[str]) -> dict[str, LineStyle]:
-        """Return a style per sampler, which differ by dashes and markers also without color."""
+        """Return a style per sampler. Styles differ in dashes and markers, not only in color."""
         return sampler_styles(list(names), self.colors, gray=True)
 
 
 def inches(name: str, length: str | float) -> float:
-    """Return a width of a figure in inches.
+    """Return the width of a figure in inches.
 
     Raises
     ------
@@ -162,10 +162,10 @@ def inches(name: str, length: str | float) -> float:
 
 
 def paper_plot(plot: Plot, style: PaperStyle, styles: Mapping[str, LineStyle]) -> Plot:
-    """Return a plot for a paper.
+    """Return a version of a plot for a paper.
 
-    All curves have the same width. Curves without values are omitted, also from the legend.
-    Curves without dots get a few markers. Panels side by side fit into the width.
+    All curves have the same width. Curves without values are omitted, also in the legend.
+    Curves without dots get a few markers. Panels are arranged so that they fit the width.
 
     Parameters
     ----------
@@ -176,7 +176,7 @@ def paper_plot(plot: Plot, style: PaperStyle, styles: Mapping[str, LineStyle]) -
     styles
         Style of each sampler.
     """
-    # Choose the columns. Dots of point sets are made for panels of 2.3 inches
+    # Choose the columns. Dots of point sets are designed for panels of 2.3 inches
     square = all(panel.square for panel in plot.panels)
     least = (_SQUARE if square else _WIDE) * style.look.label / 72.0
     whole, count = style.look.width or _WIDTH, len(plot.panels)
@@ -219,7 +219,7 @@ def paper_plot(plot: Plot, style: PaperStyle, styles: Mapping[str, LineStyle]) -
                     marks.append(mark)
         panels.append(replace(panel, marks=tuple(marks)))
 
-    # Omit labels of axes that the panel below or on the left repeats
+    # Omit labels of axes that also appear on the panel below or on the left
     for k, panel in enumerate(panels):
         x, y = panel.x, panel.y
         if k + columns < len(panels) and x.label == panels[k + columns].x.label:
@@ -231,7 +231,7 @@ def paper_plot(plot: Plot, style: PaperStyle, styles: Mapping[str, LineStyle]) -
 
 
 def _places(line: Line, panel: Panel, turn: int) -> Any:
-    """Return indices of vertices for markers, apart on the axis and shifted for each curve."""
+    """Return indices of vertices for markers: spread along the axis, and shifted for each curve."""
     known = np.flatnonzero(np.isfinite(line.y))
     x = np.log(line.x[known]) if panel.x.kind == "log" else line.x[known]
     if x.size <= _MARKERS:
@@ -253,7 +253,7 @@ def write_paper_figure(plot: Plot, stem: Path, style: PaperStyle, heading: str =
     style
         Look of the figure.
     heading
-        Text above the figure, such as n and the number of sets.
+        Text above the figure, for instance with n and the number of sets.
 
     Raises
     ------
@@ -266,7 +266,7 @@ def write_paper_figure(plot: Plot, stem: Path, style: PaperStyle, heading: str =
         figure.set_size_inches(width, height + 1.6 * style.look.title / 72.0)
         figure.suptitle(heading, fontsize=style.look.title, color=INK)
     figure.canvas.draw()
-    figure.set_layout_engine("none")  # the layout takes most of the time, and is the same
+    figure.set_layout_engine("none")  # computing the layout again would take most of the time
     written = []
     for extension in FORMATS:
         path = stem.with_name(stem.name + extension)

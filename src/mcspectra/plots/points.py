@@ -1,4 +1,4 @@
-"""Plots of point sets (strips in 1-D, unit squares in more dims) and the card of a sampler."""
+"""Plots of point sets (strips in 1-D, unit squares in more dims) and cards of samplers."""
 
 from __future__ import annotations
 
@@ -57,16 +57,16 @@ QUALITY_HEADS = {
 }
 """Short names of quality figures."""
 
-_MOST_NAMED = 2**14  # largest number of points with tooltips
+_MOST_NAMED = 2**14  # largest number of points that have tooltips
 _MOST_STRATA = 64  # largest number of strata whose borders are drawn in a strip
-_MOST_SETS, _MOST_AXES, _MOST_POINTS = 6, 6, 2**20  # limits for `point_sets`
-_TICK_ROW = 0.09  # height of a row of ticks below the curves, as a fraction of their height
-_RING = 1.6  # additional diameter in points of the light rings around dots on a map
+_MOST_SETS, _MOST_AXES, _MOST_POINTS = 6, 6, 2**20  # limits of `point_sets`: sets, axes, points
+_TICK_ROW = 0.09  # height of a row of ticks below the curves, relative to the curves
+_RING = 1.6  # width in points that light rings add to dots on a map
 _SECTIONS = {"axis 0": (1, 0), "axis 1": (0, 1), "diagonal": (1, 1)}
 
 
 def points(group: Group, styles: Styles) -> Plot:
-    """Plot one realization of each sampler; dot areas are proportional to ``weights``, if any."""
+    """Plot one realization of each sampler. The areas of dots are proportional to ``weights``."""
     sizes = {each.sizes["axis"] for each in group.values()}
     n = max(each.sizes["point"] for each in group.values())
     if sizes == {1}:
@@ -133,7 +133,7 @@ def integrand(group: Group, styles: Styles) -> Plot:
             square = unit_panel((), name) if not n else _square(at, styles[name].color, title=name)
             title = name if key == "f" and len(group) > 1 else f"{key if key == 'p' else f}"
             title += f" and {name}" if n and title != name else ""
-            # Draw a light ring around each dot, since a dark dot is not visible on a dark cell
+            # Draw a light ring around each dot, because a dark dot is not visible on a dark cell
             dots = [mark for mark in square.marks if isinstance(mark, Dots)]
             rings = [replace(m, color=PAPER, size=m.size + _RING, hover={}) for m in dots]
             panels.append(replace(square, marks=(shade, *rings, *dots), title=title))
@@ -152,7 +152,7 @@ def integrand(group: Group, styles: Styles) -> Plot:
 
 
 def quality(group: Group, styles: Styles) -> Plot:
-    """Plot figures of quality against n, with a panel per figure and a line per sampler."""
+    """Plot quality figures against n, with a panel per figure and a line per sampler."""
     heads = QUALITY_HEADS | {"generalized_l2_discrepancy": "Generalized L2 discrepancy"}
     short, panels = labels(list(group), 30), []
     for key, head in heads.items():
@@ -192,7 +192,7 @@ def quality(group: Group, styles: Styles) -> Plot:
 
 
 def strata(group: Group, _: Styles) -> Plot:
-    """Plot the strata over f with their parts of the variance, and the variance as they slide."""
+    """Plot the strata over f with the variance in each, and the total as the strata slide."""
     panels = []
     for name, each in group.items():
         values, parts = each["integrand_value"].values, each["stratum_variance"].values
@@ -255,15 +255,15 @@ def strata(group: Group, _: Styles) -> Plot:
 
 
 def point_sets(sets: object, caption: str = "", most_axes: int = _MOST_AXES) -> Plot:
-    """Plot point sets: strips in 1-D, squares in 2-D, pairs of the first axes in more dims.
+    """Plot point sets: strips in 1-D, squares in 2-D, and pairs of the first axes in more dims.
 
     Parameters
     ----------
     sets
         Points in [0,1), with shape (n, d), or (R, n, d) for R sets of n points in d dims.
-        In 1-D and 2-D the first 6 sets are drawn, in more dims only the first set.
+        In 1-D and 2-D the first 6 sets are drawn. In more dims only the first set is drawn.
     caption
-        Description of the points. A note on omitted sets and axes is appended.
+        Description of the points. If sets or axes are omitted, a note is added.
     most_axes
         Largest number of axes that are drawn.
 
@@ -303,14 +303,14 @@ def point_sets(sets: object, caption: str = "", most_axes: int = _MOST_AXES) -> 
 
 
 def sampler_card(group: Group, projected: Array | None = None) -> Plot:
-    """Plot a sampler's points, spectrum, radial mean and sections, and optionally a projection.
+    """Plot the points, spectrum, radial mean and sections of a sampler, and perhaps a projection.
 
     Parameters
     ----------
     group
-        ``points``: one realization. ``spectrum``: the power in the same dims.
+        ``points`` is one realization. ``spectrum`` is the power in the same dims.
     projected
-        Two coordinates of a set in more dims, with shape (n, 2).
+        Two coordinates of a set with more dims, with shape (n, 2).
     """
     x, data = group["points"]["points"].values, group["spectrum"]
     n, dims = x.shape
@@ -323,7 +323,7 @@ def sampler_card(group: Group, projected: Array | None = None) -> Plot:
     if dims == 2:
         scale = Scale(high=2.0, beyond=True)
         panels.append(frequency_map("n · power, 0 to 2", data, power, scale, "power"))
-    # Draw the radial mean. The axis is wide, so that noise around the random level looks small
+    # Draw the radial mean. The axis is wide: noise near the level of random points looks small
     radius, mean = (
         data["radius"].values / n ** (1 / dims),
         np.maximum(n * data["radial_power"].values, 1e-8),
@@ -342,7 +342,7 @@ def sampler_card(group: Group, projected: Array | None = None) -> Plot:
         )
     )
     if dims <= 2:
-        # Draw the power along the axes, which reflects 1-D projections, and along the diagonal
+        # Draw the power along the axes, which shows 1-D projections, and along the diagonal
         at = np.arange(1, half + 1)
         steps = {"": (1,)} if dims == 1 else _SECTIONS
         sections: list[Mark] = [
@@ -381,7 +381,7 @@ def sampler_card(group: Group, projected: Array | None = None) -> Plot:
 
 
 def _curves(group: Group, styles: Styles, values: Array, density: Array | None, f: str) -> Panel:
-    """Return a panel of f and the scaled p over x, with a row of ticks for each sampler."""
+    """Return a panel of f and the scaled p over x, with ticks at the points of each sampler."""
     x = next(iter(group.values()))["x0"].values
     marks: list[Mark] = [Line(x=x, y=values, color=INK, label=f, hover={f: numbers(values)})]
     every = [values[np.isfinite(values)], np.zeros(1)]
@@ -444,7 +444,7 @@ def _stroke_panel(
     title: str = "",
     names: Sequence[str] = (),
 ) -> Panel:
-    """Return a panel with a strip per set; with `names`, also the borders of n equal strata."""
+    """Return a panel with a strip per set. If `names` are given, borders of n strata are drawn."""
     marks: list[Mark] = []
     for row, (x, color) in enumerate(zip(sets, colors, strict=True)):
         if len(x) <= _MOST_STRATA and names:

@@ -1,4 +1,4 @@
-"""Axes and color scales from the data, for many orders of magnitude and signed values."""
+"""Axes and color scales made from the data, for many orders of magnitude and signed values."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ __all__ = [
     "whole_ticks",
 ]
 
-_LINEAR_SPAN = 30.0  # a linear scale must not exceed this ratio of largest to smallest value
+_LINEAR_SPAN = 30.0  # largest ratio of the largest to the smallest value on a linear scale
 _NEAR_ZERO = 0.5  # size in decades of each half of the linear part of a signed scale
-_APART = 0.6  # smallest distance of ticks from 0 on a signed scale, in decades
-_SEEN = 0.1  # fraction of the threshold below which a value cannot be distinguished from 0
-_SHORT = 1.6  # in a range of fewer decades, powers of ten give too few ticks
+_APART = 0.6  # least distance of ticks from 0 on a signed scale, in decades
+_SEEN = 0.1  # values below this fraction of the threshold look like 0
+_SHORT = 1.6  # in fewer decades, powers of ten would give too few ticks
 _MOST_DECADES = 6  # largest number of decades between the largest value and the threshold
-_NOTHING = 1e-9  # arrays below this fraction of the largest value are ignored
+_NOTHING = 1e-9  # relative to the overall largest value, arrays below this are ignored
 
 
 def linear_axis(label: str, low: float, high: float, most: int = 6) -> Axis:
@@ -49,7 +49,7 @@ def linear_axis(label: str, low: float, high: float, most: int = 6) -> Axis:
 
 
 def scaled_axis(label: str, low: float, high: float, most: int = 6) -> Axis:
-    """Return a linear axis whose label contains the power of ten of its ticks."""
+    """Return a linear axis. If its ticks have a common power of ten, the label contains it."""
     axis = linear_axis(label, low, high, most)
     top = max(abs(tick) for tick in axis.ticks or {0.0: ""})
     power = math.floor(math.log10(top)) if top else 0
@@ -69,7 +69,7 @@ def log_axis(label: str, low: float, high: float, most: int = 6) -> Axis:
 
 
 def count_axis(label: str, counts: Iterable[int], most: int = 6) -> Axis:
-    """Return a logarithmic axis with ticks at numbers of points whose labels do not touch."""
+    """Return a logarithmic axis with ticks at numbers of points. Tick labels do not touch."""
     distinct = sorted(set(counts))
     margin = (distinct[-1] / distinct[0]) ** 0.05 if len(distinct) > 1 else 2.0
     gap = math.log(distinct[-1] / distinct[0]) / most
@@ -83,18 +83,18 @@ def count_axis(label: str, counts: Iterable[int], most: int = 6) -> Axis:
 
 
 def name_axis(names: Sequence[str], label: str = "", *, flipped: bool = True) -> Axis:
-    """Return an axis with names at 0, 1, 2, …, by default from top to bottom."""
+    """Return an axis with names at 0, 1, 2, …, from top to bottom by default."""
     ticks = {float(k): name for k, name in enumerate(names)}
     return Axis(label=label, low=-0.6, high=len(names) - 0.4, ticks=ticks, flipped=flipped)
 
 
 def unit_axis(label: str) -> Axis:
-    """Return an axis from 0 to 1 with ticks at its ends."""
+    """Return an axis from 0 to 1 with a tick at each end."""
     return Axis(label=label, low=0.0, high=1.0, ticks={0.0: "0", 1.0: "1"})
 
 
 def unit_panel(marks: Iterable[Mark], title: str, x: str = "x₀", y: str = "x₁") -> Panel:
-    """Return a panel of marks in the unit square."""
+    """Return a panel for marks in the unit square."""
     across, up = unit_axis(x), unit_axis(y)
     return Panel(marks=tuple(marks), x=across, y=up, title=title, square=True, framed=True)
 
@@ -108,11 +108,11 @@ def whole_ticks(low: float, high: float, most: int = 6) -> dict[float, str]:
 def signed_axis(
     label: str, values: Sequence[Array], most: int = 7, *, whiskers: Array | None = None
 ) -> Axis:
-    """Return an axis of signed values, linear if that shows the smallest value, else logarithmic.
+    """Return an axis for signed values: linear if the smallest value is visible, else logarithmic.
 
-    The label gives the threshold of the logarithmic part.
-    The axis also shows the finite ends of error bars, `whiskers`.
-    They make the axis longer on each side, but at most by the range of the values.
+    The label gives the threshold at which the logarithmic part begins.
+    The finite ends of error bars, `whiskers`, extend the axis on each side.
+    The extension is at most the range of the values.
     """
     low, high, threshold = _signed_range(values, _MOST_DECADES)
     if whiskers is not None:
@@ -124,7 +124,7 @@ def signed_axis(
         ticks = {t: tick_label(t) for t in _round_steps(low, high, most - 2)}
         low = low - pad if low < 0 or low == high else low
         return Axis(label=label, low=low, high=high + pad, ticks=ticks)
-    # Move an end within the linear part to the threshold, so that values can be read
+    # If an end is inside the linear part, move it to the threshold, so that values can be read
     low, high = (
         math.copysign(threshold, end) if _SEEN * threshold < abs(end) < threshold else end
         for end in (low, high)
@@ -147,17 +147,17 @@ def log_scale(label: str, low: float, high: float) -> Scale:
 
 
 def signed_scale(label: str, values: Sequence[Array], decades: int = 3) -> Scale:
-    """Return a color scale symmetric about 0 for several arrays.
+    """Return a color scale for several arrays that is symmetric about 0.
 
     Parameters
     ----------
     label
-        Label of the color bar. The threshold of the logarithmic part is appended.
+        Label of the color bar, to which the threshold of the logarithmic part is added.
     values
-        Arrays of any shape; values that are not finite are ignored.
+        Arrays of any shape. Values that are not finite are ignored.
     decades
-        Number of decades that the scale resolves below the largest magnitude of each array.
-        Over all arrays, the scale has at most six decades.
+        Number of decades below the largest magnitude of each array that the scale resolves.
+        The whole scale has at most six decades.
     """
     low, high, threshold = _signed_range(values, decades)
     top = max(high, -low) or 1.0
@@ -209,7 +209,7 @@ def tick_label(value: float) -> str:
 
 
 def _signed_range(values: Sequence[Array], decades: int) -> tuple[float, float, float]:
-    """Return both ends, with 0 between them, and the threshold, which is 0 for a linear scale."""
+    """Return both ends of a range that includes 0, and the threshold (0 for a linear scale)."""
     every = np.concatenate([np.ravel(v) for v in values]) if len(values) else np.zeros(0)
     finite = every[np.isfinite(every)]
     low, high = float(finite.min(initial=0.0)), float(finite.max(initial=0.0))
@@ -230,7 +230,7 @@ def _threshold_note(threshold: float) -> str:
 
 
 def _signed_ticks(low: float, high: float, threshold: float, most: int) -> list[float]:
-    """Return about `most` ticks: 0 and ± powers of ten, at least one on each side."""
+    """Return about `most` ticks: 0 and ± powers of ten, with at least one tick on each side."""
     reach = [max(end, 0.0) for end in (-low, high)]
     spans = [max(math.log10(r / threshold), 0.0) if r >= threshold else -1.0 for r in reach]
     stride = max(1, math.ceil(sum(span + 1 for span in spans) / most))
@@ -246,7 +246,7 @@ def _signed_ticks(low: float, high: float, threshold: float, most: int) -> list[
 
 
 def _round_steps(low: float, high: float, most: int) -> list[float]:
-    """Return multiples of 1, 2 or 5 times a power of ten in [low, high]."""
+    """Return the multiples in [low, high] of 1, 2 or 5 times a power of ten."""
     if high <= low:
         return [0.0]
     rough = (high - low) / most

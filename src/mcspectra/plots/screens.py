@@ -1,4 +1,4 @@
-"""Plots of error images before any render: filters, spectra over space and time, and errors."""
+"""Plots of error images before rendering: after filters, over space and time, and as spectra."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ __all__ = ["SCREENS", "filter_names", "mask_names"]
 _ABREAST = 4  # largest number of panels per row
 _BANDS = 16  # spectra in time are averaged over 1/16 cycle per frame, for masks of 16 frames
 _FLOOR = 1e-4  # smallest relative power that is shown
-_LEAST, _MOST = 0.01, 10.0  # ends of the scale of relative powers
-_CLIPPED = 99.0  # percentile of the errors at the ends of their color scale
+_LEAST, _MOST = 0.01, 10.0  # lowest and highest relative power on the color scale
+_CLIPPED = 99.0  # percentile of the errors at both ends of their color scale
 
 
 def filter_names(data: xr.Dataset) -> dict[str, str]:
-    """Return the title of each filter of a result of `screen_spectrum`."""
+    """Return a title for each filter in a result of `screen_spectrum`."""
     sigma, alpha = float(data.attrs["sigma"]), float(data.attrs["alpha"])
     space, time = f"Gaussian σ = {sigma:g}", f"EMA α = {alpha:g}"
     titles = {"none": "no filter", "gaussian": space, "ema": time, "both": f"{space}, {time}"}
@@ -44,7 +44,7 @@ def filter_names(data: xr.Dataset) -> dict[str, str]:
 
 
 def mask_names(specs: Sequence[str], length: int = 40) -> dict[str, str]:
-    """Return short distinct names, such as ``sobol, blue-noise, golden`` for a mask."""
+    """Return short and distinct names, which for masks look like ``sobol, blue-noise, golden``."""
     short = []
     for spec in specs:
         try:
@@ -66,7 +66,7 @@ def mask_names(specs: Sequence[str], length: int = 40) -> dict[str, str]:
 
 
 def _columns(count: int) -> int:
-    """Return the number of panels per row that leaves the fewest places empty."""
+    """Return the number of panels per row that leaves the least space empty."""
     return -(-count // -(-count // _ABREAST))
 
 
@@ -131,10 +131,10 @@ def _filters(group: Group, styles: Styles) -> Plot:
 
 
 def _relative(data: xr.Dataset) -> Array:
-    """Return relative power (frequency, radius), averaged over 1/16 cycle per frame."""
+    """Return the relative power (frequency, radius), averaged over 1/16 cycle per frame."""
     power = data["relative_power"].transpose("frequency", "radius").values
     frames = data.sizes["frame"]
-    # Extend by the frequencies of opposite sign; half of each end of the window counts
+    # Add the frequencies of opposite sign. At its two ends, the window has half weight
     whole = power[np.minimum(np.arange(frames), frames - np.arange(frames))]
     width = frames // _BANDS
     if width < 2:
@@ -148,7 +148,7 @@ def _relative(data: xr.Dataset) -> Array:
 
 
 def _spectra(group: Group, _: Styles) -> Plot:
-    """Map relative power over radius and frequency in time, one panel per sampler."""
+    """Map relative power over radius and temporal frequency, with one panel per sampler."""
     scale = log_scale("power / mean power", _LEAST, _MOST)
     names, panels = mask_names(list(group), 34), []
     for name, each in group.items():
@@ -184,10 +184,10 @@ def _spectra(group: Group, _: Styles) -> Plot:
 
 
 def _curves(group: Group, styles: Styles) -> Plot:
-    """Plot relative power over radius and over frequency in time."""
+    """Plot relative power over radius, and over temporal frequency."""
     first = next(iter(group.values()))
     times = first["frequency"].values
-    # Both signs of a frequency in time count, except at 0 and at ½
+    # Temporal frequencies count for both signs, except 0 and ½
     weight = np.where((times > 0) & (times < 0.5), 2.0, 1.0)
     area, names = first["radius"].values, mask_names(list(group))
     looks = {names[name]: styles[name] for name in group}
@@ -250,7 +250,7 @@ def _errors(group: Group, _: Styles) -> Plot:
                     panels.append(Panel(marks=(), x=Axis(ticks={}), y=Axis(ticks={}), note=" "))
                     continue
                 name, each = listed[k]
-                each = each.isel(frame=slice(each.sizes["x"]))  # a square of pixels and frames
+                each = each.isel(frame=slice(each.sizes["x"]))  # square: as many frames as pixels
                 image = Heatmap(
                     values=each[variable].transpose(down, across).values,
                     x=each[across].values.astype(float),
@@ -287,4 +287,4 @@ SCREENS: Mapping[str, tuple[tuple[str, ...], Callable[[Group, Styles], Plot]]] =
     "screen-curves": (_NEEDED, _curves),
     "screen-errors": (_NEEDED, _errors),
 }
-"""Kinds of plots of `mcspectra.rendering.screen_spectrum`: variables and description."""
+"""Kinds of plots for `mcspectra.rendering.screen_spectrum`, with variables and descriptions."""

@@ -1,6 +1,6 @@
-"""Plots over frequency: power spectra, pair correlations, chains, contributions to the variance.
+"""Plots over frequency: power spectra, pair correlations, Markov chains, and contributions.
 
-Power is shown as n · power relative to random points, so random points have the value 1.
+Power is shown as n · power, so that random points have the value 1.
 """
 
 from __future__ import annotations
@@ -72,20 +72,20 @@ __all__ = [
     "spectrum",
 ]
 
-_FLOOR = 1e-4  # smallest power that is shown; a smaller power means practically no noise
+_FLOOR = 1e-4  # smallest power that is shown; below it there is practically no noise
 _LINEAR_TOP = 12.0  # largest power that is shown on a linear axis
-_MOST_NUMBERS, _MOST_NAMES = 7, 13  # largest number of labels along an axis: numbers, names
-_MOST_ENTRIES = 257  # largest number of entries per side of a matrix that is drawn
-_MOST_CHAINS = 6  # largest number of quantities of Markov chains that one plot shows
-_SPACINGS = 6.0  # largest distance that is shown, in mean spacings of points
-_SLOPES = (1, 2, 4)  # slopes of the guides over the radial mean
+_MOST_NUMBERS, _MOST_NAMES = 7, 13  # most labels along an axis: numbers, names
+_MOST_ENTRIES = 257  # largest number of entries along each side of a matrix that is drawn
+_MOST_CHAINS = 6  # largest number of quantities of Markov chains in one plot
+_SPACINGS = 6.0  # largest distance that is shown, in units of the mean spacing of points
+_SLOPES = (1, 2, 4)  # slopes of the guide lines for the radial mean
 _LEVEL = "expected power relative to random points (∫1/p / n); m = 0 is omitted."
 
 
 def spectrum(group: Group, _: Styles, *, logarithmic: bool = False) -> Plot:
-    """Plot two-dimensional power spectra on one color scale, without dc.
+    """Plot two-dimensional power spectra on a common color scale, without the value at m = 0.
 
-    With `logarithmic`, the scale has three decades, and smaller powers have its lowest color.
+    If `logarithmic` is true, the scale has three decades. Smaller powers have its lowest color.
     """
     images = {name: relative_power(each) for name, each in group.items()}
     # The scale ends at 2, or at the 99th percentile if that is larger
@@ -109,7 +109,7 @@ def spectrum(group: Group, _: Styles, *, logarithmic: bool = False) -> Plot:
 
 
 def lines(group: Group, styles: Styles) -> Plot:
-    """Plot one-dimensional power spectra over m, without dc, with the level of random points."""
+    """Plot one-dimensional power spectra over m, without m = 0, with the level of random points."""
     curves = {n: (d["m0"].values.astype(float), relative_power(d)) for n, d in group.items()}
     hover = {}
     for name, each in group.items():
@@ -130,7 +130,7 @@ def lines(group: Group, styles: Styles) -> Plot:
 
 
 def radial(group: Group, styles: Styles) -> Plot:
-    """Plot the mean power over directions against |m| in units of n^(1/d)."""
+    """Plot the power averaged over directions, against |m| in units of n^(1/d)."""
     curves = {}
     for name, each in group.items():
         n, dims = _points(each), len(frequency_dims(each))
@@ -155,7 +155,7 @@ def radial(group: Group, styles: Styles) -> Plot:
 def pair_correlation(group: Group, styles: Styles) -> Plot:
     """Plot the pair correlation g(r) with its 95 % interval and the level of random points.
 
-    Distances are in mean spacings n^(−1/d), so that sets of different sizes can be compared.
+    Distances are in mean spacings n^(−1/d), so that sets of different sizes are comparable.
     """
     curves, dims = {}, 1
     for name, each in group.items():
@@ -181,8 +181,8 @@ def pair_correlation(group: Group, styles: Styles) -> Plot:
 def anisotropy(group: Group, styles: Styles) -> Plot:
     """Plot the variance of the power over directions in dB, relative to random points.
 
-    The power of random points, averaged over k sets, has the variance mean² / k.
-    This level is 0 dB, so that spectra of different numbers of sets can be compared.
+    If the power of random points is averaged over k sets, its variance is mean² / k.
+    This level is 0 dB, so that spectra from different numbers of sets are comparable.
     """
     curves, dims = {}, 1
     for name, each in group.items():
@@ -208,10 +208,10 @@ def anisotropy(group: Group, styles: Styles) -> Plot:
 
 
 def contributions(group: Group, styles: Styles) -> Plot:
-    """Plot the contribution of each frequency to the variance: maps in 2-D, else bars.
+    """Plot the contribution of each frequency to the variance: as maps in 2-D, otherwise as bars.
 
     There is one panel per sampler and technique.
-    The gray area is the contribution of the power alone, without correlation.
+    The gray area is the contribution of the power term alone, without correlations.
     In three or more dims, bars are sums over shells of |m|.
     """
     first = next(iter(group.values()))
@@ -281,10 +281,10 @@ def contributions(group: Group, styles: Styles) -> Plot:
 
 
 def product(group: Group, styles: Styles) -> Plot:
-    """Plot the power of f, the power of the samples and their product by length of frequency.
+    """Plot the power of f, the power of the samples, and their product, by length of the frequency.
 
-    Each value stands for a shell of |m|. The power of f is summed over the shell.
-    The power of the samples is averaged with these weights, so the product is exact.
+    Each value belongs to a shell of |m|. The power of f is summed over the shell.
+    The power of the samples is averaged over the shell with weights |f_m|²: the product is exact.
     """
     f, s, both, notes = {}, {}, {}, {}
     for name, each in group.items():
@@ -316,7 +316,7 @@ def product(group: Group, styles: Styles) -> Plot:
         shown = {name: (at, _above(y, top)) for name, (at, y) in curves.items()}
         own = lines_of(shown, styles, (label, "value"), notes=said)
         marks: list[Mark] = list(own)
-        if said is None:  # the legend has each sampler once
+        if said is None:  # the legend lists each sampler once
             marks = [ReferenceLine(at=1.0), *(replace(line, label="") for line in own)]
         axis = _log_axis_of("", [y for _, y in shown.values()])
         note = "" if np.isfinite(top).any() else not_finite(top, group[first])
@@ -335,12 +335,12 @@ def product(group: Group, styles: Styles) -> Plot:
 
 
 def _shells(data: xr.Dataset) -> tuple[Array, Array, Array]:
-    """Return lengths |m| ≥ 1, |f_m|² and |f_m|² C_mm, both summed over shells and techniques."""
+    """Return the lengths |m| ≥ 1, and |f_m|² and |f_m|² C_mm summed over shells and techniques."""
     dims = frequency_dims(data)
     kept = [d for d in ("technique",) if d in data.dims]
     grid = np.meshgrid(*[data[d].values.astype(float) for d in dims], indexing="ij")
     shell = np.rint(np.sqrt(sum(np.square(m) for m in grid))).astype(np.int64).ravel()
-    last = int(max(data[dims[0]].values)) + 1  # the corners of the grid are incomplete shells
+    last = int(max(data[dims[0]].values)) + 1  # shells beyond this are incomplete
     found = [
         np.bincount(shell, data[name].sum(kept).transpose(*dims).values.ravel())[1:last]
         for name in ("integrand_power", "power_contribution")
@@ -349,7 +349,7 @@ def _shells(data: xr.Dataset) -> tuple[Array, Array, Array]:
 
 
 def _above(values: Array, every: Array) -> Array:
-    """Return values for a logarithmic axis: NaN if they are rounding errors of the largest."""
+    """Return values for a logarithmic axis: NaN if they are only rounding errors of the largest."""
     top = float(np.max(every, where=np.isfinite(every), initial=0.0))
     return np.where(values > NEGLIGIBLE * top, values, np.nan)
 
@@ -361,7 +361,7 @@ def _log_axis_of(label: str, curves: Sequence[Array]) -> Axis:
 
 
 def bands(group: Group, _: Styles) -> Plot:
-    """Plot the covariance between frequency bands, and each band's share of the variance."""
+    """Plot the covariance between frequency bands, and the share of each band in the variance."""
     matrices = {name: each["band_covariance"].values for name, each in group.items()}
     scale = signed_scale("Cov(I_a, I_b)", list(matrices.values()))
     shares = {name: _band_shares(matrix) for name, matrix in matrices.items()}
@@ -373,7 +373,7 @@ def bands(group: Group, _: Styles) -> Plot:
         count, (own, through) = len(matrix), shares[name]
         names = str(attributes.get("labels", "")).split(", ")
         names = names if len(names) == count else [str(band) for band in range(count)]
-        # Label all bands, or every second, fourth, … if there are many
+        # Label every band, or every second, fourth, … band if there are many
         most, stride = _MOST_NUMBERS if all(n.isdigit() for n in names) else _MOST_NAMES, 1
         while count / stride > most:
             stride *= 2
@@ -439,7 +439,7 @@ def bands(group: Group, _: Styles) -> Plot:
 
 
 def cross_matrix(group: Group, _: Styles) -> Plot:
-    """Plot real and imaginary parts of the cross matrix conj(f_m) f_l C_ml of 1-D results."""
+    """Plot the real and imaginary parts of the cross matrix conj(f_m) f_l C_ml, for 1-D results."""
     inner = {}
     for name, each in group.items():
         matrix = each["cross_matrix"]
@@ -448,7 +448,7 @@ def cross_matrix(group: Group, _: Styles) -> Plot:
                 "The cross matrix is drawn only for one-dimensional results of one technique; use "
                 "the kind contributions or bands."
             )
-        # Crop the matrix around dc to the size of a panel. Without negative m, keep the lowest m
+        # Crop the matrix around m = 0 to the size of a panel. Without negative m, keep the lowest m
         m = matrix["m"].values
         start = max(m.size - _MOST_ENTRIES, 0) // 2 if m[0] < 0 else 0
         inside: Any = slice(start, m.size - start if m[0] < 0 else _MOST_ENTRIES)
@@ -458,7 +458,7 @@ def cross_matrix(group: Group, _: Styles) -> Plot:
     for name, matrix in inner.items():
         m = matrix["m"].values.astype(float)
         ends = {"low": float(m[0]) - 0.5, "high": float(m[-1]) + 0.5, "ticks": _frequency_ticks(m)}
-        # Frame the row and the column of frequency 0
+        # Draw a frame around the row and the column of frequency 0
         dc = [
             ReferenceLine(at=at, axis=axis, width=0.4) for at in (-0.5, 0.5) for axis in ("x", "y")
         ]
@@ -486,8 +486,8 @@ def cross_matrix(group: Group, _: Styles) -> Plot:
 
 
 def modes(group: Group, styles: Styles) -> Plot:
-    """Plot eigenvalues of the coefficients' covariance, and in 1-D or 2-D the leading modes."""
-    most = 2  # modes drawn
+    """Plot eigenvalues of the coefficients' covariance, and in 1-D and 2-D the leading modes."""
+    most = 2  # number of modes that are drawn
     first = next(iter(group.values()))
     dims = frequency_dims(first)
     values = {name: np.abs(each["mode_vector"].values[:most]) ** 2 for name, each in group.items()}
@@ -547,11 +547,11 @@ def modes(group: Group, styles: Styles) -> Plot:
 
 
 def chains(group: Group, styles: Styles) -> Plot:
-    """Plot spectra with fits, and each band's share of the error and of the draws' variance.
+    """Plot spectra of Markov chains with fits, and the share of each band in error and variance.
 
-    If there are many quantities, those with the fewest effective draws are shown.
+    If there are many quantities, those with the smallest effective sample sizes are shown.
     """
-    # Draw one curve per quantity and result
+    # Draw one curve per quantity of each result
     single: dict[str, xr.Dataset] = {}
     for name, each in group.items():
         own = name if len(group) > 1 else ""
@@ -615,14 +615,14 @@ def chains(group: Group, styles: Styles) -> Plot:
 
 
 def _bases(group: Group) -> dict[str, str]:
-    """Return a suffix with the basis for frequency labels, if there are several bases."""
+    """Return the basis as a suffix for frequency labels, if there are several bases."""
     found = {name: str(each.attrs.get("basis", "fourier")) for name, each in group.items()}
     several = len(set(found.values())) > 1
     return {name: f" ({basis} basis)" if several else "" for name, basis in found.items()}
 
 
 def relative_power(data: xr.Dataset) -> Array:
-    """Return n · power relative to random points, (m0, m1, …), with NaN at m = 0."""
+    """Return n · power, which is 1 for random points, over (m0, m1, …), with NaN at m = 0."""
     names = frequency_dims(data)
     scale = _points(data) / _random_level(data)
     power = np.array(scale * data["power"].transpose(*names).values)
@@ -631,12 +631,12 @@ def relative_power(data: xr.Dataset) -> Array:
 
 
 def _points(data: xr.Dataset) -> int:
-    """Return the number of points n of a spectrum; a bench has one for each sampler."""
+    """Return the number of points n of a spectrum. A bench has one number per sampler."""
     return int(data.attrs["n"] if "n" in data.attrs else data["pictured_n"])
 
 
 def _random_level(data: xr.Dataset) -> float:
-    """Return ∫1/p, the n · power of random points with this density, or 1 if it diverges."""
+    """Return ∫1/p, which is n · power of random points with density p, or 1 if it diverges."""
     level = float(data.attrs.get("random_level", 1.0))
     return level if np.isfinite(level) else 1.0
 
@@ -653,7 +653,7 @@ def _power_panel(
     hover: Mapping[str, Sequence[str]],
     axis: Axis,
 ) -> Panel:
-    """Return a panel of power as lines, logarithmic if the x axis is or if peaks are high."""
+    """Return a panel with lines of power. It is logarithmic for high peaks, or if the x axis is."""
     every = np.concatenate([y[np.isfinite(y)] for _, y in curves.values()])
     top, low = float(every.max(initial=1.5)), float(every.min(initial=0.5))
     logarithmic = axis.kind == "log" or top > _LINEAR_TOP
@@ -672,7 +672,7 @@ def _power_panel(
 
 
 def _with_guides(panel: Panel) -> Panel:
-    """Return a logarithmic panel with dotted guides of a few slopes through (1, 1)."""
+    """Return a logarithmic panel with dotted guide lines of a few slopes through (1, 1)."""
     low, left = panel.y.low, panel.x.low
     if panel.y.kind != "log" or not low or not left or low > 0.3 or left > 0.5:
         return panel
@@ -681,7 +681,7 @@ def _with_guides(panel: Panel) -> Panel:
         start = max(left * 1.15, (1.3 * low) ** (1.0 / slope))
         at = np.array([start, 1.0])
         marks.append(Line(x=at, y=at**slope, color=GRAY, dashes=":", width=0.8))
-        # Place the text below the lower part of the line, where curves are rare
+        # Place the text below the lower part of the line, where few curves pass
         x = start**0.8
         text = f"slope {slope}"
         marks.append(TextMark(x=x, y=0.75 * x**slope, text=text, color=GRAY, side="below"))
@@ -691,7 +691,7 @@ def _with_guides(panel: Panel) -> Panel:
 def frequency_map(
     title: str, data: xr.Dataset, values: Array, scale: Scale, name: str, power: Array | None = None
 ) -> Panel:
-    """Return a panel of values (m0, m1) over both frequencies."""
+    """Return a panel that maps values (m0, m1) over both frequencies."""
     m0, m1 = (data[m].values.astype(float) for m in ("m0", "m1"))
     more = {} if power is None else {"power part": power.T}
     x, y = (
@@ -718,7 +718,7 @@ def _frequency_ticks(m: Array) -> dict[float, str]:
 
 
 def _by_frequency(data: xr.Dataset) -> tuple[Array, Array, Array]:
-    """Return frequencies, contributions and power parts: by m in 1-D, else sums over shells."""
+    """Return frequencies, contributions and power parts: per m in 1-D, else sums over shells."""
     dims = frequency_dims(data)
     total, power = (
         data[name].transpose(*dims).values for name in ("contribution", "power_contribution")
@@ -728,14 +728,14 @@ def _by_frequency(data: xr.Dataset) -> tuple[Array, Array, Array]:
         return axes[0], total, power
     length = np.sqrt(sum(np.square(m) for m in np.meshgrid(*axes, indexing="ij")))
     shell = np.rint(length).astype(np.int64).ravel()
-    # Omit shells beyond the half width, which are incomplete (only corners of the grid)
+    # Omit incomplete shells beyond the half width (only corners of the grid)
     keep = int(max(axes[0])) + 1
     summed = [np.bincount(shell, values.ravel())[:keep] for values in (total, power)]
     return np.arange(float(keep)), summed[0], summed[1]
 
 
 def _band_shares(matrix: Array) -> tuple[Array, Array]:
-    """Return each band's share of the predicted variance: alone, and by correlation with others."""
+    """Return the share of each band in the predicted variance: alone, and from correlations."""
     total = float(matrix.sum())
     if not np.isfinite(total) or total == 0:
         return np.full(len(matrix), np.nan), np.full(len(matrix), np.nan)
@@ -765,7 +765,7 @@ def _pair_words(data: xr.Dataset) -> str:
 def _peak_words(data: xr.Dataset) -> str:
     """Describe the largest contribution and its frequency.
 
-    If the contributions at m and −m are equal, the frequency that comes later in the data is named.
+    If the contributions at m and −m are equal, the later frequency in the data is named.
     """
     values = data["contribution"]
     if not np.isfinite(values.values).any():

@@ -1,7 +1,7 @@
 """Common look of all plots: a palette for color-blind readers, and a style for each sampler.
 
 The palette is from Okabe & Ito, with dark gray instead of black and brown instead of yellow.
-For readers with any kind of color blindness, all pairs of colors differ by ΔE ≥ 16 (CIE 1976).
+For any kind of color blindness, all pairs of colors differ by at least ΔE = 16 (CIE 1976).
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#4
 MARKERS: tuple[Marker, ...] = ("o", "s", "^", "D", "v", "P", "X", "*")
 DASHES: tuple[Dashes, ...] = ("-", "--", "-.", ":")
 INK, GRAY, FAINT, PAPER = "#262626", "#8A8A8A", "#DCDCDC", "#FCFCFA"
-"""Colors of text and main marks, of minor marks, of grids and shapes, and of the background.
+"""Colors for text and main marks, for minor marks, for grids and shapes, and for the background.
 
-Backends replace these colors on dark pages."""
+On dark pages, backends replace these colors."""
 ACCENT = "#D55E00"
 TERM_COLORS = {
     "dc_term": "#56B4E9",
@@ -44,14 +44,14 @@ TERM_COLORS = {
     "predicted_variance": "#B4B4B4",
     "measured_variance": "#757575",
 }
-"""Colors of the terms of the variance, their sum and the measured variance in every figure."""
+"""Colors of the terms of the variance, their sum, and the measured variance, in all figures."""
 GRADIENTS = {
     "sequential": "viridis",
     "diverging": ("#0B3A63", "#0072B2", "#8CC1E0", "#F7F7F7", "#F2B488", "#D55E00", "#6E2C00"),
     "gray": ("#000000", "#FFFFFF"),
     "paper": ("#FFFFFF", "#000000"),
 }
-"""Palettes of a `Scale`: evenly spaced colors, or a name that is valid in both libraries."""
+"""Palettes of a `Scale`: evenly spaced colors, or a name that both plotting libraries have."""
 
 
 @final
@@ -67,10 +67,10 @@ class LineStyle:
 def sampler_styles(
     samplers: Sequence[str], colors: Sequence[str] = PALETTE, *, gray: bool = False
 ) -> dict[str, LineStyle]:
-    """Return a distinct style per sampler; dashes vary once all colors and markers are used.
+    """Return a distinct style per sampler. After all colors and markers, dashes also differ.
 
-    With `gray`, dashes vary from each sampler to the next.
-    Lines then differ by dashes and markers if a printer omits the colors.
+    With `gray`, consecutive samplers have different dashes.
+    Lines then differ in dashes and markers, in case a printer omits the colors.
     """
     distinct = list(dict.fromkeys(samplers))
     styles: dict[str, LineStyle] = {}
@@ -85,7 +85,7 @@ def sampler_styles(
 
 
 def labels(names: Sequence[str], length: int = 32) -> dict[str, str]:
-    """Return a short label for each name; the labels are distinct."""
+    """Return a short label for each name. All labels are distinct."""
     short: dict[str, str] = {}
     for name in names:
         label, repeat = shorten(name, length), 2
@@ -96,5 +96,5 @@ def labels(names: Sequence[str], length: int = 32) -> dict[str, str]:
 
 
 def line_widths(count: int) -> list[float]:
-    """Return widths of overlaid lines, thickest first, so that coinciding lines stay visible."""
+    """Return widths of overlaid lines, thickest first: coinciding lines then stay visible."""
     return [1.1 + 0.5 * min(later, 3) for later in reversed(range(count))]

@@ -26,16 +26,16 @@ __all__ = [
 ]
 
 MISSING = "–"
-"""Text for a missing number; tables give the reason."""
+"""Text for a missing number. Tables also give the reason."""
 
 NEGLIGIBLE = 1e-9
-"""A term below this fraction of the largest term is a rounding error of the transform."""
+"""Fraction of the largest term below which a term counts as a rounding error of the transform."""
 
 LATEX_TEXT = str.maketrans({
     **{c: f"\\{c}" for c in "&%$#_{}"},
     "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
 })  # fmt: skip
-"""Translation of LaTeX's special characters to commands that print them."""
+"""LaTeX's special characters, each with the command that prints it."""
 
 SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -49,7 +49,7 @@ _LATEX = {
 }  # fmt: skip
 _MATHS = re.compile(f"(×10)?([⁻⁰¹²³⁴-⁹]+)|([₀-₉ₗₘ]+)|([{''.join(_LATEX)}])")
 _PLAIN_POWER = re.compile(r"(?<![\w=,.])(-?)(\d(?:\.\d+)?)e([-+]\d{2,3})\b")
-_FIXED_FROM, _FIXED_BELOW = -3, 5  # range of powers of ten that are written without exponent
+_FIXED_FROM, _FIXED_BELOW = -3, 5  # range of powers of ten that are written without an exponent
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -63,7 +63,7 @@ def number(value: float | None, digits: int = 3) -> str:
         return "∞" if value > 0 else "−∞"
     if value == 0:
         return "0"
-    # Round first, since rounding can change the power of ten (9.996)
+    # Round first, because rounding can change the power of ten, as for 9.996
     mantissa, exponent = f"{abs(value):.{digits - 1}e}".split("e")
     power = int(exponent)
     sign = "−" if value < 0 else ""
@@ -73,7 +73,7 @@ def number(value: float | None, digits: int = 3) -> str:
 
 
 def number_beside(value: float | None, scale: float | None) -> str:
-    """Return `number`, or ``≈ 0`` if the value is rounding error relative to `scale`."""
+    """Return `number`, or ``≈ 0`` if the value is at rounding level compared with `scale`."""
     known = scale is not None and math.isfinite(scale)
     if value and known and abs(value) <= NEGLIGIBLE * abs(scale or 0.0):
         return "≈ 0"
@@ -81,9 +81,9 @@ def number_beside(value: float | None, scale: float | None) -> str:
 
 
 def with_error(value: float | None, half: float | None, beside: float | None = None) -> str:
-    """Format a number and half the width of its interval with equal decimals: ``0.012 ± 0.034``.
+    """Format a number ± half the width of its interval, with equal decimals: ``0.012 ± 0.034``.
 
-    A value that is rounding error relative to `beside` gives ``≈ 0``.
+    If the value is at rounding level compared with `beside`, the result is ``≈ 0``.
     """
     text = number_beside(value, beside)
     if value is None or half is None or text.startswith("≈"):
@@ -96,7 +96,7 @@ def with_error(value: float | None, half: float | None, beside: float | None = N
 
 
 def latex_maths(text: str) -> str:
-    """Convert signs, exponents and indices, which LaTeX fonts lack, to LaTeX mathematics."""
+    """Convert signs, exponents and indices that LaTeX fonts lack to LaTeX formulas."""
 
     def maths(found: re.Match[str]) -> str:
         power, raised, lowered, sign = found.groups()
@@ -117,9 +117,9 @@ def power_of_ten(exponent: int) -> str:
 
 
 def typeset(text: str) -> str:
-    """Write the numbers of a sentence as `number` does: ``6.6e-05`` becomes ``6.6×10⁻⁵``.
+    """Write the numbers in a sentence as `number` does: ``6.6e-05`` becomes ``6.6×10⁻⁵``.
 
-    Numbers within a spec, such as ``width=1e-06``, stay as they are.
+    Numbers inside a spec, such as ``width=1e-06``, do not change.
     """
     return _PLAIN_POWER.sub(
         lambda found: f"{'−' if found[1] else ''}{found[2]}×{power_of_ten(int(found[3]))}",
@@ -135,7 +135,7 @@ def interval(low: float | None, high: float | None, digits: int = 3) -> str:
 
 
 def rate(value: float | None, low: float | None, high: float | None) -> str:
-    """Format a rate with half the width of its interval, ``−1.52 ± 0.03``, or ``unresolved``.
+    """Format a rate ± half the width of its interval, ``−1.52 ± 0.03``, or return ``unresolved``.
 
     A rate is unresolved if half its interval exceeds 0.5.
     """
@@ -146,14 +146,14 @@ def rate(value: float | None, low: float | None, high: float | None) -> str:
     if not is_resolved(low, high):
         return "unresolved"
     half = (high - low) / 2
-    # Show two to four decimals, as many as the interval justifies
+    # Show two to four decimals, depending on the width of the interval
     decimals = 4 if half <= 0 else min(max(-math.floor(math.log10(half)), 2), 4)
     spread = f"± {half:.{decimals}f}" if half >= 0.5e-4 else "± <0.0001"
-    return f"{round(value, decimals) + 0.0:.{decimals}f} {spread}".replace("-", "−")  # no −0.00
+    return f"{round(value, decimals) + 0.0:.{decimals}f} {spread}".replace("-", "−")  # avoids −0.00
 
 
 def percent(fraction: float) -> str:
-    """Format a fraction as ``97 %``; more digits near 0 and 100 avoid rounding to 0 or 100."""
+    """Format a fraction as ``97 %``. Near 0 and 100, more digits avoid rounding to 0 or 100."""
     value = 100.0 * fraction
     distance = min(abs(value), abs(100.0 - value))
     if math.isnan(value):
@@ -165,10 +165,10 @@ def percent(fraction: float) -> str:
 
 
 def shorten(text: str, length: int = 30) -> str:
-    """Shorten a text to one line of at most `length` characters by omitting its middle.
+    """Shorten a text to one line of at most `length` characters, by omitting its middle.
 
     Parts of a spec that have a ``name=`` are replaced by that name.
-    Words are kept whole unless that shortens the beginning or the end by more than a third.
+    Words are kept whole, unless this would remove more than a third of the beginning or the end.
     """
     line = short_spec(" ".join(text.split()))
     if len(line) <= length:
@@ -186,5 +186,5 @@ def shorten(text: str, length: int = 30) -> str:
 
 
 def slug(text: str) -> str:
-    """Return a name for files and anchors from lower-case letters, digits, dots and hyphens."""
+    """Return a name for files and anchors that has only small letters, digits, dots and hyphens."""
     return re.sub(r"[^a-z0-9.]+", "-", text.lower()).strip("-.") or "x"

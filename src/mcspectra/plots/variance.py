@@ -81,31 +81,31 @@ _TERMS = {
     "predicted_variance": "sum: predicted",
     "measured_variance": "measured",
 }
-_PARTS = 3  # number of terms (dc, power and cross) that are drawn before their sum
-_LEAST_SHOWN = 1e-3  # smallest lower end of an interval that is drawn, as a fraction of the value
-_WIDE = 1.25  # intervals of a planned n are shown if their ends differ by more than this factor
+_PARTS = 3  # number of terms (dc, power and cross) drawn before their sum
+_LEAST_SHOWN = 1e-3  # smallest lower end of an interval that is drawn, relative to the value
+_WIDE = 1.25  # the interval of a planned n is shown if its ends differ by more than this factor
 _LINEAR_TOP = 4.0  # largest captured share that is shown on a linear axis
-# Height of a line of text and width of a letter, as fractions of the panel of a figure of one panel
+# Height of a line of text and width of a letter, relative to the only panel of a figure
 _TEXT_LINE, _TEXT_LETTER = 0.06, 0.018
-_MOST_BINS = 60  # largest number of bars of a histogram; narrower bars are not visible
-_SMALLER = 2.1  # how many times smaller the panel of a small picture is
+_MOST_BINS = 60  # largest number of bars of a histogram; narrower bars would not be visible
+_SMALLER = 2.1  # ratio of the size of a panel to its size in a small picture
 _VERDICTS = {"better": "#009E73", "worse": ACCENT, "given": INK}
 BELOW_ROUNDING = "below rounding"
-"""Text for the rate of a curve without variances above rounding noise."""
+"""Text instead of a rate, for a curve whose variances are all at rounding level."""
 
 _CURVE = ("variance", "variance_ci", "rate", "rate_ci")
-_GUIDES = 3  # largest number of slopes that guides show
-_GUIDE_GAP = 0.11  # least distance of labels of slopes, as a fraction of the panel's height
-_GUIDE_ROOM = 0.14  # fraction of a small panel's width for the label of a slope
+_GUIDES = 3  # largest number of guide lines for slopes
+_GUIDE_GAP = 0.11  # least distance between labels of slopes, relative to the height of the panel
+_GUIDE_ROOM = 0.14  # part of the width of a small panel for the label of a slope
 _PREDICTED = ("predicted_variance", "predicted_variance_ci")
 
 
 def convergence(group: Group, styles: Styles, *, small: bool = False) -> Plot:
     """Plot variance against n with intervals, fitted lines, rates and a dotted line n⁻¹.
 
-    Variances that are not finite, zero or rounding noise are omitted and counted in the legend.
-    Results with `predicted_variance` also show the predictions as crosses.
-    Results of a bench have a panel for each integrand.
+    Variances that are not finite, zero or at rounding level are omitted. The legend counts them.
+    If a result has `predicted_variance`, the predictions are shown as crosses.
+    For a bench, there is a panel for each integrand.
     """
     if all("points_made" in each for each in group.values()):
         return _bench_curves(group)
@@ -116,7 +116,7 @@ def convergence(group: Group, styles: Styles, *, small: bool = False) -> Plot:
     predicted = {name: each for name, each in group.items() if "predicted_variance" in each}
     for name, each in predicted.items():
         curves += _prediction_marks(each, styles[name], names[name])
-    # Draw the rate n⁻¹ through the largest variance at the smallest n
+    # Draw a line of the rate n⁻¹ through the largest variance at the smallest n
     starts = [
         float(d["n"].values[i]) * float(d["variance"].values[i])
         for d in group.values()
@@ -152,11 +152,11 @@ def convergence(group: Group, styles: Styles, *, small: bool = False) -> Plot:
 
 
 def overlaid(measured: Group, predicted: Group) -> dict[str, xr.Dataset]:
-    """Return results of `convergence` with the predictions of the same samplers.
+    """Add the predictions of the same samplers to results of `convergence`.
 
-    The plot ``convergence`` shows these predictions with theory's slope on the same axes.
-    The counts of both results may differ. If there are several methods, the first is used that
-    has a value at the largest n; it is the most trusted one.
+    The plot ``convergence`` then shows the predictions and the theoretical slope as well.
+    The counts of the two results may differ. Of several methods, the most trusted is used:
+    the first one that has a value at the largest n.
     """
     both = dict(measured)
     for name in set(measured) & set(predicted):
@@ -194,7 +194,7 @@ def task_curves(
 ) -> Plot:
     """Plot variance against n, with a panel per task and a line per sampler.
 
-    With `alike` all panels have the same axes.
+    If `alike` is true, all panels have the same axes.
     """
     styled = {
         title: {shorten(name): (each, styles[name]) for name, each in curves.items()}
@@ -222,7 +222,7 @@ def task_curves(
 
 
 def prediction(group: Group, styles: Styles) -> Plot:
-    """Plot predicted variances against n with rates and bends, or by method at the largest n."""
+    """Plot predicted variances: against n with rates and bends, or by method at the largest n."""
     if any("method" in each.dims for each in group.values()):
         return _by_method(group, styles)
     caption = (
@@ -239,7 +239,7 @@ def prediction(group: Group, styles: Styles) -> Plot:
 
 
 def _by_method(group: Group, styles: Styles) -> Plot:
-    """Plot variances with intervals at the largest n for each method that has a value there."""
+    """Plot variances with intervals at the largest n, for all methods that have a value there."""
     last, limits = {}, {}
     for name, each in group.items():
         there = each["predicted_variance"].isel(n=-1).notnull().values
@@ -372,7 +372,7 @@ def terms(group: Group, _: Styles) -> Plot:
 
 
 def waterfall(title: str, data: xr.Dataset) -> Panel:
-    """Return a panel of the terms of one sampler on a linear axis, which shows that they add up.
+    """Return a panel of the terms of one sampler. The axis is linear, to show that they add up.
 
     Parameters
     ----------
@@ -385,7 +385,7 @@ def waterfall(title: str, data: xr.Dataset) -> Panel:
     values = np.array([float(data[term]) for term in rows])
     size = float(np.max(np.abs(values), where=np.isfinite(values), initial=0.0))
     texts = [number_beside(v, size) if math.isfinite(v) else not_finite(v) for v in values]
-    # Set values to 0 if they are rounding errors relative to the largest value
+    # Set values to 0 that are rounding errors compared with the largest value
     values = np.where(np.abs(values) > NEGLIGIBLE * size, values, 0.0)
     parts = np.where(np.isfinite(values[:_PARTS]), values[:_PARTS], 0.0)
     base = np.zeros(len(values))
@@ -395,7 +395,7 @@ def waterfall(title: str, data: xr.Dataset) -> Panel:
     ])  # fmt: skip
     whiskers = np.where((values != 0)[:, None], ends, np.nan) + base[:, None]
 
-    # Limit the axis to twice the extent of the bars, which cuts off longer whiskers
+    # Limit the axis to twice the extent of the bars; longer whiskers are cut off
     places = np.concatenate([base, base + np.where(np.isfinite(values), values, 0.0)])
     low, high = float(places.min(initial=0.0)), float(places.max(initial=0.0))
     known = whiskers[np.isfinite(whiskers)]
@@ -407,7 +407,7 @@ def waterfall(title: str, data: xr.Dataset) -> Panel:
         texts, scaled_axis("part of the variance", low, high, 5), base=base, said=ends,
     )  # fmt: skip
 
-    # Connect the end of each term with the start of the next bar
+    # Connect the end of each bar with the start of the next bar
     steps = [np.array([[total, k], [total, k + 1.0]]) for k, total in enumerate(np.cumsum(parts))]
     joints = Segments(ends=np.stack(steps), color=GRAY, width=0.6)
     return replace(panel, marks=(joints, *panel.marks))
@@ -417,7 +417,7 @@ def captured(group: Group, styles: Styles) -> Plot:
     """Plot predicted divided by measured variance against the half width of the spectrum."""
     curves = {n: d["captured_by_half_width"].values for n, d in group.items()}
     every = np.concatenate(list(curves.values()))
-    # Half width 0 has only the dc term, which is rounding error (1e-20) for uniform weights
+    # Half width 0 has only the dc term, which is a rounding error (1e-20) for uniform weights
     positive = every[np.isfinite(every) & (every > NEGLIGIBLE)]
     logarithmic = float(positive.max(initial=1.0)) > _LINEAR_TOP
     shown = {
@@ -453,7 +453,7 @@ def captured(group: Group, styles: Styles) -> Plot:
 
 
 def techniques(group: Group, styles: Styles) -> Plot:
-    """Plot the contribution of each technique and pair of techniques at the largest n."""
+    """Plot the contributions of all techniques and pairs of techniques at the largest n."""
     panels = []
     group = {name: each.isel(n=-1) if "n" in each.dims else each for name, each in group.items()}
     values = {name: each["technique_covariance"].values for name, each in group.items()}
@@ -461,7 +461,7 @@ def techniques(group: Group, styles: Styles) -> Plot:
     for name, each in group.items():
         matrix, ends = values[name], each["technique_variance_ci"].values
         places = [(i, j) for i in range(len(matrix)) for j in range(i, len(matrix))]
-        places.sort(key=lambda place: place[0] != place[1])  # variances, then covariances
+        places.sort(key=lambda place: place[0] != place[1])  # variances first, then covariances
         shown = np.array([matrix[i, j] * (1 if i == j else 2) for i, j in places])
         whiskers = np.array([ends[i] if i == j else [math.nan] * 2 for i, j in places])
         texts = numbers(shown, 3)
@@ -482,7 +482,7 @@ def techniques(group: Group, styles: Styles) -> Plot:
 
 
 def technique_rates(group: Group, _: Styles) -> Plot:
-    """Plot the variance of each technique against n with its rate, a panel per sampler."""
+    """Plot the variance of each technique against n with its rate, with a panel per sampler."""
     curves: dict[str, dict[str, tuple[xr.Dataset, LineStyle]]] = {}
     for name, each in group.items():
         curves[name] = {
@@ -510,11 +510,11 @@ def technique_rates(group: Group, _: Styles) -> Plot:
 
 
 def anova(group: Group, styles: Styles) -> Plot:
-    """Plot the variance of each axis and set of axes of primary space, the largest first."""
+    """Plot the variances of axes and sets of axes of primary space, in descending order."""
     most, panels = 12, []
     for name, each in group.items():
         variance, error = each["anova_variance"].values, each["anova_variance_se"].values
-        # Omit parts that are rounding errors relative to the largest part
+        # Omit parts that are rounding errors compared with the largest part
         size, order = np.abs(variance), np.argsort(-variance, kind="stable")
         seen = size > NEGLIGIBLE * size.max(initial=0.0)
         order = order[seen[order] | ~seen.any()][:most]
@@ -552,7 +552,7 @@ def anova(group: Group, styles: Styles) -> Plot:
 
 
 def remedies(group: Group, _: Styles) -> Plot:
-    """Plot the variance of each change relative to the set-up as given, with intervals."""
+    """Plot the variance of each change relative to the given set-up, with intervals."""
     known = np.concatenate([each["error_ratio_ci"].values.ravel() for each in group.values()])
     known = known[np.isfinite(known) & (known > 0)]
     axis = log_axis(
@@ -600,11 +600,11 @@ def remedies(group: Group, _: Styles) -> Plot:
 
 
 def estimates(group: Group, styles: Styles) -> Plot:
-    """Plot a histogram of estimates with the normal curve of the same mean and variance."""
+    """Plot a histogram of estimates, with the normal curve of equal mean and variance."""
     panels, every = [], np.concatenate([each["estimate"].values for each in group.values()])
     every = every[np.isfinite(every)]
     low, high = float(every.min()), float(every.max())
-    # A bar per value if the estimates have few values, as those of a step have
+    # Use a bar per value if the estimates have few distinct values, as for a step function
     auto = np.histogram_bin_edges(every, bins="auto")
     width = max((high - low) / _MOST_BINS, float(auto[1] - auto[0]))
     gaps = np.diff(np.unique(every))
@@ -651,16 +651,16 @@ def estimates(group: Group, styles: Styles) -> Plot:
 
 
 def below_rounding(data: xr.Dataset) -> bool:
-    """Whether a curve has no rate because its variances are rounding noise, but not all zero."""
+    """Whether a curve has no rate because its variances are at rounding level, but not all zero."""
     variance = data["variance"].values
     finite = variance[np.isfinite(variance)]
     return bool(finite.size > 1 and (finite > 0).any() and usable_counts(data).sum() < 2)
 
 
 def usable_counts(curve: xr.Dataset) -> Array:
-    """Return a mask (n,) of the counts whose variance is above rounding noise.
+    """Return which counts (n,) have a variance above rounding level.
 
-    As in the fit, noise is a few ulps: the rounding error of a mean of n terms of size |I|.
+    As in the fit, that level is a few ulps: the rounding error of a mean of n terms of size |I|.
     """
     variance = curve["variance"].values
     floor = (16 * np.finfo(float).eps * np.abs(curve["mean"].values)) ** 2
@@ -679,10 +679,10 @@ def _bar_panel(
     base: Array | float = 0.0,
     said: Array | None = None,
 ) -> Panel:
-    """Return a panel of horizontal bars, with names on the left and values on the right.
+    """Return a panel of horizontal bars, with their names on the left and values on the right.
 
     Bars extend from `base` to `values`, and whiskers to `ends`.
-    Tooltips show the intervals `said`, which by default are the same as `ends`.
+    Tooltips show the intervals `said`, or by default `ends`.
     """
     bars = BarChart(
         at=np.arange(float(len(rows))),
@@ -706,7 +706,7 @@ def _bar_panel(
 
 
 def _variance_panel(marks: Sequence[Mark], results: Iterable[xr.Dataset]) -> Panel:
-    """Return a panel of variances against n, with a note if none is above rounding noise."""
+    """Return a panel of variances against n, with a note if all are at rounding level."""
     each = list(results)
     counts = [int(n) for data in each for n in data["n"].values]
     ends = [data["variance_ci"].values[usable_counts(data)].ravel() for data in each]
@@ -735,7 +735,7 @@ def _curve_panels(
     *,
     joined: bool = False,
 ) -> tuple[tuple[Panel, ...], str]:
-    """Return panels of curves by title and name with equal axes, and the rates in words."""
+    """Return panels with equal axes for curves by title and name, and the rates in words."""
     every = [data for curves in parts.values() for data, _ in curves.values()]
     panels, said = [], []
     for title, curves in parts.items():
@@ -747,7 +747,7 @@ def _curve_panels(
 
 
 def _curve(data: xr.Dataset, style: LineStyle, name: str, *, joined: bool = False) -> list[Mark]:
-    """Return points with whiskers and the fitted line; with `joined`, a line through the points."""
+    """Return points with whiskers and the fitted line, or a line through the points if `joined`."""
     used = usable_counts(data)
     n, variance = data["n"].values[used].astype(float), data["variance"].values[used]
     ends, text = data["variance_ci"].values[used], _rate_text(data)
@@ -774,7 +774,7 @@ def _curve(data: xr.Dataset, style: LineStyle, name: str, *, joined: bool = Fals
             Line(x=n, y=variance, color=style.color, dashes=style.dashes, width=1.0, label=label)
         ]
         return [*(line if joined else ()), dots]
-    # The fitted line passes through the fit's weighted center
+    # The fitted line passes through the weighted center of the points
     last = int(data.attrs.get("fit_last", used.size))
     fitted = used & (np.arange(used.size) >= used.size - last)
     x, y = np.log(data["n"].values[fitted]), np.log(data["variance"].values[fitted])
@@ -798,7 +798,7 @@ def _curve(data: xr.Dataset, style: LineStyle, name: str, *, joined: bool = Fals
 
 
 def _prediction_marks(data: xr.Dataset, style: LineStyle, name: str) -> list[Mark]:
-    """Return crosses at the predictions, and a line with the slope that theory has at large n."""
+    """Return crosses at the predictions, and a line with the theoretical slope for large n."""
     n, value = (data[key].values.astype(float) for key in ("predicted_n", "predicted_variance"))
     there = np.isfinite(value) & (value > 0)
     n, value, ends = n[there], value[there], data["predicted_variance_ci"].values[there]
@@ -834,7 +834,7 @@ def _prediction_marks(data: xr.Dataset, style: LineStyle, name: str) -> list[Mar
 
 
 def _with_slopes(panel: Panel, group: Group, styles: Styles, *, small: bool) -> Panel:
-    """Return a panel of curves with their slopes at the right ends, and with theory's slopes."""
+    """Return a panel of curves, with their slopes at the right ends, and the theoretical slopes."""
     texts: list[tuple[float, float, str, str]] = []
     for name, each in group.items():
         used, slope = np.flatnonzero(usable_counts(each)), float(each["rate"])
@@ -853,7 +853,7 @@ def _with_slopes(panel: Panel, group: Group, styles: Styles, *, small: bool) -> 
     low, high = panel.x.low, panel.x.high
     if not texts or not (low and high and panel.y.low and panel.y.high):
         return panel
-    # Place the texts from the lowest to the highest, at least one line apart
+    # Place the texts from bottom to top, at least one line apart
     line, letter = ((_SMALLER if small else 1.0) * size for size in (_TEXT_LINE, _TEXT_LETTER))
     height = math.log(panel.y.high / panel.y.low)
     below, marks = -math.inf, list(panel.marks)
@@ -870,9 +870,9 @@ def _with_slopes(panel: Panel, group: Group, styles: Styles, *, small: bool) -> 
 
 
 def _with_slope_guides(panel: Panel, results: Sequence[xr.Dataset]) -> Panel:
-    """Return a panel with dotted lines of the slopes −1, −1.5, −2 and so on nearest to the rates.
+    """Return a panel with dotted guide lines: those of −1, −1.5, −2 and so on nearest to the rates.
 
-    The lines begin at the largest variance of the smallest n.
+    The guide lines begin at the largest variance of the smallest n.
     """
     starts = [
         (float(each["n"].values[i]), float(each["variance"].values[i]))
@@ -897,7 +897,7 @@ def _with_slope_guides(panel: Panel, results: Sequence[xr.Dataset]) -> Panel:
         at = np.array([n, end])
         y = top * (at / n) ** slope
         if end == last and lowest / y[1] < (top / bottom) ** _GUIDE_GAP:
-            continue  # The label would touch the label above
+            continue  # the label would touch the label above
         lowest = float(y[1])
         text = f"{slope:g}".replace("-", "−")
         marks.append(Line(x=at, y=y, color=GRAY, dashes=":", width=0.8))

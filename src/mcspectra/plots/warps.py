@@ -27,15 +27,15 @@ from mcspectra.plots.text import number
 
 __all__ = ["primary", "warp"]
 
-_LINES = 16  # grid lines along each axis that are drawn under the warp
+_LINES = 16  # grid lines along each axis that are drawn with the warp
 _MOST_STRETCH = 100.0
 _BOUNDARY = "#0072B2"
-_CLIPPED = 0.5  # percentage of the values clipped at either end, since poles would hide the rest
+_CLIPPED = 0.5  # percentage of the values that is clipped at each end: poles would hide the rest
 _INSIDE, _SIDES = "jump inside", "jump between opposite sides"
 
 
 def warp(group: Group, _: Styles) -> Plot:
-    """Plot the image of a grid under a warp, and the warp's stretch and jumps on primary space."""
+    """Plot the image of a grid under a warp, and its stretch and jumps over primary space."""
     group, dims = _by_spec(group, "density")
     caption = "A grid under the warp, and the warp's stretch and jumps on primary space."
     if dims == 1:
@@ -50,7 +50,7 @@ def warp(group: Group, _: Styles) -> Plot:
         scale = replace(scale, palette="paper")
         panels = []
         for name, each in group.items():
-            # Map a few grid lines of each axis by the warp T, and interrupt them at jumps of T
+            # Map a few grid lines of each axis by the warp T, and interrupt them where T jumps
             x = each["warped"].transpose("u0", "u1", "coordinate").values
             torn = each["jump"].transpose("axis", "u0", "u1").values
             rows, lines = np.unique(np.linspace(0, len(x) - 1, _LINES + 1).astype(int)), []
@@ -58,7 +58,7 @@ def warp(group: Group, _: Styles) -> Plot:
                 (INK, [(x[:, j], torn[0, :, j] > 0) for j in rows]),
                 (GRAY, [(x[i], torn[1, i] > 0) for i in rows]),
             ):
-                # Draw all lines of an axis as one polyline with gaps
+                # Draw all lines of an axis as a single polyline with gaps
                 broken = [np.insert(at, np.flatnonzero(t[:-1]) + 1, np.nan, 0) for at, t in of_axis]
                 apart = [np.concatenate([line, np.full((1, 2), np.nan)]) for line in broken]
                 across, up = np.concatenate(apart).T
@@ -80,7 +80,7 @@ def warp(group: Group, _: Styles) -> Plot:
 
 
 def primary(group: Group, _: Styles) -> Plot:
-    """Plot primary-space integrands g(u), with jumps inside and between opposite sides."""
+    """Plot primary-space integrands g(u) with their jumps, inside and between opposite sides."""
     group, dims = _by_spec(group, "estimator")
     panels = []
     for name, each in group.items():
@@ -114,7 +114,7 @@ def primary(group: Group, _: Styles) -> Plot:
 
 
 def _by_spec(group: Group, attribute: str) -> tuple[Group, int]:
-    """Return results by name (a single result by its spec) and their number of dims."""
+    """Return results by name and their number of dims. A single result is named by its spec."""
     found = {each.sizes["axis"] for each in group.values()}
     if len(found) > 1:
         raise ParameterError(
@@ -129,7 +129,7 @@ def _by_spec(group: Group, attribute: str) -> tuple[Group, int]:
 def _curve(
     name: str, data: xr.Dataset, value: str, jump: str, label: str, words: str = ""
 ) -> Panel:
-    """Return a panel of a function of one variable, interrupted at its jumps."""
+    """Return a panel of a function of one variable. Its line is interrupted at jumps."""
     u, y = data["u0"].values, data[value].values.reshape(data.sizes["u0"], -1)[:, 0]
     places = np.flatnonzero(data[jump].values[0])
     borders = 0.5 * (u[places] + u[np.minimum(places + 1, u.size - 1)])
@@ -161,7 +161,7 @@ def _cells(values: Array, scale: Scale, name: str) -> Heatmap:
 
 
 def _torn_sides(heights: Array) -> Array:
-    """Return the cell sides with a jump, (k, 2, 2), from jump heights (2, N, N)."""
+    """Return the sides of cells at which the function jumps, (k, 2, 2), from heights (2, N, N)."""
     found = []
     for axis, each in enumerate(heights):
         far = np.argwhere(each > 0) + 1
@@ -178,7 +178,7 @@ def _warp_words(data: xr.Dataset) -> str:
 
 
 def _jump_words(data: xr.Dataset) -> str:
-    """Return lengths × mean heights of jumps, such as ``inside 1.89 × 1.00, sides none``."""
+    """Return the length × mean height of the jumps, such as ``inside 1.89 × 1.00, sides none``."""
     words = []
     for kind, word in (("interior", "inside"), ("boundary", "sides")):
         length = float(data["primary_jump_length"].sel(kind=kind))

@@ -5,8 +5,9 @@ Some versions of libLLVM end the process with SIGABRT when they compile the firs
 This was measured with LLVM 15 and 16 on an AVX-512 machine.
 Every candidate is therefore tested in a subprocess first.
 The first candidate is the user's ``DRJIT_LIBLLVM_PATH``.
-Then follow the library of the wheel karellen-llvm-core, and system libraries since version 19.
-The cache folder (`mcspectra.core.cache`) stores the verdict with everything that it depends on.
+The next candidates are the library in the package karellen-llvm-core,
+and system libraries of version 19 or newer.
+The cache folder (`mcspectra.core.cache`) stores the result of each test.
 Only the first start therefore runs the test.
 """
 
@@ -55,14 +56,14 @@ LARGEST_SAMPLE = 1.0 - 2.0**-24
 """The largest float32 below 1. Rounding a coordinate up to 1 would leave the unit square."""
 
 LOCK = threading.RLock()
-"""Lock for all work with Dr.Jit, because the whole process shares its traces and the variant."""
+"""Lock for all work with Dr.Jit: its traces and the variant are shared by the whole process."""
 
 _LIBRARY_VARIABLE = "DRJIT_LIBLLVM_PATH"
 _OLDEST_LLVM = 19
 _PROBE_SECONDS = 120.0
 _INSTALL = "install it with: pip install 'mcspectra[render]'"
 _SYSTEM_FOLDERS = {
-    # By platform: folders that may hold libLLVM, with patterns of file names
+    # Folders that may hold libLLVM on each platform, with patterns of file names
     "Linux": (
         ("/usr/lib", "*/libLLVM*.so*"),
         ("/usr/lib", "llvm*/lib/libLLVM*.so*"),
@@ -81,7 +82,7 @@ import mitsuba as mi, os
 mi.file_resolver().clear()
 mi.file_resolver().append(os.path.dirname(mi.__file__))
 """  # Mitsuba would search the current folder first, which may be untrusted
-# Test the features that fail with unsuitable LLVM: a minimum, rays and a rough conductor
+# Test three features that fail with unsuitable versions of LLVM: a minimum, rays, rough metal
 _PROBE = f"""{_OWN_PLUGINS}
 mi.set_variant({VARIANT!r})
 import drjit as dr
@@ -175,7 +176,7 @@ def find_library(*, fresh: bool = False) -> tuple[Verdict | None, list[Verdict]]
 
 
 def describe() -> dict[str, Any]:
-    """Describe the rendering backend from new tests, without importing Mitsuba in this process.
+    """Describe the rendering backend from new tests. This process does not import Mitsuba.
 
     Returns
     -------
@@ -203,10 +204,10 @@ def describe() -> dict[str, Any]:
 
 
 def import_mitsuba() -> Any:
-    """Return the module `mitsuba` with a working libLLVM, but without a variant.
+    """Return the module `mitsuba` with a working libLLVM, but set no variant.
 
-    Dr.Jit searches libLLVM when it is imported, for any variant.
-    A program that imports Dr.Jit earlier in another way may load a library that aborts the process.
+    Dr.Jit searches for libLLVM when it is imported, for any variant.
+    If a program imports Dr.Jit first by itself, Dr.Jit may load a library that aborts the process.
 
     Raises
     ------
@@ -313,7 +314,7 @@ def _wheel_library() -> list[str]:
 
 
 def _system_libraries() -> list[str]:
-    """Return the system's libraries, newest first, except those named as old versions."""
+    """Return the system's libraries, newest first. Names that state an old version are left out."""
     folders = _SYSTEM_FOLDERS.get(platform.system(), ())
     found = {str(path) for folder, pattern in folders for path in Path(folder).glob(pattern)}
     versions = {path: _llvm_version(path) for path in found}
@@ -322,7 +323,7 @@ def _system_libraries() -> list[str]:
 
 
 def _llvm_version(path: str) -> int | None:
-    """Return the major LLVM version that a path with resolved links contains, or None."""
+    """Return the major LLVM version in the path of a library after resolving links, or None."""
     match = re.search(r"(?:LLVM(?:-C)?|llvm)[-@.](?:so\.)?(\d+)", os.path.realpath(path))
     return int(match.group(1)) if match else None
 
@@ -345,7 +346,7 @@ def _verdict(library: str, fresh: bool) -> Verdict:
 
 
 def _fingerprint(library: str) -> str:
-    """Hash all that a verdict depends on, and the host, because clusters share home folders."""
+    """Hash everything that a verdict depends on. Clusters share home folders: hash the host too."""
     try:
         status = Path(library).stat()
         size, modified = status.st_size, status.st_mtime_ns

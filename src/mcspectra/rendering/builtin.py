@@ -23,7 +23,7 @@ _Scene = TypeVar("_Scene", bound=Callable[..., dict[str, Any]])
 
 
 def named_points(**points: Point) -> Callable[[_Scene], _Scene]:
-    """Add names of world points to a scene; `named_pixels` finds their pixels."""
+    """Add named world points to a scene; `named_pixels` finds the pixels that show them."""
 
     def keep(scene: _Scene) -> _Scene:
         scene.named_points = points  # type: ignore[attr-defined]
@@ -40,7 +40,7 @@ def perspective(
     Raises
     ------
     ParameterError
-        If the film has no pixels, or more than 65536 along a side.
+        If the film has no pixels, or a side has more than 65536 pixels.
     """
     size = {
         name: as_integer(name, value, least=1, most=_LARGEST_FILM)
@@ -56,9 +56,10 @@ def perspective(
 def rectangle(
     center: Sequence[float], across: Sequence[float], along: Sequence[float]
 ) -> dict[str, Any]:
-    """Return a parallelogram: corners center ± across ± along, normal across × along.
+    """Return a parallelogram with the corners center ± across ± along.
 
     The vectors across and along are perpendicular. Each is half as long as a side.
+    The normal has the direction of the cross product across × along.
     """
     normal = np.cross(across, along)
     columns = [across, along, normal / np.linalg.norm(normal), center]
@@ -75,7 +76,7 @@ def diffuse(reflectance: float | Sequence[float], *, both_sides: bool = False) -
 
 
 def area_light(radiance: float | dict[str, Any]) -> dict[str, Any]:
-    """Return a black BSDF and an emitter of gray or textured radiance for a shape."""
+    """Return a shape with a black BSDF and an emitter of gray or textured radiance."""
     color = {"type": "rgb", "value": radiance} if isinstance(radiance, float) else radiance
     return {"bsdf": diffuse(0.0), "emitter": {"type": "area", "radiance": color}}
 
@@ -100,8 +101,8 @@ def figure1(*, edge: float = 0.0, width: int = 384, height: int = 256) -> dict[s
     ----------
     edge
         Width of the light's soft border as a fraction of its half side.
-        In the soft border the radiance rises inwards from 0 as a smoothstep, 3t² − 2t³.
-        With 0 the radiance is constant.
+        From the border inwards, the radiance rises from 0 as the smoothstep 3t² − 2t³.
+        With 0 the radiance is constant over the light.
     width, height
         Film size in pixels.
 
@@ -124,22 +125,22 @@ def figure1(*, edge: float = 0.0, width: int = 384, height: int = 256) -> dict[s
     The named pixels P and Q show the floor points P and Q. From P, the whole light is visible.
     Neither point is below the light's center.
     Below the center, the integrand would be equal at opposite borders of the unit square.
-    For such an integrand, a shift of the points has no disadvantage.
+    A random shift of the points would then have no disadvantage.
 
-    With an edge, radiance is a texture of 256² texels with bilinear interpolation.
+    With a soft border, the radiance is a texture of 256² texels with bilinear interpolation.
     Mitsuba samples such a light texel by texel, in proportion to the texture.
     For BSDF sampling, a light with a soft border has no silhouette.
-    With ``edge=1``, the rate of jittered points at P goes from −1.5 to −1.9.
+    With ``edge=1``, the rate of jittered points at P is −1.9 instead of −1.5.
     """
     radiance: Any = _RADIANCE
     if as_real("edge", edge, least=0.0, most=1.0):
-        # Texture that rises as a smoothstep from 0 at both ends of [0,1] to 1 at distance edge / 2
+        # Texture that rises from 0 at both ends of [0,1] to 1 at the distance edge / 2
         u = (np.arange(_TEXELS) + 0.5) / _TEXELS
         t = np.minimum(2.0 * np.minimum(u, 1.0 - u), edge) / edge
         profile = np.asarray(t * t * (3.0 - 2.0 * t))
         values = _RADIANCE * np.outer(profile, profile).astype(np.float32)
         bitmap = load_mitsuba().Bitmap(np.repeat(values[..., None], 3, axis=2))
-        # Raw: radiance is linear and must not be decoded. Clamp: borders do not wrap around.
+        # Raw: radiance is linear and must not be decoded. Clamp: the texture does not repeat
         radiance = {"type": "bitmap", "bitmap": bitmap, "raw": True, "wrap_mode": "clamp"}
     angle = np.deg2rad(_OCCLUDER_DEGREES)
     across = _OCCLUDER_HALF_SIDE * np.array([np.cos(angle), 0.0, -np.sin(angle)])
@@ -168,7 +169,7 @@ def smooth_light(*, edge: float = 0.5, width: int = 384, height: int = 256) -> d
 _LIGHT_Y, _LIGHT_HALF_SIDE, _PENUMBRA_RADIANCE = 3.0, 0.8, 16.0
 _BALL, _BALL_RADIUS = (-1.2, 1.0, 0.3), 0.4
 _ROD = ((-2.2, 0.7, 1.1), (0.2, 0.9, 1.3), 0.07)  # the rod is given by its two ends and its radius
-_BLADES = (0.6, 1.15, 1.7)  # x coordinates of three parallel blades
+_BLADES = (0.6, 1.15, 1.7)  # x coordinates of the centers of three parallel blades
 
 
 @named_points(
@@ -230,7 +231,7 @@ def penumbra(*, width: int = 384, height: int = 256) -> dict[str, Any]:
 _MAP_SIZE = (64, 128)
 _SKY_RADIUS = 0.8
 _MATERIALS: dict[str, tuple[float, dict[str, Any]]] = {
-    # Name of the sphere: x coordinate of its center, BSDF
+    # Name of the sphere: x coordinate of its center, and its BSDF
     "diffuse": (-1.9, diffuse((0.25, 0.2, 0.15))),
     "plastic": (
         0.0,
@@ -276,7 +277,7 @@ def sky(*, width: int = 384, height: int = 256) -> dict[str, Any]:
     -----
     The map is `mcspectra.integrands.synthetic_sky` with 64 × 128 pixels, its first row toward +y.
     Nothing is downloaded. Mitsuba places the columns at atan2(x, −z) = 2π (column + ½) / 128.
-    It places the rows at acos(y) = π row / 63, from pole to pole, and interpolates linearly.
+    Mitsuba places the rows at acos(y) = π row / 63, from pole to pole, and interpolates linearly.
     The named pixels show the open floor and the upper front of each sphere.
     One named pixel shows the floor where the diffuse sphere touches it.
     The BSDF of plastic chooses between two lobes (``dims=3``).
@@ -295,7 +296,7 @@ def sky(*, width: int = 384, height: int = 256) -> dict[str, Any]:
 
 
 _SPHERES: dict[str, tuple[Point, float, float]] = {
-    # Name of the sphere: center, radius, radiance
+    # Name of the sphere: its center, radius and radiance
     "light-0": ((-3.75, 0.0, 0.0), 0.03333, 901.803),
     "light-1": ((-1.25, 0.0, 0.0), 0.1, 100.0),
     "light-2": ((1.25, 0.0, 0.0), 0.3, 11.1111),
@@ -303,7 +304,7 @@ _SPHERES: dict[str, tuple[Point, float, float]] = {
     "fill-light": ((10.0, 10.0, 4.0), 0.5, 800.0),
 }
 _PLATES: tuple[tuple[tuple[float, float], tuple[float, float], float], ...] = (
-    # For each plate: (y, z) of the front edge, (y, z) of the back edge, GGX roughness
+    # One row per plate: (y, z) of the front edge, (y, z) of the back edge, GGX roughness
     ((-2.70651, 0.25609), (-2.08375, -0.526323), 0.005),
     ((-3.28825, 1.36972), (-2.83856, 0.476536), 0.02),
     ((-3.73096, 2.70046), (-3.43378, 1.74564), 0.05),
@@ -313,7 +314,7 @@ _PLATE_HALF_WIDTH = 4.0
 _FLOOR_Y, _WALL_Z = -4.14615, -2.0
 # Sizes of floor and wall are our choice; both are larger than the camera's view
 _HALF_WIDTH, _FRONT_Z, _WALL_TOP = 12.0, 15.0, 12.0
-_GRAY = 0.4  # reflectance of floor and wall: our choice
+_GRAY = 0.4  # reflectance of floor and wall (our choice)
 
 
 def _on_plate(i: int, x: float) -> Point:

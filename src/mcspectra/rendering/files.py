@@ -39,9 +39,9 @@ def write_render(
     Parameters
     ----------
     path
-        A file ``.exr`` gets ``image`` as R, G, B, and the provenance as a comment.
-        The file also gets the layers ``variance`` and ``image_se`` if they exist.
-        A file ``.png`` gets only ``image``.
+        An EXR file stores ``image`` as the channels R, G and B, and the provenance as a comment.
+        It also stores the layers ``variance`` and ``image_se`` if they exist.
+        A PNG file stores only ``image``.
     result
         A rendered image, as returned by `render` or `reference`.
     exposure
@@ -71,20 +71,20 @@ def write_render(
 
 
 def write_comparison(path: str | PathLike[str], images: Mapping[str, xr.Dataset]) -> list[str]:
-    """Write a result of `compare_strategies` as one EXR file with a layer for each image.
+    """Write a result of `compare_strategies` as one EXR file. Each image becomes a layer.
 
     Parameters
     ----------
     path
         File name that ends in ``.exr``.
     images
-        Images ``reference``, ``light``, … of equal size.
+        Images of equal size by name: ``reference``, ``light``, …
 
     Returns
     -------
     list of str
-        Names of the layers: the names of the images, and ``reference.image_se``.
-        The file's comment holds the provenance of all images.
+        Names of the layers: those of the images, and ``reference.image_se`` for the standard error.
+        The comment in the file holds the provenance of all images.
 
     Raises
     ------
@@ -185,7 +185,7 @@ def encode_srgb(linear: Array) -> Array:
 
 
 def check_image_path(path: object, extensions: tuple[str, ...] = RENDER_EXTENSIONS) -> Path:
-    """Return `path` if it has one of the extensions, and its folder exists."""
+    """Check the extension of `path`, and that its folder exists; return the path."""
     if not isinstance(path, str | PathLike) or not str(path):
         given = (
             repr(path)
@@ -199,7 +199,7 @@ def check_image_path(path: object, extensions: tuple[str, ...] = RENDER_EXTENSIO
     try:
         problem = "is a folder" if file.is_dir() else ""
         problem = problem or ("" if file.parent.is_dir() else "is in a folder that does not exist")
-    except OSError:  # raised if the name is too long
+    except OSError:  # raised if the name is too long for the file system
         problem = "is not a possible file name"
     if "\0" in str(file):
         problem = "is not a possible file name"

@@ -1,9 +1,10 @@
-"""Filters of frames that are programs, such as denoisers: the error that they leave is measured.
+"""Filter frames with a program, such as a denoiser, and measure the error that remains.
 
 A nonlinear filter has no transfer function, so its error cannot be predicted from a spectrum.
-Every frame is filtered instead. The variance over the filtered frames is one part of the error.
-The other part is the bias: the squared difference of the mean of the filtered frames from a
-reference, or else from the mean of the frames before the filter, which is unbiased.
+Every frame is filtered instead. The error has two parts: variance and squared bias.
+The variance is measured over the filtered frames.
+The bias is the mean of the filtered frames minus a reference.
+Without a reference, the mean of the unfiltered frames replaces it, which is unbiased.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from mcspectra.rendering.frame_files import FrameReader
 __all__ = ["Denoised", "command_words", "denoised"]
 
 _PLACEHOLDER = re.compile(r"\{(\w*)\}")
-_FEWEST = 3  # smallest number of frames whose spread gives an interval
+_FEWEST = 3  # smallest number of frames for which an interval is computed
 
 
 @final
@@ -77,7 +78,7 @@ def command_words(command: object) -> list[str]:
 def denoised(
     words: Sequence[str], files: Sequence[Path], read: FrameReader, truth: Array | None, wait: float
 ) -> Denoised:
-    """Filter every frame with a program, without a shell, and measure the error that is left.
+    """Filter every frame with a program, without a shell, and measure the error that remains.
 
     Parameters
     ----------
@@ -95,7 +96,7 @@ def denoised(
     Raises
     ------
     ParameterError
-        If the program fails, takes longer, or writes no frame of the same size.
+        If the program fails, takes longer, or writes no frame of the size of its input.
     """
     count = len(files)
     with tempfile.TemporaryDirectory(prefix="mcspectra-") as folder:
@@ -109,7 +110,7 @@ def denoised(
             total = total + plane / count
             apart = apart + (plane - (raw if truth is None else truth)) / count
             report("filter", (k + 1) / (2 * count))
-        # Squares of deviations, and products for the jackknife of the squared bias
+        # Squared deviations, and products for the jackknife of the squared bias
         squares, own, cross = np.empty((3, count))
         for k, (file, output) in enumerate(zip(files, outputs, strict=True)):
             plane = read.plane(output, None)[0]
@@ -128,7 +129,7 @@ def denoised(
             bias=float(bias),
             bias_ci=np.array([0.0, np.inf]),
         )
-    # Estimates without one frame each
+    # Jackknife: estimates that leave out one frame each
     left = (count**2 * mean_square - 2 * count * cross + own) - (own.sum() - own)
     left /= (count - 1) * (count - 2)
     error = math.sqrt((count - 1) / count * float(((left - left.mean()) ** 2).sum()))

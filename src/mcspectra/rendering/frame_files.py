@@ -1,4 +1,4 @@
-"""Files of frames: which files there are, their samples per pixel, and their values.
+"""Files of frames: find them, group them by samples per pixel, and read their values.
 
 Frames are independent renders of one view, one file each, by any renderer.
 """
@@ -57,7 +57,7 @@ class FrameReader:
         return image[..., :3] if image.shape[2] > 2 else image[..., :1]
 
     def plane(self, file: Path, shape: tuple[int, ...] | None) -> tuple[Array, Array]:
-        """Check the shape of a frame, and return its luminance (y, x) and its color."""
+        """Check the shape of a frame, and return its luminance (y, x) and its colors."""
         image = self.color(file)
         if shape is not None and image.shape != shape:
             raise ParameterError(
@@ -108,7 +108,7 @@ class FrameReader:
 @final
 @dataclass(frozen=True, kw_only=True)
 class FrameFiles:
-    """Frames with one number of samples per pixel.
+    """Frames with the same number of samples per pixel.
 
     Attributes
     ----------
@@ -119,8 +119,8 @@ class FrameFiles:
     seconds
         Mean render time of a frame, or None if no header contains it.
     times
-        Number of frames of each sequence. The files of a sequence follow each other.
-        Frames of one view, without a sequence, are sequences of one frame.
+        Number of frames of each sequence. The files of a sequence are adjacent in the list.
+        Frames without a sequence count as sequences of one frame.
     """
 
     spp: int | None
@@ -137,9 +137,9 @@ def frame_files(paths: Frames, read: FrameReader, *, least: int = 2) -> list[Fra
     paths
         A folder, a pattern, or a list of files.
     read
-        How files are read. If it has a number of samples, this number holds for all files.
+        Options for reading the files. If they contain a number of samples, it holds for all files.
     least
-        Least number of files of a group, 1 or 2.
+        Least number of files per group, 1 or 2.
 
     Returns
     -------
@@ -151,7 +151,7 @@ def frame_files(paths: Frames, read: FrameReader, *, least: int = 2) -> list[Fra
     FileFormatError
         If there are no files, or a header is broken.
     ParameterError
-        If a number of samples has only one file, or names and headers disagree.
+        If a number of samples has only one file, or file names and headers disagree.
     """
     groups: dict[int | None, list[tuple[Path, float | None]]] = defaultdict(list)
     for file in _listed_files(paths):
@@ -222,7 +222,7 @@ def _listed_files(paths: Any) -> list[Path]:
     for kinds in (
         LINEAR_EXTENSIONS,
         ENCODED_EXTENSIONS,
-    ):  # PNG and JPEG next to linear frames are previews
+    ):  # PNG and JPEG files in the same folder as linear frames are previews
         if files := [file for file in inside if file.suffix.lower() in kinds]:
             return files
     raise FileFormatError(

@@ -1,11 +1,12 @@
-"""Linear filters of frames, and the error that they leave.
+"""Linear filters of frames, and the variance that remains after them.
 
-A filter K leaves the variance ∫ |K(ν)|² P_err(ν) dν of errors with the power P_err.
-By Parseval's theorem this is Σ_d h(d) C(d).
+Let P_err(ν) be the power spectrum of the errors, and K(ν) the transform of a filter.
+The filtered errors then have the variance ∫ |K(ν)|² P_err(ν) dν.
+By Parseval's theorem this is Σ_d h(d) C(d), a sum over the lags d between two pixels.
 Here C(d) is the covariance of the errors of two pixels at a lag d, averaged over the image.
 The numbers h(d) are the autocorrelation of the filter's weights, with the transform |K(ν)|².
-The covariances are those inside the image: every pair of pixels counts once, without wrap-around.
-Pixels near a border are assumed to see more pixels of the same kind beyond it.
+The covariances use pairs inside the image: every pair counts once, without wrap-around.
+Near a border, the formula assumes that similar pixels continue beyond the border.
 A filter that repeats or mirrors the border leaves somewhat more error there.
 
 Filters in space are separable, with the same weights along rows and columns.
@@ -43,8 +44,8 @@ __all__ = [
     "filtered_of",
 ]
 
-_REACH = 4.0  # standard deviations at which a Gaussian is cut, as in scipy.ndimage
-_FORGOTTEN = 1e-6  # weight of all older frames at which the weights of an average are cut
+_REACH = 4.0  # number of standard deviations at which a Gaussian is cut, as in scipy.ndimage
+_FORGOTTEN = 1e-6  # older frames are left out once their total weight is below this
 _SIGMAS = (0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 4.0)
 _ALPHAS = (0.5, 0.3, 0.2, 0.1, 0.05)
 
@@ -55,7 +56,7 @@ class Filter(Component, ABC):
     Attributes
     ----------
     temporal
-        Whether the filter acts on the frames of a sequence, and not on the pixels of a frame.
+        Whether the filter acts along the frames of a sequence, not on the pixels of a frame.
     """
 
     temporal: ClassVar[bool] = False
@@ -108,7 +109,7 @@ class ATrous(Filter):
     """À-trous wavelet filter of `levels` levels of the B3 spline, without edge stops.
 
     Level k spaces the weights (1, 4, 6, 4, 1) / 16 by 2^k pixels [Dammertz2010]_.
-    Denoisers of real-time renderers use this filter with edge stops, which only reduce its reach.
+    Denoisers of real-time renderers add edge stops to this filter, which only reduce its reach.
     """
 
     name = "a-trous"
@@ -128,9 +129,9 @@ class ATrous(Filter):
 class Ema(Filter):
     """Exponential moving average over frames: the new frame has the weight `alpha`.
 
-    The error left is that after many frames.
-    For errors of correlation ρ^k at k frames, it is α/(2 − α) · (1 + q)/(1 − q) of the variance,
-    with q = ρ (1 − α).
+    After many frames, the filter multiplies the variance of the errors by a constant factor.
+    If errors that are k frames apart have the correlation ρ^k, the factor is
+    α/(2 − α) · (1 + q)/(1 − q), with q = ρ (1 − α).
     """
 
     temporal = True
@@ -160,7 +161,7 @@ class Chain:
     Attributes
     ----------
     filters
-        Filters in any order; their product does not depend on the order.
+        Filters in any order; the order does not change their product.
     """
 
     filters: tuple[Filter, ...]
@@ -177,16 +178,16 @@ class Chain:
 
     @functools.cached_property
     def space(self) -> Array:
-        """Weights of the pixels along one axis."""
+        """Weights of the pixels along one axis, of all filters in space together."""
         return _product(each for each in self.filters if not each.temporal)
 
     @functools.cached_property
     def time(self) -> Array:
-        """Weights of the frames, the newest first."""
+        """Weights of the frames, the newest first, of all filters in time together."""
         return _product(each for each in self.filters if each.temporal)
 
     def memory(self, count: int) -> tuple[Array, float]:
-        """Return h(k) at the lags k = 0 … count − 1 in frames, and the sum of all other h(k)."""
+        """Return h(k) at the lags of 0 … count − 1 frames, and the sum of h(k) at other lags."""
         lags = np.correlate(self.time, self.time, "full")[self.time.size - 1 :]
         whole = lags[:count]
         beyond = 2.0 * float(lags[count:].sum())
@@ -194,7 +195,7 @@ class Chain:
 
     @property
     def white(self) -> float:
-        """Variance that the chain leaves of white noise with the variance 1."""
+        """Variance that remains after the chain filters white noise of variance 1."""
         space, time = (float((each**2).sum()) for each in (self.space, self.time))
         return space**2 * time
 
@@ -221,7 +222,7 @@ def chains_of(filters: object) -> list[Chain]:
     SpecError
         If a spec cannot be read.
     UnknownName
-        If there is no filter of a name.
+        If no filter has a given name.
     """
     given = [filters] if isinstance(filters, str) else filters
     if not isinstance(given, Sequence) or not all(isinstance(each, str) for each in given):
@@ -233,28 +234,28 @@ def chains_of(filters: object) -> list[Chain]:
 
 
 def curve_filters(height: int, width: int, times: int) -> dict[str, dict[float, Chain]]:
-    """Return the filters of curves: Gaussians by σ that fit the image, and averages by α."""
+    """Return filters for plotted curves: Gaussians that fit in the image, and moving averages."""
     side = min(height, width)
     gaussians = (Gaussian(sigma=sigma) for sigma in _SIGMAS)
     found = {"sigma": {g.sigma: Chain((g,)) for g in gaussians if 2 * g.weights().size <= side}}
     if times > 1:
-        # With weights that reach far beyond the sequence, the correlations needed are unknown
+        # If weights reach far beyond the sequence, the correlations at their lags are unknown
         known = (a for a in _ALPHAS if (1 - a) ** times < _LEFT_OUT)
         found["alpha"] = {alpha: Chain((Ema(alpha=alpha),)) for alpha in known}
     return {name: chains for name, chains in found.items() if len(chains) > 1}
 
 
-_LEFT_OUT = 0.1  # largest weight of frames beyond the sequence in a curve
+_LEFT_OUT = 0.1  # largest weight beyond the sequence for filters that are plotted
 
 
 @final
 class SpatialPower:
-    """Variance left by filters in space, from the transform of an image of errors.
+    """Variance that remains after filters in space, from the transform of an image of errors.
 
     Attributes
     ----------
     shape
-        Size of the transform: the image and a margin of zeros, so that no lag wraps around.
+        Size of the transform: the image with a margin of zeros, so that no lag wraps around.
     """
 
     def __init__(self, chains: Sequence[Chain], height: int, width: int) -> None:
@@ -272,7 +273,7 @@ class SpatialPower:
         self.down = np.array([_response(c.space, height, self.shape[0]) for c in chains])
         half = np.array([_response(c.space, width, self.shape[1]) for c in chains])
         across = self.shape[1] // 2 + 1
-        # Columns of positive frequency also represent the frequencies of opposite sign
+        # Columns of positive frequency also count for the frequencies of opposite sign
         both = np.full(across, 2.0)
         both[0] = 1.0
         if self.shape[1] % 2 == 0:
@@ -288,17 +289,17 @@ class SpatialPower:
         return np.asarray(rfft2(error, s=self.shape))
 
     def left(self, power: Array, rows: slice = slice(None)) -> Array:
-        """Return the variance left by each filter, from |transform|² (…, y, x) at some rows."""
+        """Return the variance after each filter, from |transform|² (…, y, x) at some rows."""
         inner = power @ self.across.T  # (…, y, filter)
         return np.asarray(np.einsum("...yf,fy->...f", inner, self.down[:, rows]) * self._scale)
 
     def noise(self, power: Array) -> Array:
-        """Return the squared standard error of `left` for normal errors of one image."""
+        """Return the squared standard error of `left` for one image of normal errors."""
         inner = (power**2) @ (self.across**2 / self.doubled).T
         total = np.einsum("yf,fy->f", inner, self.down**2)
-        # The mean of the square of an exponential value is twice its squared mean.
+        # Power is exponentially distributed: its mean square is twice its squared mean.
         # A frequency and its opposite have equal power, which doubles the variance.
-        # The margin samples the spectrum more densely, without more independent values
+        # The margin of zeros samples the spectrum more densely, but adds no independent values
         dense = math.prod(self.shape) / math.prod(self.size)
         return np.asarray(total * self._scale**2 * dense)
 
@@ -306,16 +307,16 @@ class SpatialPower:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Filtered:
-    """Variance that filters leave, as a mean over the pixels.
+    """Variance that remains after filters, as a mean over the pixels.
 
     Attributes
     ----------
     variance, variance_ci
-        Variance after each filter (filter,), with its 95 % interval (filter, bound).
+        Variance after each filter (filter,), and its 95 % interval (filter, bound).
     ratio, ratio_ci
-        Ratio of that variance to the variance that the filter leaves of equally strong white noise.
+        Variance after each filter, divided by the value for white noise of the same strength.
     half
-        Half width of the interval of the logarithm of `variance`, (filter,).
+        Half width of the interval of ln(`variance`), (filter,).
     """
 
     specs: tuple[str, ...]
@@ -329,20 +330,20 @@ class Filtered:
 def filtered_of(
     chains: Sequence[Chain], left: Array, noise: Array, scale: float, resolved: bool
 ) -> Filtered:
-    """Return the variance that each chain leaves, with intervals from the sequences.
+    """Return the variance after each chain of filters. Its interval comes from the sequences.
 
     Parameters
     ----------
     chains
-        Filters; the first leaves frames alone.
+        Chains of filters; the first leaves frames unchanged.
     left
-        Covariance at each lag in frames after the spatial part, (sequence, filter, lag).
+        Covariance at each lag in frames after the filters in space, (sequence, filter, lag).
     noise
-        Squared standard error of one image's `left` at lag 0 for normal errors, (filter,).
+        Squared standard error of `left` at lag 0 for one image of normal errors, (filter,).
     scale
-        Factor that corrects for the mean over the sequences and for missing pixels.
+        Factor that corrects for subtracted means and for missing pixels.
     resolved
-        Whether the variance has an upper bound; if not, the intervals are open.
+        Whether the variance has an upper bound; otherwise the intervals have no upper end.
     """
     count, _, times = left.shape
     values = np.empty((count, len(chains)))
@@ -352,7 +353,7 @@ def filtered_of(
         own = left[:, k]
         values[:, k] = scale * (2.0 * own @ memory - own[:, 0] * memory[0])
         mean = own.mean(axis=0)
-        # Number of independent frames for the mean square of the filtered errors
+        # Number of independent frames for which the mean square has the same error
         filtered = np.convolve(_mirrored(memory), _mirrored(mean), "same")
         fade = 1.0 - np.abs(np.arange(1 - times, times)) / times
         relative = filtered / (filtered[times - 1] or 1.0)
@@ -392,7 +393,7 @@ def _mirrored(lags: Array) -> Array:
 
 
 def _response(weights: Array, size: int, length: int) -> Array:
-    """Return |K(ν)|² at the frequencies of a transform, for the pairs of pixels in an image.
+    """Return |K(ν)|² at the frequencies of a transform, corrected for the number of pixel pairs.
 
     An image of N pixels along an axis has N − |d| pairs at a lag d.
     The autocorrelation at lag d is therefore divided by 1 − |d|/N.

@@ -1,8 +1,8 @@
 """Errors of frames against a reference image: bias, relMSE and SMAPE, by region of the image.
 
-Regions are tiles of a grid, at most 8 × 8. All errors are those of the luminance.
-The reference counts as exact: give one with far more samples than the frames.
-Intervals come from the spread of the frames, which are independent.
+Regions are tiles of a grid, at most 8 × 8. All errors are errors of the luminance.
+The reference counts as exact: it should have far more samples than the frames.
+Intervals are computed from the spread of the frames, which are independent.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from mcspectra.rendering.frame_files import FrameReader
 __all__ = ["ReferenceErrors", "read_reference", "reference_errors", "tile_centers", "tile_means"]
 
 _TILES = 8  # largest number of tiles along an axis
-_LEAST_TILE = 8  # smallest side of a tile in pixels, if the image has more
-# Added to denominators, so that dark pixels do not dominate [Rousselle2011]_
+_LEAST_TILE = 8  # smallest side of a tile in pixels, unless the image is smaller
+# Added to denominators so that dark pixels do not dominate [Rousselle2011]_
 _DARK = 0.01
 
 
@@ -39,11 +39,11 @@ class ReferenceErrors:
     bias
         Mean error divided by the mean of the reference.
     relative
-        relMSE of a frame: mean of (x − r)² / (r² + 0.01).
+        relMSE of a frame x against the reference r: mean of (x − r)² / (r² + 0.01).
     symmetric
-        SMAPE of a frame: mean of |x − r| / (|x| + |r| + 0.01).
+        SMAPE of a frame x against the reference r: mean of |x − r| / (|x| + |r| + 0.01).
     square
-        Mean square of the bias, an unbiased estimate that may be negative.
+        Mean over pixels of the squared bias, an unbiased estimate that may be negative.
     """
 
     bias: Array
@@ -62,7 +62,7 @@ def read_reference(file: str | PathLike[str], read: FrameReader, shape: tuple[in
     Raises
     ------
     ParameterError
-        If the size is not that of the frames, or no pixel is finite.
+        If the reference has another size than the frames, or no pixel is finite.
     FileFormatError
         If the file is missing, broken or tone-mapped.
     """
@@ -85,13 +85,13 @@ def reference_errors(
     Parameters
     ----------
     files
-        Frames of one number of samples.
+        Frames with the same number of samples.
     read
         Reads the frames.
     truth
         Luminance of the reference (y, x).
     mean, variance
-        Mean of the frames and variance of one frame (y, x).
+        Mean of the frames, and variance of one frame (y, x).
     """
     count, rows = len(files), []
     level = tile_means(truth)
@@ -122,7 +122,7 @@ def reference_errors(
     value = each.mean(axis=0)
     half = student_t(count) * each.std(axis=0, ddof=1) / math.sqrt(count)
     ends = np.stack([value - half, value + half], axis=-1)
-    # Errors are positive, so their intervals are symmetric on a logarithmic scale
+    # Errors are positive, so their intervals are symmetric on a logarithmic axis
     with np.errstate(invalid="ignore", divide="ignore"):
         factor = np.exp(np.where(value > 0, half / value, 0.0))[1:]
     ends[1:] = np.stack([value[1:] / factor, value[1:] * factor], axis=-1)

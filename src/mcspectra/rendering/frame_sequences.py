@@ -1,8 +1,8 @@
 """Sequences of frames: their files, and the statistics of their errors over time.
 
-S sequences of one animation have T frames each, and every sequence has its own seeds.
+An animation is rendered several times, with different seeds for each sequence of frames.
 The error of a frame is its deviation from the mean over the sequences at the same time.
-A moving scene therefore does not count as noise, and errors of all lags are unbiased.
+Motion in the scene therefore does not count as noise, and errors at all lags are unbiased.
 """
 
 from __future__ import annotations
@@ -28,26 +28,27 @@ from mcspectra.rendering.frame_filters import SpatialPower
 
 __all__ = ["Temporal", "TimeStatistics", "sequence_files", "stored_array", "temporal_of"]
 
-# Names of sequences that are recognized without a pattern, such as shot_s3_t012.exr
+# Names of files that are recognized as sequences without a pattern, such as shot_s3_t012.exr
 _FOUND = re.compile(
     r"(?<![a-z0-9])s(?:eed)?[_-]?(?P<seed>\d+)[_.-](?:t|frame)[_-]?(?P<frame>\d+)(?![a-z0-9])",
     re.IGNORECASE,
 )
 _NAMES = {"seed": r"(?P<seed>[A-Za-z0-9]+)", "frame": r"(?P<frame>\d+)"}
-_IN_MEMORY = 2**29  # bytes of an array that is kept in memory; larger arrays are kept in a file
-_SLOW = 0.125  # upper limit of low temporal frequencies, in cycles per frame
-# Effective frames of pixels are averaged over at most 15 × 15 pixels, until their error is 0.2
+_IN_MEMORY = 2**29  # limit in bytes for arrays in memory; larger arrays are kept in a file
+_SLOW = 0.125  # temporal frequencies below this limit in cycles per frame count as low
+# Effective numbers of frames are averaged over squares of pixels until the error is 20 %,
+# but over at most 15 × 15 pixels
 _WIDEST, _PIXEL_ERROR = 15, 0.2
-_BLOCK = 2**22  # number of complex values that are transformed over time at once
+_BLOCK = 2**22  # number of complex values that are transformed over time together
 
 
 def sequence_files(groups: list[FrameFiles], pattern: str | None) -> list[FrameFiles]:
-    """Arrange the files of sequences by seed and frame, if their names are those of sequences.
+    """Arrange files by seed and frame, if their names show that they belong to sequences.
 
     Parameters
     ----------
     groups
-        Files of each number of samples per pixel.
+        Files, grouped by number of samples per pixel.
     pattern
         Text such as ``"shot_s{seed}_t{frame}.exr"`` that matches the end of every path.
         A ``*`` matches any text inside a name.
@@ -56,13 +57,13 @@ def sequence_files(groups: list[FrameFiles], pattern: str | None) -> list[FrameF
     Returns
     -------
     list of FrameFiles
-        Groups with their number of frames per sequence, ``times``.
+        The same groups; `times` is set to their number of frames per sequence.
         Groups whose names are not recognized are returned unchanged.
 
     Raises
     ------
     ParameterError
-        If the pattern is invalid, sequences lack frames, or there is only one sequence.
+        If the pattern is invalid, a sequence lacks frames, or there is only one sequence.
     FileFormatError
         If no name matches the pattern.
     """
@@ -86,7 +87,7 @@ def _compiled(pattern: object) -> re.Pattern[str]:
 
 
 def _arranged(group: FrameFiles, search: re.Pattern[str], pattern: str | None) -> FrameFiles:
-    # Find the seed and the number of each frame
+    # Find the seed and the number of each frame in its name
     found: dict[str, dict[int, Path]] = {}
     for file in group.files:
         match = search.search(file.stem if pattern is None else file.as_posix())
@@ -138,24 +139,24 @@ def stored_array(shape: Sequence[int], kind: Any) -> Array:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Temporal:
-    """Correlations over time of the errors of an image; intervals come from the sequences.
+    """Correlations of the errors of an image over time, with intervals from the sequences.
 
     Attributes
     ----------
     frequency
         Temporal frequencies, in cycles per frame.
     joint
-        Power by radial and temporal frequency (radius, frequency); white noise has 1.
+        Power by radial and temporal frequency (radius, frequency); 1 for white noise.
     correlation, correlation_ci
-        Correlation of errors at a lag in frames, (lag,) and (lag, bound).
+        Correlation of errors by lag in frames (lag,), and its interval (lag, bound).
     boiling, boiling_ci
-        Power below 1/8 cycle per frame; white noise has 1.
+        Mean power below 1/8 cycle per frame; 1 for white noise.
     effective, effective_ci
-        Number of independent frames with the same variance of their mean.
+        Number of independent frames whose mean would have the same variance.
     pixels
-        The same number for each pixel, averaged over a square of `window` pixels.
+        Effective number of frames of each pixel, averaged over a square of `window` pixels.
     frames_for_squares
-        Number of independent frames with the same variance of their mean square.
+        Number of independent frames whose mean square would have the same variance.
     """
 
     frequency: Array
@@ -177,7 +178,7 @@ def temporal_of(found: TimeStatistics, m2: Array, count: int) -> Temporal:
     Parameters
     ----------
     found
-        Statistics of all sequences.
+        Statistics that were collected from all sequences.
     m2
         Sum over frames and sequences of the squared errors of each pixel, (y, x).
     count
@@ -189,16 +190,16 @@ def temporal_of(found: TimeStatistics, m2: Array, count: int) -> Temporal:
     """
     times, lags, rings = found.times, np.arange(found.times), found.rings
     each = np.stack(found.joint)
-    each *= m2.size / float(each[:, :, 0].sum(axis=1).mean())  # the mean power is 1
+    each *= m2.size / float(each[:, :, 0].sum(axis=1).mean())  # set mean power to 1
     pooled = each.mean(axis=0)
-    whole = each.sum(axis=1) / float(pooled[:, 0].sum())  # correlations of each sequence
+    whole = each.sum(axis=1) / float(pooled[:, 0].sum())  # correlations over time in each sequence
     fade = 1.0 - lags / times
     frequency = np.arange(times // 2 + 1) / times
     waves = 2.0 * fade * np.cos(2 * np.pi * np.multiply.outer(frequency, lags))
     waves[:, 0] = 1.0
     power = np.maximum(pooled[:-1] @ waves.T, 0.0) / rings.sizes[:, None]
 
-    # Errors of normal noise are the least errors, because few sequences show no spread
+    # Use at least the error of normal noise: few sequences may agree by chance
     ring_power = np.nan_to_num(pooled[:-1, 0] / rings.sizes)
     alike = max(1.0, float(np.nansum(rings.sizes * ring_power**2) / np.nansum(rings.sizes)))
     one = math.sqrt(alike / ((m2 > 0).sum() * (count - 1)))
@@ -207,7 +208,7 @@ def temporal_of(found: TimeStatistics, m2: Array, count: int) -> Temporal:
     frames_for_squares = float(np.clip(times / squares, 1.0, times))
 
     def ends(values: Array, floor: Array | float) -> tuple[Array, Array]:
-        """Return ratios to the power of white noise, and half intervals of the ratios."""
+        """Return ratios to the total power, and half widths of their intervals."""
         mean = values.mean(axis=0)
         apart = values - np.multiply.outer(whole[:, 0], mean)
         half = student_t(count) * apart.std(axis=0, ddof=1) / math.sqrt(count)
@@ -217,14 +218,14 @@ def temporal_of(found: TimeStatistics, m2: Array, count: int) -> Temporal:
     half[0] = 0.0
     low = frequency < _SLOW
     both = np.where((frequency > 0) & (frequency < 0.5), 2.0, 1.0)[low]
-    # The relative error of the power of normal noise is the same at every frequency
+    # For normal noise, power has the same relative error at every frequency
     slow, slow_half = ends((whole @ waves[low].T) @ both / both.sum(), 0.0)
     zero, zero_half = ends(whole @ waves[0], 0.0)
     relative = CONFIDENCE_Z * math.sqrt(2.0) * one
     boiling, boiling_ci = _factor(float(slow), max(float(slow_half), relative * float(slow)))
     inverse, inverse_ci = _factor(float(zero), max(float(zero_half), relative * float(zero)))
 
-    # Average the numbers of pixels over squares, until their error is about 20 %
+    # Average the effective numbers of frames over squares until their error is about 20 %
     variance = m2 / (times * (count - 1))
     varied = variance > 0
     share = np.divide(found.sums / (count - 1), variance, out=np.zeros_like(variance), where=varied)
@@ -249,9 +250,9 @@ def temporal_of(found: TimeStatistics, m2: Array, count: int) -> Temporal:
 
 
 def _factor(value: float, half: float) -> tuple[float, Array]:
-    """Return a positive value with its interval, which is symmetric on a logarithmic scale.
+    """Return a positive value and its interval, which is symmetric on a logarithmic axis.
 
-    If the value is less than its error, its upper end is at most two half intervals above it.
+    If the value is less than its error, the upper end is at most two half widths above the value.
     """
     value = max(value, 1e-12)
     factor = math.exp(min(half / value, 50.0))
@@ -265,16 +266,16 @@ class TimeStatistics:
     Attributes
     ----------
     left
-        For each sequence, Σ over pixels of h(d) times the covariance at each lag in frames,
-        for every filter in space (sequence, filter, lag). The first filter leaves pixels alone.
+        Covariance of the errors at each lag in frames, after each filter in space.
+        The dims are (sequence, filter, lag). The first filter leaves pixels unchanged.
     joint
-        For each sequence, sum over rings of the covariance of transforms at each lag in frames,
-        of errors divided by a standard deviation (sequence, radius, lag).
-        The standard deviation is that of a square of pixels.
-        That of a single pixel has an error, which depends on the errors and would bias their ratio.
-        The last row holds the frequencies outside all rings. All rows add up to the pixels.
+        Covariance of transformed errors at each lag in frames, summed over rings of frequencies.
+        The dims are (sequence, radius, lag).
+        Errors are divided by the standard deviation in a square of pixels around each pixel.
+        The standard deviation of the pixel itself depends on its errors: it would bias the ratio.
+        The last row holds the frequencies outside all rings, so that the sum is complete.
     sums
-        Sum of the squared time averages of the errors of each pixel (y, x).
+        For each pixel (y, x): the squared time average of its error, summed over sequences.
     """
 
     def __init__(self, times: int, space: SpatialPower, rings: Rings, variance: Array) -> None:
@@ -333,7 +334,7 @@ def _powers(transforms: Array, length: int) -> Any:
 
 
 def _lags(power: Array, count: int) -> Array:
-    """Return sums over pairs of frames at each lag (…, lag), from power over time (ω, …)."""
-    # Only half of the frequencies of an image are stored: the other half has the opposite ω
+    """Return sums over pairs of frames at each lag (…, lag), from the power over time (ω, …)."""
+    # An image stores only half of its frequencies: the other half has the opposite ω
     both = 0.5 * (power + np.roll(power[::-1], 1, axis=0))
     return np.asarray(np.fft.ifft(both, axis=0).real[:count].T)

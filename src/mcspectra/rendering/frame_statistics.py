@@ -3,9 +3,9 @@
 Frames are independent renders of one view, as files.
 Each file is read twice, one file at a time.
 The first pass computes the moments of every pixel.
-The second pass computes correlations between the deviations from the mean.
-Deviations are divided by the standard deviation of their pixel.
-Bright corners therefore do not dominate, and white noise has power 1 at all frequencies.
+The second pass computes correlations of the errors, the deviations from the mean.
+Errors are divided by the standard deviation of their pixel.
+Bright corners then do not dominate, and white noise has power 1 at all frequencies.
 """
 
 from __future__ import annotations
@@ -68,21 +68,21 @@ from mcspectra.rendering.map_statistics import fit_lines, interval, ratio, smoot
 __all__ = ["frames"]
 
 _REACH = 8  # largest lag in pixels, to either side, for which correlations are listed
-_FILTER = 2  # lag in pixels at which a reconstruction filter may correlate errors
-_SAMPLE = 2**14  # number of pixels at which frames are compared with each other
+_FILTER = 2  # pixels at this distance may have correlated errors because of a reconstruction filter
+_SAMPLE = 2**14  # number of pixels at which two frames are compared
 _TAIL = 64  # number of extreme deviations kept per frame; `Moments` uses the same number
-_TABLE = 4001  # number of true correlations for which the bias is tabulated
+_TABLE = 4001  # number of true correlations at which the bias of estimates is tabulated
 _SIGNIFICANCE = 0.05  # significance level of a test of all pixels, frames or lags together
 _OUTLIER = 1e-3  # significance level of Grubbs' test at each pixel
 _RELATED = 0.1  # smallest correlation of two frames to report, whatever its significance
 _REPEATED = 0.05  # smallest correlation of distant pixels to report
 _LEAST_PAIRED = 16  # smallest number of common pixels at which two sets are compared frame by frame
 _LEAST_GRUBBS = 5  # minimum number of frames for Grubbs' test
-# If one error of one frame exceeds this share of all squares, no upper limit is given
+# If a single squared error exceeds this share of all squares, no upper limit is given
 _ONE_SQUARE = 0.05
-# Rates are averaged over windows, at most 15 pixels wide, until their standard error is below 0.1
+# Rates are averaged over windows of at most 15 pixels until their standard error is below 0.1
 _WIDEST, _KNOWN_RATE = 15, 0.1
-_SLOWEST = -0.5  # slowest rate that is used to extrapolate to a target
+_SLOWEST = -0.5  # least steep rate that is used to extrapolate to a target
 
 
 def frames(
@@ -153,24 +153,25 @@ def frames(
         ``relative_rmse``, and ``largest_share``, one frame's share in the sum of squares.
         With several n: ``rate`` and ``rate_ci`` of the variance, averaged over a square of pixels.
         The attribute ``smoothing`` is the width in pixels over which rates are averaged.
-        On n: ``picture_variance``, the mean over the pixels, with ``picture_variance_ci``;
+        By n: ``picture_variance``, the mean over the pixels, with ``picture_variance_ci``;
         ``picture_rate`` with its interval. With a target: ``needed_spp``.
         ``error_spectrum(n, radius)`` with ``error_spectrum_ci``: power of the standardized errors.
         The power is 1 for white noise. The radius is a frequency in cycles per pixel.
         ``error_correlation(n, lag_y, lag_x)``: correlation of errors at a lag in pixels.
         ``image(y, x, band)``: mean of the frames with most samples.
         ``flip(n, y, x)``: the FLIP error [Andersson2021]_ of the first frame against ``image``.
-        FLIP needs the package flip-evaluator. With a reference, it is the error against that.
-        ``gaussian_variance(n, sigma)`` and ``gaussian_ratio``, the variance after a Gaussian,
-        and its ratio to the variance that the filter leaves of equally strong white noise.
+        FLIP needs the package flip-evaluator. If a reference is given, FLIP compares with it.
+        ``gaussian_variance(n, sigma)``: variance after a Gaussian filter.
+        ``gaussian_ratio``: this variance divided by that of equally strong white noise.
         ``filtered_variance(n, filter)`` and ``filtered_ratio`` are the same for the `filters`.
-        Sequences also have ``joint_spectrum(n, radius, frame_frequency)`` with power 1 for white
-        noise, ``frame_correlation(n, lag_t)``, ``boiling(n)`` (power below 1/8 cycle per frame),
-        ``effective_frames(n)``, ``pixel_effective_frames(n, y, x)``, and ``average_variance`` and
-        ``average_ratio`` (n, alpha) after an exponential moving average.
+        Sequences also have ``joint_spectrum(n, radius, frame_frequency)``, 1 for white noise,
+        ``frame_correlation(n, lag_t)``, ``boiling(n)`` (power below 1/8 cycle per frame),
+        ``effective_frames(n)`` and ``pixel_effective_frames(n, y, x)``.
+        After a moving average: ``average_variance(n, alpha)`` and ``average_ratio(n, alpha)``.
         A command gives ``denoised_variance`` and ``denoised_square``, the mean squared bias.
-        A reference gives ``bias_z(y, x)``, ``squared_bias(n)``, and by tile and for the image
-        the relative bias, relMSE and SMAPE: ``tile_bias(n, tile_y, tile_x)``, ``image_bias(n)``.
+        A reference gives ``bias_z(y, x)`` and ``squared_bias(n)``.
+        The relative bias, relMSE and SMAPE are given by tile: ``tile_bias(n, tile_y, tile_x)``.
+        They are also given for the whole image: ``image_bias(n)``.
         Two sets of frames are compared at the largest n that both have:
         ``difference`` of the means, ``difference_z`` by Welch's test,
         ``variance_ratio``, the variance of the first set of frames over that of the second set,
@@ -394,7 +395,7 @@ _PICTURE = ("picture_variance", "picture_relative_se")
 
 
 def _resolved_rate(variables: dict[str, tuple[tuple[str, ...], Any]]) -> bool:
-    """Whether the rate of the image's variance is known to ± 0.5."""
+    """Whether the interval of the image's rate is at most ± 0.5."""
     return "picture_rate" in variables and is_resolved(*variables["picture_rate_ci"][1])
 
 
@@ -410,10 +411,10 @@ def _needed(
     rate_se: Array,
     variables: dict[str, tuple[tuple[str, ...], Any]],
 ) -> tuple[Array, Array]:
-    """Return samples that every pixel needs, and the variance of the error of their logarithm.
+    """Return the samples that each pixel needs, and the error variance of their logarithm.
 
-    Rates of pixels are shrunk to the image's mean rate.
-    Otherwise the few rates near 0 that noise makes would extrapolate to huge numbers.
+    Rates of pixels are shrunk towards their mean.
+    Otherwise noisy rates near 0 would extrapolate to huge numbers of samples.
     If the rate of the image is not resolved, the variance is assumed to fall as 1/n.
     """
     slope, slope_se = np.full_like(rate, -1.0), np.zeros_like(rate)
@@ -432,8 +433,8 @@ def _needed(
 def _shrunk(rate: Array, se: Array) -> tuple[Array, Array]:
     """Shrink the rates of pixels to their mean; return the rates and their standard errors.
 
-    Empirical Bayes estimates: a rate keeps the share τ²/(τ² + se²) of its distance from the mean.
-    The variance τ² of the true rates is the estimate of [DerSimonianLaird1986]_.
+    Empirical Bayes: a rate keeps the share τ²/(τ² + se²) of its distance from the mean.
+    The variance τ² of the true rates is estimated as in [DerSimonianLaird1986]_.
     """
     known = np.isfinite(rate) & (se > 0)
     weight, value = se[known] ** -2.0, rate[known]
@@ -447,11 +448,11 @@ def _shrunk(rate: Array, se: Array) -> tuple[Array, Array]:
 
 
 def _percentiles(need: Array, spread: Array) -> dict[str, float]:
-    """Return the median and the 95 % point of samples over the pixels, without their scatter.
+    """Return median and 95th percentile of the samples needed, taken over the pixels.
 
-    Errors of the estimates widen the distribution over pixels.
-    The logarithms are therefore moved towards their median, so that their variance is the
-    variance of the estimates minus the mean variance of the errors [Louis1984]_.
+    Errors of the estimates widen the distribution over the pixels.
+    The logarithms are therefore moved towards their median.
+    Their new variance is that of the estimates minus the mean variance of the errors [Louis1984]_.
     """
     known = np.isfinite(need) & np.isfinite(spread) & (need > 0)
     if not known.any():
@@ -471,10 +472,10 @@ def _percentiles(need: Array, spread: Array) -> dict[str, float]:
 class _Group:
     """Statistics of the frames with one number of samples; `told` holds result attributes.
 
-    A group has `count` sequences of `times` frames; independent frames are sequences of one frame.
-    The files of a sequence follow each other. The array `means` has one value per sequence,
-    and `averages` is the variance of the average of a sequence.
-    The array `left` (sequence, filter) has the variance that each filter leaves.
+    A group has `count` sequences of `times` frames. Independent frames are sequences of length 1.
+    The files of a sequence are adjacent in the list. The array `means` has one value per sequence.
+    The array `averages` is the variance of the mean over a sequence, for each pixel.
+    The number `alike` is the sum of squared correlations of pixels over all lags.
     """
 
     spp: int
@@ -502,10 +503,10 @@ class _Group:
 
     @property
     def relative_rmse(self) -> Array:
-        """Median-unbiased estimate of σ / mean of one frame; NaN if the mean is not positive."""
+        """Median-unbiased estimate of σ / mean of one frame; NaN unless the mean is positive."""
         from scipy.special import chdtri
 
-        # For normal noise, the sample variance s² is more often below the true σ² than above
+        # For normal noise, the sample variance s² is below the true σ² in over half of the cases
         degrees = self.moments.count - 1
         positive = np.where(self.moments.mean > 0, self.moments.mean, np.nan)
         s = np.sqrt(degrees / chdtri(degrees, 0.5) * self.moments.variance)
@@ -513,12 +514,12 @@ class _Group:
 
     @property
     def related(self) -> float:
-        """Pixels of one time that have the information of one independent pixel."""
+        """Number of pixels that carry the information of one independent pixel."""
         frames = 1.0 if self.temporal is None else self.temporal.frames_for_squares
         return self.alike / frames
 
     def within(self, pixels: Array, read: FrameReader) -> _Group:
-        """Return the statistics of pixels where both these and the other frames have numbers."""
+        """Return the statistics of the given pixels, which are finite in both sets of frames."""
         mean, m2 = (np.where(pixels, v, np.nan) for v in (self.moments.mean, self.moments.m2))
         means = [float(read.plane(file, None)[0][pixels].mean()) for file in self.files]
         return replace(
@@ -535,7 +536,7 @@ class _Group:
 
     @property
     def picture_relative_se(self) -> float:
-        """Relative standard error: the error for independent pixels times √Σρ² over all lags.
+        """Relative standard error: the value for independent pixels times √Σρ² over all lags.
 
         Here ρ is the correlation of the errors of two pixels at a lag.
         """
@@ -544,7 +545,7 @@ class _Group:
 
     @property
     def picture_variance_ci(self) -> Array:
-        """Interval of the log variance; its upper end is infinite if a few pixels dominate."""
+        """Interval of the mean variance; the upper end is infinite if a few pixels dominate."""
         half = CONFIDENCE_Z * self.picture_relative_se
         low, high = self.picture_variance * np.exp([-half, half])
         return np.array([low, high if self.resolved else np.inf])
@@ -554,7 +555,7 @@ _Parts = dict[str, tuple[str, tuple[Any, ...], slice]]
 
 
 def _filter_parts(group: _Group, asked: int) -> _Parts:
-    """Return variable name, labels and place of the filters of each dim of a result."""
+    """Return the name, labels and positions of the filters that belong to each dim of a result."""
     specs = group.filtered.specs
     parts: _Parts = {"filter": ("filtered", specs[1 : 1 + asked], slice(1, 1 + asked))}
     first = 1 + asked
@@ -585,7 +586,7 @@ def _measured(
 
 
 def _check_times(groups: list[FrameFiles], asked: list[Chain]) -> None:
-    """Check that all groups have sequences of one length, and that filters in time have them."""
+    """Check that all sequences have one length, and that filters in time have sequences."""
     times = sorted({each.times for each in groups})
     if len(times) > 1:
         raise ParameterError(
@@ -610,7 +611,7 @@ def _group(
 
     Errors are deviations from the mean over the sequences at the same time.
     """
-    # Compute moments and ranges of the pixels, at each time for itself
+    # Compute moments and ranges of the pixels, separately at each time
     files, times = group.files, group.times
     count, shape = len(files) // times, None
     pooled: Moments | None = None
@@ -675,7 +676,7 @@ def _group(
         file = files[k * times + t]
         error = np.where(varied, read.plane(file, shape)[0] - centers[t], 0.0)
         gains[k, t] = float((error * light).sum())
-        # Find moments and extremes without a full sort
+        # Find moments and extremes without sorting all values
         values = ends = error[varied]
         if values.size > 2 * _TAIL:
             parts = np.partition(values, (_TAIL - 1, values.size - _TAIL))
@@ -708,22 +709,23 @@ def _group(
         moments = _recounted(moments, 1 + max(round((count - 1) * frames_per), 1))
     fields = (count - 1) * frames_per  # number of independent images of errors
 
-    # Compute correlations without bias, and their spectrum
+    # Correct the bias of the correlations, and compute their spectrum
     every = np.fft.irfft2(power, s=(height, width))
     every, loss = _unbiased(every / every[0, 0], 1 + max(round(fields), 1))
     measured, curve = rings.mean(power), np.maximum(rings.mean(np.fft.rfft2(every).real), 0.0)
     half *= np.divide(curve, measured, out=np.ones_like(curve), where=measured > 0)
-    # With two frames, one deviation is the negative of the other and has no spread of its own.
-    # The error is at least that of normal noise. For normal noise, each pair of frequencies
-    # m and −m gives (R − 1) independent exponential values, whose mean is the power
+    # With two frames, the deviations are opposite, so their curves show no spread.
+    # The errors used are therefore at least those of normal noise.
+    # For R frames of such noise, a pair m, −m gives R − 1 independent exponential values.
+    # The power is the mean of these values
     independent = fields * loss**2
     half = np.maximum(half, CONFIDENCE_Z * measured * np.sqrt(2.0 / (rings.sizes * independent)))
-    # The sum of squared correlations also contains the squares of their errors.
+    # The sum of squared correlations also contains the squared errors of the correlations.
     # The mean of a squared error is: true sum / (pixels · (R − 1) · loss²)
     alike = max(1.0, float((every**2).sum()) / (1.0 + 1.0 / independent))
     near, repeat, repeated = _lags(every, alike / (varied.sum() * independent))
     pair, relation = _related(sample.reshape(count, -1), alike * times / frames_per)
-    # Count outliers that are larger than twice the mean, and their expected number for normal noise
+    # Count outliers above twice the mean, and the number expected for normal noise
     limit = _grubbs(len(files))
     outliers = (share > limit) & (above > np.maximum(moments.mean, below))
     expected = _OUTLIER / 2 * int((limit * pooled.m2[varied] > moments.mean[varied] ** 2).sum())
@@ -756,7 +758,7 @@ def _group(
     }
     if over_time is not None:
         told["sequences"] = count
-    # The errors of pixels of unequal variance are fewer independent values
+    # Pixels of unequal variance count as fewer independent values
     variances = moments.variance[varied]
     uneven = varied.sum() * float((variances**2).sum()) / float(variances.sum()) ** 2
     return _Group(
@@ -792,10 +794,10 @@ def _group(
 
 
 def _pooled(a: Moments, b: Moments) -> Moments:
-    """Add moments about separate means, such as those of two times; means are added."""
+    """Add moments about separate means, such as the means of two times. The means are added."""
     return replace(
         a,
-        count=a.count + b.count - 1,  # variances have a divisor of this number − 1
+        count=a.count + b.count - 1,  # variances are divided by the count minus 1
         mean=a.mean + b.mean,
         m2=a.m2 + b.m2,
         m3=a.m3 + b.m3,
@@ -804,7 +806,7 @@ def _pooled(a: Moments, b: Moments) -> Moments:
 
 
 def _recounted(moments: Moments, count: int) -> Moments:
-    """Return moments of the same variance and kurtosis, from `count` independent values."""
+    """Return moments with equal variance and kurtosis, as if from `count` independent values."""
     factor = (count - 1) / (moments.count - 1)
     return replace(
         moments,
@@ -816,12 +818,12 @@ def _recounted(moments: Moments, count: int) -> Moments:
 
 
 def _scattered(varied: Array, times: int) -> Array:
-    """Return pixels at which frames are compared, from a fixed order of all pixels.
+    """Return the pixels at which frames are compared, from a fixed order of all pixels.
 
-    The order is the same for all sets of frames of one size.
-    Two sets in which almost the same pixels vary therefore share almost all of these pixels.
+    The order is the same for all frames of one size.
+    If almost the same pixels vary in two sets, the sets share almost all compared pixels.
     """
-    # Multiples of an odd step near the golden section of the size visit all pixels in mixed order
+    # Multiples of an odd step near 0.618 of the number of pixels visit all pixels in mixed order
     step = next(k for k in itertools.count(int(0.618 * varied.size) | 1) if _coprime(k, varied))
     order = np.arange(varied.size) * step % varied.size
     return np.asarray(order[varied.ravel()[order]][: max(_SAMPLE // times, _LEAST_PAIRED)])
@@ -834,14 +836,14 @@ def _coprime(step: int, varied: Array) -> bool:
 def _drift(
     means: Array, gained: Array, squares: float, chance: float
 ) -> tuple[float | None, float]:
-    """Return the relative change of the image mean per frame, and its share of the variance.
+    """Return the drift of the image mean per frame, and the variance share of brightness changes.
 
     Parameters
     ----------
     means
         Image mean of each frame, in order.
     gained
-        Sum of squares over the pixels that a change of brightness of each frame explains.
+        For each frame, the sum of squares that a common factor of all pixels explains.
     squares
         Sum of squared deviations over pixels and frames.
     chance
@@ -851,11 +853,11 @@ def _drift(
     -------
     tuple
         The change is None unless the means follow a line significantly.
-        The share is of all frames, whether or not they follow a line.
+        The share of squared deviations includes frames that do not follow the line.
     """
     count, center = means.size, float(means.mean())
     share = 0.0
-    if squares > 0 and chance < _RELATED * squares:  # few pixels cannot show a common factor
+    if squares > 0 and chance < _RELATED * squares:  # with few pixels, chance looks like a change
         share = min(max(float(gained.sum()) - chance, 0.0) / (squares - chance), 1.0)
     if count < 3 or center == 0.0 or not means.std():
         return None, share
@@ -870,10 +872,10 @@ def _drift(
 
 
 def _log_variance(moments: Moments) -> tuple[Array, Array]:
-    """Standard error of log s², and an estimate of log σ² that is unbiased even for few values.
+    """Return the standard error of log s², and an unbiased estimate of log σ².
 
     For ν + 1 normal values, log s² has the mean log σ² + ψ(ν/2) − log(ν/2).
-    The variance of log s² is ψ'(ν/2).
+    The variance of log s² is ψ'(ν/2). The estimate is unbiased even for few values.
     """
     from scipy.special import digamma, polygamma
 
@@ -884,10 +886,10 @@ def _log_variance(moments: Moments) -> tuple[Array, Array]:
 
 
 def _unbiased(correlation: Array, count: int) -> tuple[Array, float]:
-    """Correct the bias of correlations of `count` normal pairs; also return the factor near 0.
+    """Correct the bias of correlations of `count` normal pairs; also return ⟨r⟩/ρ for small ρ.
 
-    With ν = count − 1, the mean of a correlation is [Hotelling1953]_
-    ⟨r⟩ = ρ (2/ν) [Γ((ν+1)/2) / Γ(ν/2)]² ₂F₁(½, ½; ν/2 + 1; ρ²).
+    With ν = count − 1, the sample correlation r has the mean [Hotelling1953]_
+    ⟨r⟩ = ρ (2/ν) [Γ((ν+1)/2) / Γ(ν/2)]² ₂F₁(½, ½; ν/2 + 1; ρ²), where ρ is the true correlation.
     """
     from scipy.special import gammaln, hyp2f1
 
@@ -899,7 +901,7 @@ def _unbiased(correlation: Array, count: int) -> tuple[Array, float]:
 
 
 def _lags(every: Array, variance: float) -> tuple[Array, list[int] | None, float]:
-    """Correlations at small lags; also the nearest far lag (y, x) with the largest correlation."""
+    """Return correlations at small lags; also the nearest far lag (y, x) of a repeated pattern."""
     height, width = every.shape
     down, right = np.rint(np.fft.fftfreq(height) * height), np.rint(np.fft.fftfreq(width) * width)
     near = [np.abs(lag) <= min(_REACH, (lag.size - 1) // 2) for lag in (down, right)]
@@ -913,11 +915,11 @@ def _lags(every: Array, variance: float) -> tuple[Array, list[int] | None, float
     largest = float(far.max())
     if largest < limit:
         return listed, None, math.nan
-    # A pattern repeats at multiples of its period: take the nearest lag of large correlation
+    # A pattern repeats at multiples of its period: take the nearest lag with a large correlation
     rows, columns = np.nonzero(far >= 0.9 * largest)
     nearest = np.argmin(np.hypot(down[rows], right[columns]))
     lag = int(down[rows[nearest]]), int(right[columns[nearest]])
-    # The period may be a divisor of this lag, so test smaller lags as well
+    # The period may be an integer fraction of this lag, so test smaller lags as well
     for part in range(2, math.gcd(*lag) + 1):
         inner = lag[0] // part, lag[1] // part
         whole = math.gcd(*lag) % part == 0 and max(map(abs, inner)) > _FILTER
@@ -928,9 +930,9 @@ def _lags(every: Array, variance: float) -> tuple[Array, list[int] | None, float
 
 
 def _related(sample: Array, alike: float) -> tuple[tuple[int, int] | None, float]:
-    """Return the two frames whose errors correlate most, if significantly, and the correlation.
+    """Return the two frames with the most correlated errors if significant, and the correlation.
 
-    Deviations from the mean of R frames have the correlation −1/(R − 1) if errors are independent.
+    If errors are independent, deviations from the mean of R frames correlate by −1/(R − 1).
     """
     count, pixels = sample.shape
     if count < 3:
@@ -946,7 +948,7 @@ def _related(sample: Array, alike: float) -> tuple[tuple[int, int] | None, float
 def _grubbs(count: int) -> float:
     """Return the limit of Grubbs' test for outliers among `count` values [Grubbs1950]_.
 
-    A value is an outlier if its share of all squared deviations is above this limit.
+    A value is an outlier if its share of the sum of squared deviations exceeds this limit.
     """
     if count < _LEAST_GRUBBS:
         return math.inf
@@ -957,7 +959,7 @@ def _grubbs(count: int) -> float:
 
 
 def _sidak(count: int) -> float:
-    """Value that the largest of `count` normal values stays below with 95 % probability."""
+    """Return the limit that the largest of `count` normal deviates exceeds in 5 % of cases."""
     from scipy.special import ndtri
 
     return -float(ndtri(-math.expm1(math.log1p(-_SIGNIFICANCE) / max(count, 1)) / 2))
@@ -968,7 +970,7 @@ def _number(value: float) -> float | None:
 
 
 def _flip(reference: Array, test: Array) -> Array | None:
-    """FLIP of a radiance picture, or None if its package is not installed."""
+    """FLIP error of two radiance images, or None if the package flip-evaluator is not installed."""
     try:
         from flip_evaluator import evaluate
     except ImportError:
@@ -1024,7 +1026,7 @@ def _compared(
         whole = _student(apart_means.mean(), apart_means.var(ddof=1), len(pairs))
     pixels = int((~np.isnan(z)).sum())
     limit = _sidak(pixels)
-    # Scale the variance of the others to the same number of samples, by a measured rate if possible
+    # Scale the variance of the other set to the same number of samples, by a measured rate if any
     step, (rate, rate_se) = 0.0, (math.nan, 0.0)
     if a.spp != b.spp and a.told["spp_known"] and b.told["spp_known"]:
         rate, rate_se = _known_rate(others) or _known_rate(ours) or (-1.0, 0.0)
@@ -1033,12 +1035,12 @@ def _compared(
     with np.errstate(invalid="ignore", divide="ignore"):
         variances = a.moments.variance / b.moments.variance / scale
     first, second = a.picture_relative_se, b.picture_relative_se
-    # For normal errors of correlation ρ, the errors of the two variances have correlation ρ²
+    # If errors of paired frames have the correlation ρ, errors of the two variances have ρ²
     shared = 0.0 if pairs is None else 2.0 * relation**2 * first * second
     error = math.sqrt(max(first**2 + second**2 - shared, 0.0) + (step * rate_se) ** 2)
     level = math.log(a.picture_variance / b.picture_variance / scale)
     value, bounds = ratio(np.asarray(level), np.asarray(error))
-    # If the interval of a variance has no upper end, the ratio is unbounded on that side
+    # If the interval of a variance has no upper end, the ratio is unbounded on the same side
     bounds = np.where([b.resolved, a.resolved], bounds, [0.0, np.inf])
     found: dict[str, tuple[tuple[str, ...], Any]] = {
         "difference": (("y", "x"), a.moments.mean - b.moments.mean),
@@ -1047,7 +1049,7 @@ def _compared(
         "picture_ratio": ((), value),
         "picture_ratio_ci": (("bound",), bounds),
     }
-    # Filtered errors of paired frames are correlated too, which makes the intervals too wide
+    # Filtered errors of paired frames are also correlated. Ignoring it makes intervals too wide
     for dim, (name, _, part) in parts.items():
         halves = np.hypot(a.filtered.half[part], b.filtered.half[part])
         halves = np.hypot(halves, CONFIDENCE_Z * step * rate_se)
@@ -1079,7 +1081,7 @@ def _compared(
 
 
 def _picture_rate(groups: list[_Group]) -> tuple[Array, Array]:
-    """Return the rate of the image's variance, with its standard error."""
+    """Return the rate of the image's variance and its standard error."""
     whole, apart = (np.array([[getattr(each, name) for each in groups]]) for name in _PICTURE)
     ns = np.array([each.spp for each in groups])
     line = fit_lines(ns, whole, apart, np.zeros_like(whole), largest_se=np.inf)
@@ -1087,7 +1089,7 @@ def _picture_rate(groups: list[_Group]) -> tuple[Array, Array]:
 
 
 def _known_rate(groups: list[_Group]) -> tuple[float, float] | None:
-    """Return the rate of the image's variance with its standard error, if it is resolved."""
+    """Return the rate of the image's variance and its standard error, if the rate is resolved."""
     if len(groups) < 2:
         return None
     rate, se = _picture_rate(groups)
@@ -1095,7 +1097,7 @@ def _known_rate(groups: list[_Group]) -> tuple[float, float] | None:
 
 
 def _paired(a: _Group, b: _Group) -> tuple[list[tuple[int, int]] | None, float]:
-    """Return pairs of frames of two sets that share their seeds, and their mean correlation.
+    """Return pairs of frames with the same seeds in two sets, and their mean correlation.
 
     Sets are paired if every frame of the smaller set correlates with its own frame of the other.
     """
@@ -1108,7 +1110,7 @@ def _paired(a: _Group, b: _Group) -> tuple[list[tuple[int, int]] | None, float]:
     others = b.sample[:, :, second].reshape(b.count, -1)
     with np.errstate(invalid="ignore", divide="ignore"):
         table = np.nan_to_num(np.corrcoef(ours, others)[: len(ours), len(ours) :])
-    # Deviations from the mean of few frames correlate by chance: compare with other pairings
+    # With few frames, some deviations correlate by chance: the limit allows for all pairings
     chosen = linear_sum_assignment(-table)
     found = table[chosen]
     limit = max(_RELATED, _sidak(table.size) * math.sqrt(max(a.related, b.related) / first.size))
@@ -1120,7 +1122,7 @@ def _paired(a: _Group, b: _Group) -> tuple[list[tuple[int, int]] | None, float]:
 def _differences(
     a: _Group, b: _Group, pairs: list[tuple[int, int]], both: Array, read: FrameReader
 ) -> Moments:
-    """Return the moments of the differences of paired frames, at pixels finite in both sets."""
+    """Return the moments of the differences of paired frames, at pixels that are finite in both."""
     moments: Moments | None = None
     for i, j in pairs:
         apart: Any = 0.0
@@ -1134,7 +1136,7 @@ def _differences(
 
 
 def _student(mean: Any, variance: Any, count: int) -> Array:
-    """Mean of paired differences as a normal deviate (Student's test)."""
+    """Convert a mean of paired differences to a normal deviate (Student's test)."""
     from scipy.special import ndtri, stdtr
 
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -1147,7 +1149,10 @@ def _student(mean: Any, variance: Any, count: int) -> Array:
 
 
 def _welch(a: tuple[Any, Any, int], b: tuple[Any, Any, int]) -> Array:
-    """Difference of two means as a normal deviate (Welch's test); each is mean, variance, count."""
+    """Convert a difference of means to a normal deviate (Welch's test).
+
+    Each set is given as its mean, variance and count.
+    """
     from scipy.special import ndtri, stdtr
 
     (mean, variance, count), (other, other_variance, other_count) = a, b

@@ -44,17 +44,17 @@ GATE_VERDICTS = {"pass": 0, "fail": 3, "undecided": 4}
 
 _LEAST_LEVEL = 1e-4
 _RELABELINGS = 5  # number of relabelings in units of 1 / level; more would gain little power
-_SAMPLE = 2**15  # number of tiles at which frames are compared with each other
-_ONE_SEED = 0.9  # two frames of one set with a larger correlation of errors have one seed
-# Frames of two sets have one seed if their errors correlate at least by _RELATED, and by _FAR
-# times the usual correlation of two frames
+_SAMPLE = 2**15  # number of tiles at which two frames are compared
+_ONE_SEED = 0.9  # two frames of one set have the same seed if their errors correlate more than this
+# Frames of two sets have the same seed if their errors correlate by at least _RELATED,
+# and by at least _FAR times the typical correlation of two frames
 _RELATED, _FAR = 0.1, 8.0
 _LEAST_PAIRS = 4
-# The noise of two sets is treated as equal if the ratio of variances is within this factor, or
-# if the difference is not significant
+# The noise of two sets counts as equal if the ratio of variances is within this factor,
+# or if the difference is not significant
 _EQUAL, _DOUBT = 1.25, 0.01
-_COPY = 1e-6  # images that differ by less than this share of their mean are copies
-_TREND_SHARE = 0.2  # share of the level for the test of the mean against samples per pixel
+_COPY = 1e-6  # images that differ by less than this fraction of their mean are copies
+_TREND_SHARE = 0.2  # fraction of the level for the test of the mean against samples per pixel
 _BINS = 20
 _MEANS = ("image", "tiles", "pixels", "spread", "trend")
 
@@ -94,15 +94,15 @@ def gate(
     Returns
     -------
     xarray.Dataset
-        On the finest tested tiles (y, x), which are single pixels unless the reference is stored:
+        On the finest tiles (y, x), which are single pixels unless the reference is a stored file:
         ``single_p``, the p-value of each tile alone, and its histogram ``p_share``;
-        ``smallest_p``, the smallest p-value of any tile around a point, corrected for all tests;
+        ``smallest_p``, the smallest p-value of all tiles around a point, corrected for all tests;
         ``difference``, new minus reference; and ``mean``, the mean of the reference.
-        On the dim test: ``test_p`` (corrected for all tests), ``test_statistic``, ``test_size``,
+        By test (dim ``test``): ``test_p`` (corrected for all), ``test_statistic``, ``test_size``,
         and ``detectable``, the relative bias that the test finds with 90 % probability.
         The attribute ``verdict`` is ``pass``, ``fail`` or ``undecided``.
         Further attributes are ``p``, ``method``, the numbers of frames, and ``mean_difference``.
-        `mcspectra.report.gate_page.gate_findings` describes them in words.
+        `mcspectra.report.gate_page.gate_findings` describes the result in words.
 
     Raises
     ------
@@ -114,10 +114,10 @@ def gate(
     Notes
     -----
     Frames of one renderer with different seeds are exchangeable.
-    The largest of all statistics is compared with its values for relabeled frames.
+    The largest test statistic is compared with its values for relabeled frames.
     The probability of a false alarm is then at most `level`, for any noise [WestfallYoung1993]_.
     This needs 5 + 5, 3 + 7 or 1 + 99 frames for the level 0.01, or 8 pairs with equal seeds.
-    With fewer frames, or with unequal noise, t tests of the image and of wide tiles replace it.
+    With fewer frames or unequal noise, t tests of the image and of wide tiles are used instead.
     """
     level = as_real("level", level, least=_LEAST_LEVEL, below=1.0)
     target = None if target is None else as_real("target", target, above=0.0)
@@ -134,7 +134,7 @@ def gate(
             f"{sources[1].shape}; give frames of one view."
         )
 
-    # Compare the largest number of samples that both have, or else the largest of each
+    # Compare at the largest number of samples that both sets have, or else at the largest of each
     known = [{each.spp for each in source.groups} for source in sources]
     common = known[0] & known[1]
     chosen = [max(common or own, key=lambda n: n or 0) for own in known]
@@ -167,11 +167,11 @@ class _Case:
     contrast
         The comparison.
     bad
-        Tiles without a finite value in all frames.
+        Tiles that lack a finite value in some frame.
     copy
         Whether the two sets are equal up to rounding.
     why
-        Why the sets cannot be compared, or None.
+        Why the sets cannot be compared, or None if they can.
     notes
         Sentences about frames that were left out.
     """
@@ -186,7 +186,7 @@ class _Case:
 
 
 def _case(ours: FrameSet, theirs: FrameSet) -> _Case:
-    """Leave out repeated frames, find pairs with one seed, and find copies."""
+    """Leave out repeated frames, and find copies and pairs of frames with the same seed."""
     notes: list[str] = []
     bad = np.isnan(np.concatenate([ours.rows, theirs.rows])).any(axis=0)
     if bad.all():
@@ -219,7 +219,7 @@ def _case(ours: FrameSet, theirs: FrameSet) -> _Case:
     ours, theirs = parts
     pairs = _pairs(sample(ours), sample(theirs))
 
-    # Leave out new frames that are copies: their difference is zero without any test
+    # Leave out new frames that are copies: their difference is zero by construction
     copies = {i for i, k in pairs if _is_copy(ours.rows[i : i + 1], theirs.rows[k : k + 1], bad)}
     if len(copies) == ours.count:
         contrast = Contrast(first=ours.count, second=theirs.count, paired=False)
@@ -260,7 +260,7 @@ def _case(ours: FrameSet, theirs: FrameSet) -> _Case:
 
 
 def _is_copy(ours: Array, theirs: Array, bad: Array) -> bool:
-    """Whether every frame equals the frame of its number in the other set, up to rounding."""
+    """Whether every frame equals the frame of the same number in the other set, up to rounding."""
     for one, other in zip(ours, theirs, strict=True):
         change = np.abs(np.where(bad, 0.0, one - other))
         limit = _COPY * float(np.abs(other[~bad]).mean())
@@ -270,7 +270,7 @@ def _is_copy(ours: Array, theirs: Array, bad: Array) -> bool:
 
 
 def _distinct(sample: Array) -> list[int]:
-    """Return the frames whose noise no earlier frame has."""
+    """Return the frames whose noise differs from that of all earlier frames."""
     count = len(sample)
     same = [[k for k in range(i) if np.array_equal(sample[k], sample[i])] for i in range(count)]
     if count > 2:
@@ -279,7 +279,7 @@ def _distinct(sample: Array) -> list[int]:
         error /= np.where(size > 0, size, 1.0)
         length = np.sqrt((error**2).sum(axis=1))
         unit = error / np.where(length > 0, length, 1.0)[:, None]
-        # Deviations from a mean of R values have the correlation −1 / (R − 1)
+        # Deviations from the mean of R values have the correlation −1 / (R − 1)
         own = ((unit @ unit.T) * (count - 1) + 1) / count
         for i in range(count):
             same[i] += [k for k in range(i) if own[k, i] > _ONE_SEED]
@@ -287,7 +287,7 @@ def _distinct(sample: Array) -> list[int]:
 
 
 def _pairs(ours: Array, theirs: Array) -> list[tuple[int, int]]:
-    """Return pairs of frames (new, reference) whose errors are correlated, so with one seed."""
+    """Return pairs of frames (new, reference) with correlated errors, which have the same seed."""
     if len(theirs) < 2 and len(ours) < 2:
         return []
     both = [ours - ours.mean(axis=0), theirs - theirs.mean(axis=0)]
@@ -332,7 +332,7 @@ def _why(ours: FrameSet, theirs: FrameSet, contrast: Contrast) -> str | None:
 @final
 @dataclass(frozen=True, kw_only=True)
 class _Result:
-    """Outcome of the tests, and numbers of the whole image; `levels` are in units of `scale`."""
+    """Outcome of the tests, and numbers of the whole image. Frames were divided by `scale`."""
 
     outcome: Outcome
     method: str
@@ -342,11 +342,11 @@ class _Result:
 
 
 def _result(case: _Case, level: float, rng: int) -> _Result:
-    """Run the tests: relabelings if there are enough of them and the noise is alike."""
+    """Run the tests. Relabelings are used if there are enough of them and the noise is equal."""
     ours, theirs, contrast = case.ours, case.theirs, case.contrast
     rows = np.concatenate([ours.rows, theirs.rows])
     channels = np.concatenate([ours.channels, theirs.channels])
-    # Squares of values near 1 neither overflow nor vanish in float32
+    # In float32, squares of values near 1 neither overflow nor underflow
     scale = float(np.abs(rows[:, ~case.bad]).max()) or 1.0
     rows /= np.float32(scale)
     channels = channels / scale
@@ -366,7 +366,7 @@ def _result(case: _Case, level: float, rng: int) -> _Result:
             return _Result(
                 outcome=outcome, method=method, levels=levels, noise_ratio=ratio, scale=scale
             )
-        # Frames of unequal noise are not exchangeable: only the tests of noise remain exact
+        # Frames of unequal noise are not exchangeable. Then only the tests of the noise are exact
         means = cautious(levels, contrast, level, alike=False, noise=False)
         noise = [each for each in outcome.tests if each.name not in _MEANS]
         both = [*means.tests, *noise]
@@ -384,7 +384,7 @@ def _result(case: _Case, level: float, rng: int) -> _Result:
 
 
 def _noise(finest: Level, contrast: Contrast) -> tuple[float, bool]:
-    """Return the ratio of variances, and whether the noise differs significantly."""
+    """Return the ratio of the noise variances, and whether the noise differs significantly."""
     from scipy.ndimage import uniform_filter
     from scipy.special import stdtr
 
@@ -397,8 +397,8 @@ def _noise(finest: Level, contrast: Contrast) -> tuple[float, bool]:
     t = (ours.mean() - theirs.mean()) / max(spread, 1e-300)
     differs = 2.0 * float(stdtr(max(min(ours.size, theirs.size) - 1, 1), -abs(t))) < _DOUBT
 
-    # Compare the variances of the two sets; weights are from neighborhoods, since a weight that
-    # contains a pixel's own variance would pull the ratio towards 1
+    # Compare the variances of the two sets. The weights come from neighborhoods:
+    # a weight from the variance of the pixel alone would pull the ratio towards 1
     rows, valid = finest.rows, finest.valid
     total = uniform_filter(np.where(valid, rows.var(axis=0, dtype=np.float64), 0.0), 5)
     weight = np.divide(1.0, total, out=np.zeros_like(total), where=valid & (total > 0))
@@ -422,9 +422,9 @@ def _empty(case: _Case) -> _Result:
 
 
 def _trend(source: Source, ours: FrameSet, read: FrameReader) -> list[tuple[int, float, float]]:
-    """Compare image means of other numbers of samples with the chosen one, by Welch's test.
+    """Compare image means at other numbers of samples with the chosen number, by Welch's test.
 
-    Returns samples per pixel, relative difference, and p-value for each number.
+    Returns samples per pixel, relative difference and p-value for each other number.
     """
     from scipy.special import stdtr
 
@@ -450,11 +450,11 @@ def _verdict(
     target: float | None,
     rng: int,
 ) -> xr.Dataset:
-    """Decide, and return everything as a dataset."""
+    """Decide on the verdict, and return all results as a dataset."""
     outcome, finest = result.outcome, result.levels[0]
     tests = list(outcome.tests)
     if trend:
-        # The level is shared between the two parts
+        # The level is split between the trend and all other tests
         tests = [replace(each, p=min(1.0, each.p / (1.0 - _TREND_SHARE))) for each in tests]
         least = min(trend, key=lambda each: each[2])
         tests.append(
@@ -551,9 +551,9 @@ def _number(value: float) -> float | None:
 
 
 def _region(tests: list[Found], shape: tuple[int, int]) -> float:
-    """Return the relative bias that is found in a square region of 1 % of the image.
+    """Return the smallest relative bias that is found in a square region of 1 % of the image.
 
-    Wherever the region is, it covers half of its width of some tile, or the whole tile.
+    Wherever the region is, it covers a whole tile, or half of its own width of a tile.
     """
     half = 0.05 * math.sqrt(shape[0] * shape[1])
     known = [

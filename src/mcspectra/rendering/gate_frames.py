@@ -1,8 +1,8 @@
-"""Frames for the gate: sets of frames as means over tiles, and stored references.
+"""Frames for the gate: means over tiles of each frame, and files of stored references.
 
 A stored reference is one EXR file with the mean image and the pixel variance of one frame.
-It also has the mean of every 4 × 4 tile of each frame, as a mosaic of small pictures.
-So the frames can be relabeled one by one, although the file has a few planes only.
+It also stores the mean of every 4 × 4 tile of each frame, as a mosaic of small pictures.
+Frames can therefore be relabeled one by one, although the file has only a few layers.
 """
 
 from __future__ import annotations
@@ -41,22 +41,22 @@ __all__ = [
 ]
 
 TILE = 4
-"""Width in pixels of the tiles of which a stored reference has the mean in each frame."""
+"""Width in pixels of the tiles whose means a stored reference holds for each frame."""
 
 _ACROSS = TILE  # number of small pictures along each side of a mosaic
-_MARK = "mcspectra_reference"  # key of the header that marks a stored reference
+_MARK = "mcspectra_reference"  # name of the header entry that marks a stored reference
 _MOST = 2**28  # largest number of tile means in memory (1 GiB)
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class FrameSet:
-    """Frames of one number of samples per pixel.
+    """Frames with the same number of samples per pixel.
 
     Attributes
     ----------
     name
-        The paths as text.
+        The paths of the files as text.
     spp
         Samples per pixel, or None if not known.
     names
@@ -101,12 +101,12 @@ class FrameSet:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Source:
-    """Frames that are not read yet: groups of files by samples per pixel, or a stored reference.
+    """Frames that are not read yet: files grouped by samples per pixel, or a stored reference.
 
     Attributes
     ----------
     about
-        Header of the stored reference, or None.
+        Header of the stored reference, or None for files of frames.
     shape
         Height and width in pixels.
     """
@@ -130,7 +130,7 @@ class Source:
 
 
 def source_of(paths: Frames, read: FrameReader) -> Source:
-    """Find the files of frames, or the header of a stored reference.
+    """Find the files of frames, or read the header of a stored reference.
 
     Raises
     ------
@@ -174,7 +174,7 @@ def _header(file: Path) -> dict[str, Any] | None:
 
 
 def finest_size(sources: Sequence[tuple[Source, int | None]]) -> int:
-    """Return the width of the finest tiles: 1, or more to bound the memory."""
+    """Return the width of the finest tiles: 1 pixel, or more to limit the memory."""
     size = max(source.finest for source, _ in sources)
     height, width = sources[0][0].shape
     frames = sum(source.count(spp) for source, spp in sources)
@@ -189,9 +189,9 @@ def read_set(source: Source, spp: int | None, size: int, read: FrameReader) -> F
     Parameters
     ----------
     source
-        Result of `source_of`.
+        Frames that are not read yet, from `source_of`.
     spp
-        Samples per pixel of one of its groups.
+        Samples per pixel; one of the numbers in the source.
     size
         Width of the tiles; a power of two.
     read
@@ -210,7 +210,7 @@ def read_set(source: Source, spp: int | None, size: int, read: FrameReader) -> F
         channels.append(np.nanmean(image, axis=(0, 1)) if np.isfinite(plane).any() else np.nan)
         if np.ndim(channels[-1]) == 0:
             raise ParameterError(f"{file} has no finite pixel; leave it out.")
-        with np.errstate(over="ignore"):  # values beyond float32 count as infinite
+        with np.errstate(over="ignore"):  # values beyond the range of float32 count as infinite
             rows[k] = coarsened(plane, size)
         rows[k][~np.isfinite(rows[k])] = np.nan
         report("frames", k / len(group.files))
@@ -259,8 +259,8 @@ def write_reference(
     Returns
     -------
     Path
-        The file. Its layers are the mean image, ``variance`` of the luminance of one frame,
-        and mosaics ``frames0``, ``frames1``, … of 16 frames each.
+        The written file. Its layers are the mean image, ``variance`` of the luminance of one frame,
+        and the mosaics ``frames0``, ``frames1``, … of 16 frames each.
 
     Raises
     ------
@@ -286,7 +286,7 @@ def write_reference(
                 f"{each} has the size {plane.shape}; a reference needs at least {TILE} pixels "
                 "along each side."
             )
-        # Welford's update of mean and sum of squares
+        # Welford's update of the mean and the sum of squared deviations
         change = plane - mean
         mean = mean + change / (k + 1)
         squares = squares + change * (plane - mean)

@@ -1,17 +1,18 @@
-"""Tests of two sets of frames: do they have one mean image, and the same noise?
+"""Tests of two sets of frames: do they have the same mean image and the same noise?
 
 Method
 ------
 Frames of one renderer with different seeds are exchangeable: any frame could be in any set.
-So each statistic is computed for many relabelings of the frames, the true labels among them.
-The largest statistic of a relabeling is compared with the largest statistics of the others.
+Each statistic is therefore computed for many relabelings of the frames into two sets.
+The true labels are one of these relabelings.
+The largest statistic of the true labels is compared with those of the other relabelings.
 This test of all statistics together is exact for any noise, also for fireflies
 [WestfallYoung1993]_.
-Pairs of frames with one seed are relabeled within pairs, which flips the signs of differences.
+Pairs of frames with the same seed are relabeled within pairs, which flips differences.
 
-A test of t values replaces the relabelings if there are too few of them for the level.
-It is also used if the noise of the sets differs, because frames are then not exchangeable.
-It divides by a variance that is too large rather than too small, and ignores single pixels.
+If the significance level requires more relabelings than exist, t tests replace them.
+The t tests are also used if the noise of the sets differs: frames are then not exchangeable.
+The t tests use a conservative variance, which is rather too large, and ignore single pixels.
 """
 
 from __future__ import annotations
@@ -37,35 +38,36 @@ __all__ = [
     "relabelling_count",
 ]
 
-# Differences below this share of the mean are rounding of float32 sums, not errors
+# Differences below this fraction of the mean are rounding of float32 sums, not errors
 _ROUNDING = 1e-5
-# Tiles of at least this width in pixels share variances with their neighbors
+# In tiles of at least this width in pixels, variances are averaged over neighboring tiles
 _SHARED = 4
-# Tiles share variances only if there are at least this many of them
+# Variances are averaged over neighbors only if there are at least this many tiles
 _MANY = 64
-# Added to the score of the image, which most errors change: its p-value counts e^1.5 times as much
+# Added to the score −log p of the whole image, which most errors change
 _FAVOR = 1.5
-# Least width in pixels of the tiles whose means the t tests treat as normal
+# Least width in pixels of tiles whose means are treated as normal by the t tests
 _NORMAL = 8
-# Least degrees of freedom at which single pixels are tested; a pixel that is lit in half of few
-# frames would often look like a perfect separation of two sets
+# Least degrees of freedom for tests of single pixels. With few frames, a pixel that is lit
+# in half of them would often separate the two sets perfectly by chance
 _FREE = 12
-# Largest skewness of a difference of tile means that is treated as normal
+# Largest skewness at which a difference of tile means is treated as normal
 _SKEW = 0.25
-# Skewness of a difference of image means below which their tails are those of normal values
+# Skewness below which the tails of a difference of image means count as normal
 _EVEN = 0.02
-# Few frames show too little of a tail. With this factor, clean pairs of 1 + 8 skewed frames alarm
-# in 15 of 1,000 cases at level 0.01, and without it in 17
+# Few frames underestimate the tail, so the skewness is multiplied by this factor.
+# At level 0.01, clean pairs of 1 + 8 skewed frames then alarm in 15 of 1,000 cases.
+# Without the factor they alarm in 17 of 1,000 cases
 _UNSEEN = 1.5
-# Least number of tiles of which the spread of all differences is a mean
+# Least number of tiles for the test that averages the differences of all tiles
 _TILES = 16
-_TINY = 1e-30  # smallest sum of squares that float32 can divide by
-# Largest number of tiles × relabelings for which the largest difference is sought
+_TINY = 1e-30  # smallest sum of squares by which float32 can divide
+# The largest difference is searched only if tiles × relabelings are at most this number
 _WORK = 2**33
-_BLOCK = 2**23  # number of values that are computed at a time
+_BLOCK = 2**23  # number of values that are computed together
 _POWER = 1.2815515655446004  # normal quantile: a stated bias is found with 90 % probability
-_MEDIAN = math.log(2.0)  # median of −log p of a test
-# Difference between the median and the 10 % quantile of −log p of the smallest of many p-values
+_MEDIAN = math.log(2.0)  # median of −log p if there is no bias
+# Median minus 10 % quantile of −log p, for the smallest of many p-values
 _SPREAD = 1.2
 
 
@@ -77,11 +79,11 @@ class Level:
     Attributes
     ----------
     size
-        Width of a tile in pixels; 0 stands for the whole image, whose "tiles" are channels.
+        Width of a tile in pixels. 0 stands for the whole image, where each "tile" is a channel.
     rows
-        Means, float32 (frame, y, x); 0 where `valid` is false.
+        Mean of each tile in each frame, float32 (frame, y, x); 0 where `valid` is false.
     valid
-        Tiles that are tested, bool (y, x).
+        Whether each tile is tested, bool (y, x).
     """
 
     size: int
@@ -97,14 +99,14 @@ class Level:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Contrast:
-    """The comparison of two sets of frames, or of pairs of frames.
+    """How two sets of frames are compared: as whole sets, or by pairs of frames.
 
     Attributes
     ----------
     first, second
         Numbers of frames of the new set and of the reference.
     paired
-        Whether frame k of one set has the seed of frame k of the other.
+        Whether frame k of one set has the same seed as frame k of the other set.
     """
 
     first: int
@@ -118,19 +120,19 @@ class Contrast:
 
     @property
     def factor(self) -> float:
-        """Variance of the difference of means / variance of a row."""
+        """Variance of the difference of means, divided by the variance of one frame or pair."""
         return 1 / self.first + (0.0 if self.paired else 1 / self.second)
 
     def of(self, frames: Array) -> Array:
-        """Return the rows to compare: differences of pairs, or deviations from the mean of all."""
+        """Return differences of pairs, or else deviations from the mean of all frames."""
         if self.paired:
             return np.asarray(frames[: self.first] - frames[self.first :])
         return np.asarray(frames - frames.mean(axis=0, dtype=np.float64).astype(frames.dtype))
 
     def relabelings(self, most: int, rng: np.random.Generator) -> Array:
-        """Return weights of the rows (relabeling, row); the first relabeling is the true one.
+        """Return weights of frames or pairs (relabeling, row); the first row has the true labels.
 
-        All relabelings are listed if there are at most `most`; otherwise `most` are drawn.
+        All relabelings are listed if their number is at most `most`; otherwise `most` are drawn.
         """
         rows = self.first if self.paired else self.first + self.second
         if self.paired:
@@ -152,7 +154,7 @@ class Contrast:
 
 
 def relabelling_count(contrast: Contrast) -> float:
-    """Return the number of relabelings that a test of two-sided differences can tell apart."""
+    """Return the number of relabelings with different two-sided test statistics."""
     if contrast.paired:
         return float(2.0 ** (contrast.first - 1))
     every = float(math.comb(contrast.first + contrast.second, contrast.first))
@@ -173,7 +175,7 @@ class Found:
     p
         p-value after the correction for all tests together.
     statistic
-        Largest difference in standard errors; t value of the other tests.
+        Largest difference in standard errors, or the t value in other tests.
     detectable
         Smallest relative bias that this test finds with 90 % probability; NaN if not known.
     """
@@ -195,14 +197,14 @@ class Outcome:
     p
         p-value of all tests together.
     relabelings
-        Number of relabelings; 0 if t tests were used.
+        Number of relabelings, or 0 if t tests were used.
     tests
         Results by test.
     smallest
-        p-value (y, x), corrected for all tests, of the most significant tile around each point.
+        p-value of the most significant tile around each point (y, x), corrected for all tests.
     single
-        p-value (y, x) of each finest tile alone, without any correction.
-        With few frames and in t tests this is an approximation by Student's t.
+        p-value of each finest tile alone (y, x), without any correction.
+        With few frames and in t tests, Student's t approximates this value.
     """
 
     p: float
@@ -220,9 +222,9 @@ def levels_of(
     Parameters
     ----------
     rows
-        Frames at the finest size, float32 (frame, y, x); changed to 0 where `bad`.
+        Frames at the finest size, float32 (frame, y, x). Values where `bad` is true are set to 0.
     bad
-        Tiles without a finite value in all frames.
+        Tiles that lack a finite value in some frame.
     size
         Width of a finest tile in pixels.
     channels
@@ -246,7 +248,7 @@ def levels_of(
         mean = pooled(mean * weight) / np.where(own > 0, own, 1.0)
         weight, size = own, 2 * size
         found.append(Level(size=size, rows=mean, valid=own >= 0.5))
-    # The weighted mean over all finest tiles, and the channels
+    # The weighted mean over all finest tiles, followed by the means of the channels
     flat = rows.reshape(len(rows), -1) @ (weight_of := (~bad).ravel().astype(np.float32))
     whole = flat[:, None] / max(float(weight_of.sum()), 1.0)
     if channels.shape[1] > 1:
@@ -257,18 +259,18 @@ def levels_of(
 
 
 def relabelled(levels: list[Level], contrast: Contrast, weights: Array, level: float) -> Outcome:
-    """Test all levels together by relabeling; see the module's description.
+    """Test tiles of all sizes together by relabeling, as the description of the module says.
 
     Parameters
     ----------
     levels
         Result of `levels_of`.
     contrast
-        The comparison.
+        How the sets are compared.
     weights
         Result of `Contrast.relabelings`.
     level
-        Significance level, for the smallest bias that can be found.
+        Significance level. It determines the smallest bias that can be found.
     """
     families: list[_Family] = []
     single = _single(levels[0], contrast)
@@ -284,7 +286,7 @@ def relabelled(levels: list[Level], contrast: Contrast, weights: Array, level: f
     ordered = np.sort(top)
 
     def p_of(score: Any) -> Array:
-        # Relabelings with equal statistics must count as equal in spite of rounding
+        # Equal statistics must count as equal, even if they differ by rounding
         return np.asarray((ordered.size - np.searchsorted(ordered, score - 1e-4)) / ordered.size)
 
     allowed = math.floor(level * ordered.size + 1e-9)
@@ -317,22 +319,22 @@ def relabelled(levels: list[Level], contrast: Contrast, weights: Array, level: f
 @final
 @dataclass(frozen=True, kw_only=True)
 class _Family:
-    """One statistic for all relabelings.
+    """Values of one test statistic for all relabelings.
 
     Attributes
     ----------
     score
-        −log p (relabeling,) on a scale on which all families are alike.
+        Score (relabeling,): −log p, rescaled so that all statistics are comparable.
     own
-        t² of every tile with the true labels, (y, x).
+        t² of every tile (y, x) with the true labels.
     alone
-        p-value of every tile alone, (y, x).
+        p-value of every tile alone (y, x).
     degrees, count
-        Degrees of freedom of t, and the number of tiles of which t² is the largest.
+        Degrees of freedom of t, and the number of tiles over which the largest t² is taken.
     shift, stretch, favor
         The score is (−log p − shift) / stretch + median + favor.
     standard_error
-        Median over tiles of the relative standard error of the difference.
+        Relative standard error of the difference, as a median over the tiles.
     """
 
     name: str
@@ -349,12 +351,12 @@ class _Family:
     standard_error: float | None = None
 
     def score_of(self, squares: Array) -> Array:
-        """Return the scores of t² values."""
+        """Convert values of t² to scores."""
         surprise = _surprise(squares, self.degrees, self.count)
         return (surprise - self.shift) / self.stretch + _MEDIAN + self.favor
 
     def t_of(self, score: float) -> float:
-        """Return the t value of a score, by interpolation."""
+        """Convert a score to the value of t, by interpolation."""
         t = np.geomspace(1e-2, 1e4, 2000)
         return float(np.interp(score, self.score_of(t**2), t, right=math.inf))
 
@@ -370,7 +372,7 @@ def _surprise(squares: Array, degrees: float, count: int) -> Array:
 
 
 def _level_families(each: Level, contrast: Contrast, weights: Array) -> Iterator[_Family]:
-    """Yield the largest difference of a level, and the spread of all its differences."""
+    """Yield two test statistics for one tile size: the largest difference, and an average."""
     valid = each.valid.ravel()
     frames = each.rows.reshape(len(each.rows), -1)
     rows = contrast.of(frames)
@@ -387,7 +389,7 @@ def _level_families(each: Level, contrast: Contrast, weights: Array) -> Iterator
         largest, own, degrees, error, rank = _largest(rows, total, valid, each, contrast, weights)
         surprise = _surprise(largest, degrees, count)
         low, shift = np.quantile(surprise, [0.1, 0.5])
-        # Heavy tails stretch −log p; the lower half of its distribution is free of any bias
+        # Heavy tails stretch −log p. The lower half of its distribution is not affected by a bias
         stretch = max(1.0, (shift - low) / _SPREAD) if count > 1 else 1.0
         favor = 0.0 if each.size else _FAVOR
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -410,7 +412,7 @@ def _level_families(each: Level, contrast: Contrast, weights: Array) -> Iterator
     if not each.size or len(rows) < 4 or count < _TILES:
         return
 
-    # Do the differences of frames of one set look alike over the image?
+    # Are the differences of frames within a set alike over the whole image?
     gram = (rows / total).astype(np.float64) @ rows.T.astype(np.float64)
     first, second = np.triu_indices(len(rows), 1)
     sign = np.sign(weights)
@@ -432,23 +434,23 @@ def _median(values: Array) -> float | None:
 
 
 def _one_sided(share: Array, degrees: int) -> tuple[Array, float]:
-    """Return −log p of correlations by their t values, and the t value of the first."""
+    """Return −log p for correlations by their t values, and the first t value."""
     share = np.clip(share, -1.0 + 1e-12, 1.0 - 1e-12)
     t = share * np.sqrt(degrees / (1.0 - share**2))
     score = _surprise(t**2, degrees, 1) + _MEDIAN
-    # A negative value speaks against the alternative
+    # A negative correlation contradicts the alternative hypothesis
     return np.where(t > 0, score, -np.log1p(-0.5 * np.exp(_MEDIAN - score))), float(t[0])
 
 
 def _largest(
     rows: Array, total: Array, valid: Array, each: Level, contrast: Contrast, weights: Array
 ) -> tuple[Array, Array, float, Array, Array | None]:
-    """Return the largest t² for each relabeling, and t², error and p-value of the true labels.
+    """Return the largest t² for each relabeling, and for the true labels t², error and p-value.
 
-    The variance is the variance within the relabeled sets.
-    The variance of a tile is averaged with the mean over its 3 × 3 neighborhood.
+    The variance is the one within the relabeled sets.
+    In wide tiles, the variance is averaged with the mean over the 3 × 3 neighborhood.
     Single pixels and the image use their own variance, and t² is then a function of r².
-    They also get a p-value of their own, which is exact for any noise.
+    The p-value of each of these alone is also returned; it is exact for any noise.
     """
     from scipy.ndimage import uniform_filter
 
@@ -491,9 +493,9 @@ def _largest(
 
 
 def frame_features(finest: Level) -> dict[str, Array]:
-    """Return numbers of each frame: power of its errors, and correlation of neighboring errors.
+    """Return two numbers of each frame: error power, and correlation of neighboring errors.
 
-    Errors are deviations from the mean of all frames, divided by their pixel's size of errors.
+    Errors are deviations from the mean of all frames, divided by the error size in their pixel.
     """
     frames = finest.rows
     error = frames - frames.mean(axis=0, dtype=np.float64).astype(np.float32)
@@ -509,7 +511,7 @@ def frame_features(finest: Level) -> dict[str, Array]:
 
 
 def _noise_families(finest: Level, contrast: Contrast, weights: Array) -> Iterator[_Family]:
-    """Yield tests whether the new frames are noisier, and whether neighbors are correlated."""
+    """Yield one-sided tests: is the noise larger, and do neighboring errors correlate more?"""
     if min(contrast.first, contrast.second) < 2:
         return
     for name, values in frame_features(finest).items():
@@ -525,7 +527,7 @@ def _noise_families(finest: Level, contrast: Contrast, weights: Array) -> Iterat
 def cautious(
     levels: list[Level], contrast: Contrast, level: float, *, alike: bool, noise: bool
 ) -> Outcome:
-    """Test levels by t values with few assumptions: the image, tiles of 8 pixels or more, noise.
+    """Test by t values with few assumptions: the image, tiles of 8 pixels or more, and the noise.
 
     Parameters
     ----------
@@ -535,7 +537,7 @@ def cautious(
         Whether both sets have the same variance.
         Otherwise Welch's t has the degrees of freedom of the smaller set, which is conservative.
     noise
-        Whether to test if the new frames are noisier or correlated between pixels.
+        Whether to test if the new frames are noisier, or more correlated between pixels.
     """
     from scipy.special import stdtr, stdtrit
 
@@ -583,7 +585,7 @@ def cautious(
                 inner = values[:first].var() * first + values[first:].var() * second
                 spread = math.sqrt(inner / contrast.degrees * contrast.factor)
                 t = (values[:first].mean() - values[first:].mean()) / max(spread, 1e-300)
-            # One-sided: half of the two-sided p-value, or 1
+            # One-sided: half of the two-sided p-value, or 1 for negative t
             half = np.array([t**2 if t > 0 else 0.0])
             tests.append((name, 0, 1, contrast.degrees, math.nan, None, half))
     found, smallest = [], np.ones(levels[0].valid.shape)
@@ -620,7 +622,7 @@ def cautious(
 
 
 def _skewness(frames: Array, contrast: Contrast) -> float:
-    """Return the absolute skewness of the differences of means, from that of the errors.
+    """Return the absolute skewness of the differences of means, from the skewness of the errors.
 
     The skewness of a difference of means vanishes for sets of equal size, and for pairs.
     """
@@ -634,7 +636,7 @@ def _skewness(frames: Array, contrast: Contrast) -> float:
         error = part - part.mean(axis=0)
         scale = math.sqrt(float((error**2).mean() * count / (count - 1))) or 1.0
         error /= scale
-        # Factors that remove the bias of the second and the third moment of few values
+        # These factors remove the bias of the second and third moments of few values
         squares += float((error**2).sum()) * count / (count - 1)
         cubes += float((error**3).sum()) * count**2 / ((count - 1) * (count - 2))
     total = sum(part.size for part in parts)
@@ -645,9 +647,9 @@ def _skewness(frames: Array, contrast: Contrast) -> float:
 
 
 def _skewed_tail(probability: float, skewness: float) -> float:
-    """Return the tail of a Pearson III law beyond the place of a normal tail of this probability.
+    """Replace a normal tail probability by the tail of a Pearson III law at the same point.
 
-    The law has the given skewness, and the tail is its longer one.
+    The law has the given skewness, and its longer tail is used.
     """
     from scipy.special import gammaincc, ndtri
 
@@ -659,7 +661,7 @@ def _skewed_tail(probability: float, skewness: float) -> float:
 
 
 def _even_tail(probability: float, skewness: float) -> float:
-    """Return the normal tail whose `_skewed_tail` has this probability."""
+    """Return the normal tail probability that `_skewed_tail` maps to the given probability."""
     from scipy.special import gammainccinv, ndtr
 
     if skewness < _EVEN:
@@ -672,8 +674,8 @@ def _even_tail(probability: float, skewness: float) -> float:
 def _image_skewness(levels: list[Level], contrast: Contrast) -> float:
     """Return the absolute skewness of the difference of image means.
 
-    The image is a mean of tiles. Errors of tiles of 8 pixels are nearly independent,
-    so that the skewness of their mean falls as the root of their number.
+    The image is a mean of tiles. Errors of tiles of 8 pixels are nearly independent.
+    The skewness of their mean therefore falls as 1/√(number of tiles).
     """
     tiles = [each for each in levels if 0 < each.size <= _NORMAL and each.count]
     if not tiles:
@@ -696,7 +698,7 @@ def _near(variance: Array, each: Level) -> Array:
 
 
 def _single(finest: Level, contrast: Contrast) -> Array:
-    """Return two-sided p-values of each finest tile by its own t value, without correction."""
+    """Return two-sided p-values of each finest tile from its own t value, without correction."""
     from scipy.special import stdtr
 
     rows = contrast.of(finest.rows)
@@ -714,7 +716,7 @@ def _single(finest: Level, contrast: Contrast) -> Array:
 
 
 def _spread(smallest: Array, p: Array, times: int) -> None:
-    """Lower the p-values of the finest tiles inside each tile of `times` the width."""
+    """Lower the p-values of the finest tiles to that of the wide tile that contains them."""
     wide = np.repeat(np.repeat(p, times, axis=0), times, axis=1)
     part = smallest[: wide.shape[0], : wide.shape[1]]
     np.minimum(part, wide, out=part)

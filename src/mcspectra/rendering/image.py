@@ -1,12 +1,11 @@
 """Images of direct illumination by our own samplers, with the error of each pixel.
 
-Every pixel has its own point set. In image r of R independent images,
-pixel number y·width + x uses realization y·width + x of the sampler.
-Each image has its own random stream.
-A crop therefore has the same bits as this part of the whole image.
-Kernels compute binary nets scrambled by ``owen`` themselves, by its hash (`kernel_nets`).
-A sampler that ends in ``decorrelate(…)`` gives all pixels one set, which is moved at each pixel.
-Renderers work this way, and it is cheaper than a set for each pixel.
+Every pixel has its own point set: realization y·width + x of the sampler.
+Each of the independent images has its own random stream.
+A crop therefore has the same bits as the same part of the whole image.
+Kernels compute binary nets with ``owen`` scrambling themselves, by its hash (`kernel_nets`).
+A sampler that ends in ``decorrelate(…)`` draws one set and moves it at each pixel.
+Renderers work this way, which is cheaper than a separate set for each pixel.
 """
 
 from __future__ import annotations
@@ -40,9 +39,9 @@ from mcspectra.samplers import Sampler, as_sampler
 __all__ = ["CHANNELS", "compare_strategies", "reference", "render"]
 
 CHANNELS = ("R", "G", "B")
-_TILE_LANES = 2**19  # samples per tile: 32 MiB of float64 points in 8 dims
+_TILE_LANES = 2**19  # samples per tile; points in 8 dims then take 32 MiB as float64
 _MOST_SAMPLES = 2**20  # limit of samples per pixel in one image
-_MOST_PIXELS = 2**26  # limit of the number of pixels: 5 GiB of moments
+_MOST_PIXELS = 2**26  # limit of pixels per image; their moments then take 5 GiB
 
 
 def render(
@@ -61,9 +60,9 @@ def render(
 ) -> xr.Dataset:
     """Render a scene's direct illumination, including directly visible lights.
 
-    Rays start at the center of the lens and at the midpoint of the shutter's time.
-    A camera with a lens or a shutter therefore gives an `IncompleteImageWarning`.
-    The warning also appears if a strategy misses a light or surface that is a delta function.
+    Rays start at the center of the lens, at the midpoint of the time that the shutter is open.
+    A camera with a lens or a shutter therefore raises an `IncompleteImageWarning`.
+    The same warning appears if a strategy misses a light or surface that is a delta function.
 
     Parameters
     ----------
@@ -75,7 +74,7 @@ def render(
     sampler
         A sampler or its spec, with the number of dims that the strategy needs (`Wavefront.dims`).
     spp
-        Samples per pixel; with ``"mis"`` samples of each technique, as renderers count.
+        Samples per pixel; with ``"mis"`` samples of each technique, as renderers count them.
     realizations
         Number R of independent images. At least 2 are needed for the variance of each pixel.
     crop
@@ -104,7 +103,7 @@ def render(
     ------
     ParameterError
         If a parameter is out of range, the crop leaves the film, or the scene cannot be rendered.
-        If an environment map is scaled or has pixels that are not a radiance.
+        If an environment map is scaled, or has pixel values that are not a radiance.
     CountError
         If the sampler cannot make `spp` points.
     MissingDependency
@@ -121,7 +120,7 @@ def render(
     warn_integrator(scene)
     warn_missed(scene, strategy, light)
 
-    # Choose the tiles and images that are rendered together; the images of a tile are consecutive
+    # Choose tiles and images that are rendered together; all images of a tile follow each other
     count = width * height
     size = min(count, max(1, _TILE_LANES // spp))
     together = max(1, _TILE_LANES // (size * spp))
@@ -151,12 +150,12 @@ def render(
         u = np.concatenate([source.draw_stream(spp, *part) for part in parts])
         return images, lambda: waves.means(strategy, everywhere, u)
 
-    # Sum moments over images tile by tile; kernels that compute the points need no drawn points
+    # Sum moments over images, tile by tile. If kernels compute the points, no points are drawn
     moments: list[Moments] = []
     finished, threads = 0, available_workers(workers)
     for images, evaluate in map_in_order(draw, blocks, threads if net is None else 1):
         means = evaluate()
-        if realizations == 1:  # without a variance, an image with 4 samples takes a third less time
+        if realizations == 1:  # for one image of 4 samples, this saves a third of the time
             found = Moments(1, means, *[np.zeros(())] * 3)
         else:
             found = Moments.of(means.reshape(len(images), -1, len(CHANNELS)))
@@ -204,7 +203,7 @@ def reference(scene: Scene, spp: int = 1024, *, batches: int = 16, **options: An
     spp
         Samples per pixel in all batches together.
     batches
-        Number of independent images that are averaged, at least 2; `spp` must be a multiple of it.
+        Number of independent images that are averaged, at least 2. It must divide `spp`.
 
     Returns
     -------
@@ -231,7 +230,7 @@ def compare_strategies(
         Samples per pixel, an even number.
         Multiple importance sampling takes half of the samples from each technique.
     reference_spp
-        Samples per pixel of each technique in the reference, see `reference`.
+        Samples per pixel of each technique in the reference, as in `reference`.
 
     Returns
     -------
@@ -250,7 +249,7 @@ def compare_strategies(
 
 
 def _as_crop(crop: object, waves: Wavefront) -> tuple[int, int, int, int]:
-    """Return x, y, width and height of a checked window inside the film."""
+    """Check a window inside the film, and return x, y, width and height."""
     given = (0, 0, waves.width, waves.height) if crop is None else crop
     if not isinstance(given, Sequence | np.ndarray) or isinstance(given, str) or len(given) != 4:
         raise ParameterError(

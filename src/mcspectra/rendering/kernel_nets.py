@@ -2,12 +2,12 @@
 
 Method
 ------
-Coordinate j of point i is an XOR of columns of its generator matrix; the bits of i select them.
+Coordinate j of point i: XOR those columns of generator matrix j that the bits of i select.
 The nested uniform scrambling is the hash of ``owen(method='hash')``.
-The class `NetPoints` computes the same points from the same keys, rounded to float32.
-Renderers request one or two numbers at a time and need sets in a random order.
-Such sets (`Pads`) are scrambled by one round of the hash with 63 random bits.
-Their points are ordered at random.
+The class `NetPoints` computes the points of the sampler from its keys, rounded to float32.
+Renderers request one or two numbers at a time and need point sets in a random order.
+These sets (`Pads`) are scrambled by one round of the hash with 63 random bits,
+and the order of their points is random.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ __all__ = ["JointSets", "Net", "NetPoints", "Pads", "net_of", "scramble_key"]
 # Size of the table of permutations: 256 KiB, or more to hold the fewest allowed permutations
 _ORDER_NUMBERS = 2**16
 _FEWEST_ORDERS = 16
-_FIRST_STEP = 1 << 16  # label of the stream of a sampler's first randomization
+_FIRST_STEP = 1 << 16  # label of the random stream of a sampler's first randomization
 _M1, _M2, _M3 = 0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB
 
 
@@ -47,7 +47,7 @@ class Net(Protocol):
 
 
 def net_of(sampler: Sampler | None) -> Net | None:
-    """Return the net that `sampler` scrambles by owen alone; None for other samplers."""
+    """Return the net that `sampler` scrambles by owen alone, or None for other samplers."""
     if not isinstance(sampler, Randomized) or not isinstance(sampler.base, Net):
         return None
     first, *others = sampler.steps
@@ -57,18 +57,18 @@ def net_of(sampler: Sampler | None) -> Net | None:
 
 
 def scramble_key(stream: Stream) -> int:
-    """Key with which a sampler scrambles its realizations, if it has one randomization."""
+    """Key with which a sampler scrambles its realizations, if owen is its only randomization."""
     return stream.child(_FIRST_STEP).key
 
 
 def net_words(module: Any, net: Net, count: int, index: Any) -> list[Any]:
-    """Coordinates of points of a net as UInt32 numbers whose lowest bit stands for ½."""
+    """Coordinates of net points as UInt32 numbers of reversed bits: the lowest bit stands for ½."""
     bits = max(1, (count - 1).bit_length())
     chosen = [module.UInt32(0) - ((index >> k) & 1) for k in range(bits)]
     words = []
     for columns in net.direction_numbers(count):
         if all(int(column) << k == 2**31 for k, column in enumerate(columns[:bits])):
-            words.append(index)  # points of van der Corput's sequence
+            words.append(index)  # coordinates of van der Corput's sequence
             continue
         word = module.UInt32(0)
         for mask, column in zip(chosen, columns[:bits], strict=True):
@@ -89,7 +89,7 @@ def mix_bits(module: Any, k0: Any, k1: Any, i: Any) -> Any:
 
 
 def _philox(module: Any, key: Any, number: Any) -> tuple[Any, Any]:
-    """Same as `core.streams.Stream.keys`, for a realization number below 2^32."""
+    """Same as `core.streams.Stream.keys`, for realization numbers below 2^32."""
     wide, low = module.UInt64, 0xFFFFFFFF
     a, b, c, d = wide(number), wide(0), wide(0), wide(0)
     k0, k1 = key & low, key >> 32
@@ -101,12 +101,12 @@ def _philox(module: Any, key: Any, number: Any) -> tuple[Any, Any]:
 
 
 def _halves(module: Any, bits: Any) -> tuple[Any, Any]:
-    """Split 64 random bits into two numbers for a hash: a summand and an odd factor."""
+    """Split 64 random bits into two numbers of the hash: one that is added, and an odd factor."""
     return module.UInt32(bits >> 32), module.UInt32(bits) | 1
 
 
 def _unit(module: Any, word: Any) -> Any:
-    """Return the number in [0,1) that a word encodes; its lowest bit stands for ½."""
+    """Return the number in [0,1) whose bits are reversed in `word`: its lowest bit stands for ½."""
     import drjit
 
     return module.Float(drjit.brev(word) >> 8) * 2.0**-24
@@ -115,10 +115,10 @@ def _unit(module: Any, word: Any) -> Any:
 @final
 @dataclass(frozen=True)
 class NetPoints:
-    """The first `count` points of scrambled nets, for given realizations of random streams.
+    """The first `count` points of scrambled nets, for realizations of one or more random streams.
 
     The points are those of ``owen(method='hash')``, rounded down to float32.
-    The keys of the streams are uint64 (S,), and the numbers of the realizations uint32 (R,).
+    The keys of the streams are `streams`, uint64 (S,), and the realizations are `numbers` (R,).
     """
 
     net: Net
@@ -132,7 +132,7 @@ class NetPoints:
         return len(self.streams) * len(self.numbers), self.count, self.net.dims
 
     def lanes(self, module: Any, row: Any) -> Callable[[Any], list[Any]]:
-        """Return a function that maps a point's index to its coordinates; each lane is one set."""
+        """Return a function from the index of a point to its coordinates. Each lane is one set."""
         import drjit
 
         stream = row // drjit.opaque(module.UInt32, len(self.numbers))
@@ -153,7 +153,7 @@ class NetPoints:
 
 
 def _hashed(x: Any, *keys: tuple[Any, Any]) -> Any:
-    """Scramble a word in one or two rounds; each bit depends only on lower bits, see `Owen`."""
+    """Scramble a number in one or two rounds. Each bit depends only on lower bits, as in `Owen`."""
     x = x ^ (x * 0x3D20ADEA)
     x = (x + keys[0][0]) * keys[0][1]
     x ^= x * 0x05526C56
@@ -166,8 +166,8 @@ class Pads:
     """Sets of 2^m net points in one and two dims, in random orders, computed one by one.
 
     Each order is a row of a table of random permutations, which is the same in every process.
-    Random numbers shift the argument of a permutation and are XORed to its values.
-    Sets are scrambled independently, so that an image is unbiased whatever the orders are.
+    Random numbers shift the argument of a permutation, and are combined with its values by XOR.
+    Sets are scrambled independently, so images are unbiased for any table of orders.
     """
 
     def __init__(self, module: Any, nets: tuple[Net, Net], count: int, stream: Stream) -> None:
@@ -183,7 +183,7 @@ class Pads:
         return request + 1
 
     def draw(self, dims: int, pixel: Any, request: Any, index: Any, _: Any = True) -> list[Any]:
-        """Return point number `index` of the 1-D or 2-D set that a pixel's request uses."""
+        """Return point `index` of the 1-D or 2-D set that answers a request at a pixel."""
         import drjit
 
         module, (k0, k1) = self._module, self._key
@@ -201,7 +201,7 @@ class Pads:
 
 
 class JointSets:
-    """Sets of scrambled net points in several dims, in the net's own order, one set per pixel."""
+    """Sets of scrambled net points in several dims, one set per pixel, in the order of the net."""
 
     def __init__(self, module: Any, net: Net, count: int, stream: Stream) -> None:
         import drjit
@@ -211,7 +211,7 @@ class JointSets:
         self._key = [drjit.opaque(module.UInt64, int(k)) for k in keys]
 
     def draw(self, dims: int, pixel: Any, start: Any, index: Any, _: Any = True) -> list[Any]:
-        """Return coordinates, from number `start`, of point `index` of a pixel's set."""
+        """Return `dims` coordinates of point `index` in the set of a pixel, starting at `start`."""
         import drjit
 
         module, (k0, k1) = self._module, self._key
@@ -220,7 +220,7 @@ class JointSets:
         for j, word in enumerate(net_words(module, self._net, self._count, index)):
             both = [mix_bits(module, k0, k1, address + 2 * j + part) for part in (0, 1)]
             made.append(_unit(module, _hashed(word, *(_halves(module, key) for key in both))))
-        # The place of a request is data in a recorded loop, so the coordinate is selected
+        # In a recorded loop, the start is known only at run time: select among all coordinates
         found = []
         for k in range(dims):
             value = made[k]

@@ -1,17 +1,17 @@
-"""Statistics of variances over an image: rates, the bottleneck technique, gains of MIS, and shares.
+"""Statistics of variances over an image: rates, the technique that limits MIS, gains, and shares.
 
-Rates are fitted to log variance against log n at every pixel (`mcspectra.core.fits.line_fits`).
-The weights of a fit come from the relative standard errors.
+Rates come from line fits of log variance against log n at every pixel.
+The weights of a fit come from the relative standard errors (`mcspectra.core.fits.line_fits`).
 Arrays have the axes (strategy, n, y, x) or (strategy, y, x).
 
-`path_shares` divides the variance of a path among its requests k for random numbers, in order:
+`path_shares` divides the variance of a path among its requests k for random numbers:
 Var f = Σ_k (Var E[f | x_1 … x_k] − Var E[f | x_1 … x_{k−1}]).
-No part is negative, and an interaction of requests counts for the last of them.
+No part is negative. An interaction of several requests counts for the last of them.
 Let h_k = f(x_1 … x_k, y_{k+1} … y_K) for two independent paths x and y of K requests.
 Part k is then the mean of (h_k − h_{k−1}) (h_K − c), the pick-freeze estimator [Sobol2001]_.
-K + 1 evaluations therefore give all parts. The mean is right for any function c of h_k + h_{k−1}.
+K + 1 evaluations give all parts. The mean is right for any function c of h_k + h_{k−1}.
 The error is least if c is the regression of h_K on h_k + h_{k−1}.
-The slope of the regression comes from the same chains, which gives a bias of order 1/R.
+The slope of the regression is fitted to the same paths, which gives a bias of order 1/R.
 """
 
 from __future__ import annotations
@@ -39,18 +39,18 @@ __all__ = [
 
 UNDECIDED = -1.0
 
-# A variance below this multiple of float32's rounding unit is attributed to rounding in Mitsuba
+# Variances below this multiple of float32's rounding unit are attributed to rounding in Mitsuba
 _ULPS = 4.0
 
 
 def fit_lines(
     ns: Array, variance: Array, relative_se: Array, mean: Array, largest_se: float = 0.5
 ) -> LineFits:
-    """Fit all lines at once to variances, their relative errors and the means, (S, N, …).
+    """Fit lines to all variances at once, given relative errors and means, (S, N, …).
 
-    Zeros and variances at rounding level of float32 are ignored.
+    Zeros are ignored, and variances that rounding in float32 could cause.
     Variances with a relative standard error above `largest_se` are ignored as well.
-    Such variances come from few realizations that hit a rare event; most are far too small.
+    Such variances come from a few realizations that hit a rare event. Most are far too small.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         floor = (_ULPS * np.finfo(np.float32).eps * mean) ** 2
@@ -66,10 +66,10 @@ def fit_lines(
 def smooth(rate: Array, rate_se: Array, window: int, independent: bool) -> tuple[Array, Array]:
     """Average rates (S, y, x) over window × window pixels, weighted by their precision.
 
-    Pixels without a rate are ignored and stay without a rate.
-    If pixels are `independent`, with their own points, averages have smaller standard errors.
-    Otherwise the mean standard error is used.
-    The mean is correct for errors that are equal everywhere, and too large for other errors.
+    Pixels without a rate are ignored and remain without a rate.
+    If pixels have `independent` points, averages have smaller standard errors.
+    Otherwise the mean standard error is used: it is exact if all errors in the window are equal,
+    and too large if they are not.
     """
     if window == 1:
         return rate, rate_se
@@ -85,27 +85,27 @@ def smooth(rate: Array, rate_se: Array, window: int, independent: bool) -> tuple
 
 
 def interval(value: Array, se: Array) -> Array:
-    """95 % interval, (…, 2)."""
+    """Return the 95 % interval of a value, (…, 2)."""
     return np.stack([value - CONFIDENCE_Z * se, value + CONFIDENCE_Z * se], axis=-1)
 
 
 def ratio(log_ratio: Array, se: Array) -> tuple[Array, Array]:
-    """Ratio and its 95 % interval (…, 2), from its logarithm and standard error."""
+    """Return a ratio and its 95 % interval (…, 2), from its logarithm and standard error."""
     return np.exp(log_ratio), np.exp(interval(log_ratio, se))
 
 
 def slowest(rate: Array, rate_se: Array) -> Array:
-    """Which of two techniques (2, y, x) has the slower rate, by the interval of the difference.
+    """Return which of two techniques (2, y, x) has the significantly slower rate.
 
-    The techniques must have their own points, so that the squares of the standard errors add up.
-    A test whether the intervals of the two rates overlap would be less sensitive.
-    For equal standard errors, it would need a difference 1.4 times as large.
+    The techniques must have independent points, so that their squared standard errors add up.
+    A test for overlap of the two intervals would be less sensitive.
+    For equal standard errors, it would need a difference that is 1.4 times as large.
     """
     return _larger(rate[0] - rate[1], rate_se, np.isnan(rate).all(axis=0))
 
 
 def dominant(variance: Array, relative_se: Array) -> Array:
-    """Which of two techniques (2, y, x) has the larger variance, by the interval of the ratio."""
+    """Return which of two techniques (2, y, x) has the significantly larger variance."""
     with np.errstate(invalid="ignore", divide="ignore"):
         log_ratio = np.log(variance[0]) - np.log(variance[1])
         return _larger(log_ratio, relative_se, np.isnan(log_ratio))
@@ -114,8 +114,8 @@ def dominant(variance: Array, relative_se: Array) -> Array:
 def least(variance: Array, relative_se: Array) -> Array:
     """Return the index of the sampler with the least variance; the variances are (S, …).
 
-    The index is `UNDECIDED` if the interval of one ratio contains 1.
-    The index is NaN if the variance of a sampler is not positive.
+    The index is `UNDECIDED` if the interval of a ratio to another sampler contains 1.
+    It is NaN if the variance of any sampler is not positive.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         log = np.where(variance > 0.0, np.log(variance), np.nan)
@@ -128,14 +128,14 @@ def least(variance: Array, relative_se: Array) -> Array:
 
 
 def path_shares(chains: Array, partitions: list[Array]) -> tuple[Array, Array, Array]:
-    """Return the variance of a path, its shares, and the largest share of each partition.
+    """Return the variance of a path, the shares of its parts, and the largest share.
 
     Parameters
     ----------
     chains
-        Values h_0 … h_K of R chains at P pixels, (R, K + 1, P).
+        Values h_0 … h_K of R chains (pairs of paths) at P pixels, (R, K + 1, P).
     partitions
-        Each partition is a mask (G, K) that assigns the K requests of a path to G parts.
+        Each partition is a mask (G, K) that groups the K requests of a path into G parts.
         Every request belongs to exactly one part.
 
     Returns
@@ -143,14 +143,14 @@ def path_shares(chains: Array, partitions: list[Array]) -> tuple[Array, Array, A
     tuple
         The variance and its standard error (2, P).
         The shares of all parts, each with the two ends of its 95 % interval (3, ΣG, P).
-        Intervals use Student's t, with a degree of freedom for each chain that carries variance.
+        Intervals use Student's t. Its degrees of freedom count the chains that carry variance.
         Intervals are NaN if the standard error of the variance exceeds half of the variance.
         For each partition, the index of the part with the largest share (partitions, P).
-        The index is `UNDECIDED` if the interval of a difference from another share contains 0.
+        The index is `UNDECIDED` if the share does not differ significantly from another share.
     """
     from scipy.special import stdtrit
 
-    # Estimate from each chain the variance that each request adds, with a control variate
+    # From each chain, estimate the variance that each request adds, with a control variate
     count, mean = len(chains), chains.mean(axis=(0, 1))
     values = chains - mean
     last, steps = values[:, -1:], np.diff(values, axis=1)
@@ -167,7 +167,7 @@ def path_shares(chains: Array, partitions: list[Array]) -> tuple[Array, Array, A
         known = np.where((whole > floor) & (error <= 0.5 * whole), whole, np.nan)
 
     def shared(own: Array) -> tuple[Array, Array]:
-        """Return shares, the means of parts (R, G, P), and half-intervals by the delta method."""
+        """Return the shares of parts (R, G, P), and half widths of intervals (delta method)."""
         share = own.mean(axis=0) / known
         squares = (own - share * every[:, None]) ** 2
         total, fourth = squares.sum(axis=0), (squares**2).sum(axis=0)
@@ -191,13 +191,13 @@ def path_shares(chains: Array, partitions: list[Array]) -> tuple[Array, Array, A
 
 
 def gain(single: LineFits, mis: LineFits, total: float, missed: Array) -> tuple[Array, Array]:
-    """Ratio of the best single strategy's variance to that of MIS, each with `total` samples.
+    """Variance of the best single strategy divided by that of MIS, each with `total` samples.
 
-    Strategies marked in `missed` missed light. They are excluded, as their variance is too small.
+    Strategies in `missed` hit too little light and are excluded: their variance is too small.
 
     Both variances come from the fitted lines. MIS gives each technique half of the samples.
     The standard error treats the two variances as independent.
-    Because the variances share points, the standard error is too large rather than too small.
+    The variances share points, so this standard error is rather too large than too small.
     """
     levels, errors = single.at(total)
     levels = np.where(missed, np.nan, levels)
@@ -208,7 +208,7 @@ def gain(single: LineFits, mis: LineFits, total: float, missed: Array) -> tuple[
 
 
 def _larger(difference: Array, se: Array, unknown: Any) -> Array:
-    """Index (0 or 1) of the larger of two values; undecided if the interval contains 0.
+    """Return which of two values is larger, 0 or 1; undecided if the interval contains 0.
 
     The result is NaN where `unknown` is true.
     """
@@ -218,7 +218,7 @@ def _larger(difference: Array, se: Array, unknown: Any) -> Array:
 
 
 def _box(image: Array, window: int) -> Array:
-    """Sum (S, y, x) over windows of window × window pixels, with zeros outside the border."""
+    """Sum images (S, y, x) over windows of window × window pixels; pixels outside count as zero."""
     reach = window // 2
     for axis in (1, 2):
         margin = [(reach, reach) if a == axis else (0, 0) for a in range(3)]

@@ -1,18 +1,17 @@
 """Estimates of many pixels in many realizations by one Dr.Jit loop over the samples of each pixel.
 
 A lane is one realization of one pixel.
-The lane runs over its samples in a recorded loop, which adds up float32 values in float64.
-Only one number per lane is therefore copied, and memory does not grow with the number of samples.
-A lane has the same bits whatever other lanes are computed.
-One evaluation gives the plain and the weighted estimate of a technique.
-The weighted estimate is for multiple importance sampling.
-If each sample had its own lane, the program would take 2 to 3 times as long.
-This was measured with two cores and Veach's scene.
+The lane adds up its samples in a recorded loop: float32 values in a float64 sum.
+Only one number per lane is copied, so memory does not grow with the number of samples.
+A lane has the same bits no matter which other lanes are computed.
+One evaluation gives two estimates of a technique, without and with the weight of MIS.
+With one lane per sample instead, the program would take 2 to 3 times as long.
+This was measured on two cores with Veach's scene.
 
 Predictions
 -----------
-Variances are predicted from values of the integrand g alone.
-All pixels of a tile use the same table of samples. The number of points is n.
+Variances are predicted from values of the integrand g, without points of the sampler.
+All pixels of a tile use the same table of samples. The predicted variance is that of n points.
 
 *Jittered* points: Var = n⁻² Σ_j Var_j(g) over the strata j.
 Each Var_j = ∫g² − (∫g)² comes from pairs of independent samples.
@@ -24,20 +23,20 @@ Two independent predictions per stratum give the standard error.
 
 *Shifted* points and other stationary points, in two dims: Var = Σ_{m≠0} |g_m|² ⟨|S_m|²⟩.
 The coefficients g_m come from the FFT of a midpoint grid.
-The FFT folds all higher frequencies onto those of the grid.
-A power ⟨|S_m|²⟩ without a closed form adds its own error.
+The FFT adds the energy of higher frequencies to that of the frequencies on the grid (aliasing).
+If the power ⟨|S_m|²⟩ has no closed form, its own error is added.
 
 *Nets* in base 2 with nested scrambling, in two dims:
 n Var = Σ_l Γ_l σ²_l, with the gains Γ_l of levels l.
 The variance of g is the sum of σ²_l, the parts that depend on l_j bits of coordinate j.
 The parts come from means over blocks of a grid with a random point in each cell.
 
-The last three predictions take their standard errors from grids of half the resolution.
-Other samplers are not predicted, because these formulas ignore terms between frequencies.
+The last three predictions take their standard errors from grids with half the resolution.
+Other samplers have no prediction, because these formulas ignore terms between frequencies.
 
 No prediction detects a light that is so rare that no sample hits it.
-One technique may hit significantly more light than another (`surely`).
-The prediction of the other technique then includes the missed light in its error (`unmet`).
+If one technique hits significantly more light (`surely`) than another technique,
+the prediction of the other technique includes the missed light in its error (`unmet`).
 """
 
 from __future__ import annotations
@@ -106,7 +105,7 @@ _TABLE_NUMBERS = 2**23  # maximum number of values in one table of points, 64 Mi
 _KEPT_NUMBERS = 2**24  # maximum number of values in tables that all tiles share
 _PREDICTED_VALUES = 2**21  # maximum number of integrand values computed at once
 _CHAIN_VALUES = 2**20  # maximum number of path values computed at once
-# Labels of two random streams: for samples of predictions, and for pairs of paths
+# Labels of two random streams: one for samples of predictions, one for pairs of paths
 _PREDICTION, _CHAIN = 0x9D1C7, 0xC4A17
 
 
@@ -118,8 +117,8 @@ _Pixels = Annotated[Array, Join(-1)]
 class Maps:
     """Results at P pixels: status, moments (strategies, counts, P), predictions (strategies, P).
 
-    The predicted variances are for the largest count; NaN if there is nothing to estimate.
-    The last three fields are the results of `path_shares`, with these shapes:
+    Predictions are for the largest count. They are NaN if there is nothing to estimate.
+    The last three attributes are the results of `path_shares`, with these shapes:
     ``path_variance`` (2, P), ``shares`` (3, parts, P) and ``largest`` (2, P).
     """
 
@@ -137,14 +136,15 @@ class Maps:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Measurement:
-    """The measurement at every pixel; most attributes are the same as in `Map`.
+    """Measures every pixel; most attributes are the same as in `Map`.
 
-    With a `tracer` it measures whole paths, and ``path`` is the only strategy.
-    The attribute `uses` holds the dimensions of the path's coordinates.
-    The shares of the variance come from this number of `chains`; 0 gives no shares.
+    With a `tracer`, whole paths are measured, and ``path`` is the only strategy.
+    The attribute `uses` describes the coordinates of a path.
+    Shares of the variance come from `chains` pairs of paths; 0 gives no shares.
 
     Realization r of n points is realization r of ``stream.child(n)``, as in `convergence`.
-    If pixels have their `own` points, pixel number k = y·width + x uses k·realizations + r.
+    If `own` is true, pixels have their own points:
+    pixel number k = y·width + x uses realization k·realizations + r.
     """
 
     lighting: Lighting
@@ -162,12 +162,12 @@ class Measurement:
 
     @property
     def techniques(self) -> list[str]:
-        """Techniques that the strategies need."""
+        """Techniques that the strategies use."""
         return [t for t in TECHNIQUES if {t, f"mis-{t}", "mis"}.intersection(self.strategies)]
 
     @property
     def block(self) -> int:
-        """Realizations in one kernel; the number is fixed, so that sums keep their order."""
+        """Number of realizations per kernel. It is fixed, so that sums keep their order."""
         fitting = _TABLE_NUMBERS // (self.counts[-1] * self.sampler.dims)
         return max(1, min(self.realizations, _BLOCK_REALIZATIONS, fitting))
 
@@ -181,7 +181,7 @@ class Measurement:
 
     @property
     def partitions(self) -> tuple[dict[Any, Array], dict[Any, Array]]:
-        """Masks that select the random numbers of each bounce, and those of each decision.
+        """Masks that select the random numbers of each bounce, and those of each kind of decision.
 
         Both dictionaries are empty if no shares of the variance are computed.
         """
@@ -245,7 +245,7 @@ class Measurement:
                 for name in ("mean", "variance", "relative_se"):
                     getattr(found, name)[s, i, seen] = getattr(moments, name)[: len(seen)]
 
-        # Compute shares of the variance of one path, for one chunk of pixels at a time
+        # Compute shares of the variance of one path, for a chunk of pixels at a time
         if self.chains:
             most = _TABLE_NUMBERS // len(self.uses) if self.own else _CHAIN_VALUES
             step = max(1, most // (self.chains * (len(self._requests) + 1)))
@@ -256,7 +256,7 @@ class Measurement:
                 for array, values in zip((path_variance, shares, largest), told, strict=True):
                     array[..., part] = values[..., : len(pixels[part])]
 
-        # Predict at every `predict_every`-th pixel, one chunk at a time
+        # Predict at every `predict_every`-th pixel, for a chunk of pixels at a time
         if prediction is None:
             return found
         chosen = seen[(pixels[seen] % self.predict_every == 0).all(axis=1)]
@@ -268,7 +268,7 @@ class Measurement:
             there = np.max([surely(prediction, plain) for plain, _ in each.values()], axis=0)
             for s, strategy in enumerate(self.strategies):
                 # Variances of independent techniques add up.
-                # The error includes light that another technique hits and this strategy misses
+                # The error includes light that another technique hits and this technique misses
                 terms = ("mis-light", "mis-bsdf") if strategy == "mis" else (strategy,)
                 both = [prediction.variance(combined(term, each)) for term in terms]
                 whole = combined("mis" if strategy.startswith("mis") else strategy, each)
@@ -279,7 +279,7 @@ class Measurement:
         return found
 
     def _chains(self, pixels: Array) -> Array:
-        """Values (R, K + 1, P) of paths that share their first random numbers with another path."""
+        """Values (R, K + 1, P) of pairs of paths that share more and more random numbers."""
         uses, dims = [(use.bounce, use.decision) for use in self.uses], len(self.uses)
         request = np.array([self._requests.index(each) for each in uses])
         first = np.zeros(1, int)
@@ -295,7 +295,7 @@ class Measurement:
         )
 
     def _traced(self, pixels: Array, u: Array) -> Array:
-        """Mean values of paths; a single pixel is computed twice, as in `Receivers`."""
+        """Mean values of paths. A single pixel is computed twice, as in `Receivers`."""
         assert self.tracer is not None
         twice = np.repeat(pixels, 2, axis=0) if len(pixels) == 1 else pixels
         if u.ndim == 4 and len(twice) > u.shape[1]:
@@ -322,7 +322,7 @@ class Measurement:
 
 
 def combined(strategy: str, both: dict[str, tuple[Array, Array]]) -> Array:
-    """Combine plain and weighted estimates of the techniques into that of a strategy."""
+    """Combine plain and weighted estimates of the techniques into the estimate of a strategy."""
     if strategy == "mis":
         return both["light"][1] + both["bsdf"][1]
     return both[strategy.removeprefix("mis-")][int(strategy.startswith("mis-"))]
@@ -338,7 +338,7 @@ _SAMPLE: Final = {"light": sample_light, "bsdf": sample_bsdf}
 @final
 @dataclass(frozen=True, kw_only=True)
 class Lighting:
-    """Parameters of the estimated light, as in `Pixel`, and the size of the pixel grid."""
+    """Settings of the light estimates, as in `Pixel`, and the size of the pixel grid."""
 
     scene: Scene
     light: int | str | None
@@ -355,8 +355,8 @@ class Receivers:
     status
         Code of what each pixel shows, int8 (P,); `RECEIVER` means a lit surface.
     pixels
-        Pixels that show a receiver, whose light is estimated.
-        If there is a single such pixel, it is listed twice, so that sums keep their order.
+        Pixels that show a lit surface, whose light is estimated.
+        A single such pixel is listed twice, so that its sums are added in the same order.
     """
 
     def __init__(self, lighting: Lighting, pixels: Array) -> None:
@@ -367,16 +367,16 @@ class Receivers:
             self.status = self._look(pixels)[0]
             seen = pixels[self.status == RECEIVER]
             # NumPy adds up a single column in another order than several columns.
-            # List a single pixel twice, so that its sums have the same order
+            # A single pixel is listed twice, so that its sums are added in the same order as others
             self.pixels = np.repeat(seen, 2, axis=0) if len(seen) == 1 else seen
-            # Trace these pixels alone again, so that no lane is spent on other pixels
+            # Trace these pixels again without the other pixels, which would waste lanes
             self._kept = self._look(self.pixels)[1] if len(self.pixels) else None
 
     def __len__(self) -> int:
         return len(self.pixels)
 
     def estimates(self, technique: str, u: Array) -> tuple[Array, Array]:
-        """Return plain and weighted estimates: float64 (R, P) each, means over samples.
+        """Return two estimates, without and with MIS weight: means over samples, (R, P) each.
 
         Samples u are (R, n, dims), equal for all pixels, or (R, P, n, dims).
         With 3 dims, the third selects a light or a lobe.
@@ -389,7 +389,7 @@ class Receivers:
         return sums[0] / u.shape[-2], sums[1] / u.shape[-2]
 
     def values(self, technique: str, u: Array) -> tuple[Array, Array]:
-        """Return plain and weighted values at samples u (N, dims): float64 (N, P) each."""
+        """Return values without and with the weight of MIS at samples u (N, dims): (N, P) each."""
         return self.estimates(technique, u[:, None, :])
 
     def chooses_lobe(self) -> bool:
@@ -404,7 +404,7 @@ class Receivers:
             return chooses_lobe(self._gathered(lane // tries), u)
 
     def _look(self, pixels: Array) -> tuple[Array, Any]:
-        """Return the status and first hits of pixels, as data, so that all pixels share kernels."""
+        """Return status and first hits of pixels. Pixels are data, so that all share one kernel."""
         import drjit
 
         mitsuba, scene = load_mitsuba(), load_scene(self._lighting.scene)
@@ -425,7 +425,7 @@ class Receivers:
         return Hit(load_scene(self._lighting.scene), at, at.bsdf())
 
     def _sums(self, technique: str, u: Array) -> Array:
-        """Sums over samples in the chosen channel, plain and weighted: (2, R, P)."""
+        """Return sums over samples in the chosen channel, without and with weight: (2, R, P)."""
         import drjit
 
         mitsuba, given = load_mitsuba(), self._lighting
@@ -447,13 +447,13 @@ class Receivers:
         return pixel_sums(u, len(self), 2, at)
 
 
-_REPEATS = 2  # predictions per stratum, for their standard error
-# Approximate number of grid cells in all strata together; more cells resolve smaller lights.
-# A stratum has at least 2 cells per axis
+_REPEATS = 2  # number of predictions per stratum, which give a standard error
+# Approximate number of grid cells in all strata together. More cells resolve smaller lights,
+# and a stratum has at least 2 cells per axis
 _CELLS = 4096
-_GRIDS = {2: 64, 3: 16}  # number of midpoints along each axis by dims, an even number
+_GRIDS = {2: 64, 3: 16}  # number of midpoints along each axis, by number of dims; even numbers
 _POWER_REALIZATIONS = 1024
-_SURE = 3.0  # distance of a lower bound from its estimate in standard errors
+_SURE = 3.0  # number of standard errors between an estimate and its lower bound
 
 
 def surely(prediction: Prediction, values: Array) -> Array:
@@ -463,12 +463,12 @@ def surely(prediction: Prediction, values: Array) -> Array:
 
 
 def unmet(prediction: Prediction, values: Array, there: Array) -> Array:
-    """Error (P,) of a variance predicted from values (N, P) whose integral is at least `there`.
+    """Return the error (P,) of variances predicted from values (N, P) that may miss light.
 
-    The values may miss a part M of the integral, on a small fraction q of the cube.
-    This part adds the variance M²/(q n) for any stratification, because few points hit it.
-    If none of N samples hit the part, q is at most about 1/N.
-    If M exceeds three standard errors of the mean value, q is arbitrary and the error is infinite.
+    The values may miss a part M of the integral, in a region of small volume q.
+    For any stratification this adds the variance M²/(q n), because few points hit the region.
+    If none of N samples hit the region, q is at most about 1/N. The integral is at least `there`.
+    If M exceeds three standard errors of the mean, q may be arbitrary: the error is infinite.
     """
     mean, se = prediction.mean(values)
     missed = np.maximum(there - mean, 0.0)
@@ -477,7 +477,7 @@ def unmet(prediction: Prediction, values: Array, there: Array) -> Array:
 
 
 def prediction_for(sampler: Sampler, n: int, stream: Stream) -> Prediction | None:
-    """Return a method that predicts the variance of `count` points, or None."""
+    """Return a method that predicts the variance of n points, or None if there is none."""
     law = sampler.law(n)
     if isinstance(law, Strata) and law.jittered:
         return _Strata.of(law.sides, stream)
@@ -492,7 +492,7 @@ def prediction_for(sampler: Sampler, n: int, stream: Stream) -> Prediction | Non
     if isinstance(law, Scrambled) and nested and isinstance(law.inner, Fixed):
         side = _GRIDS[2]
         gains = gains_at(law.inner, law.bases, side.bit_length() - 1)
-        # Random points in the cells, in C order, also measure the variation within the cells
+        # Random points in the cells, in C order, also measure the variation inside the cells
         u = Jittered(dims=2, sides_=(side, side)).draw_stream(side * side, stream, 0, 1)[0]
         u = u[np.lexsort(np.floor(u * side).T[::-1])]
         return _Grid(method="gains", count=n, samples=u, gains=gains)
@@ -502,7 +502,7 @@ def prediction_for(sampler: Sampler, n: int, stream: Stream) -> Prediction | Non
 @final
 @dataclass(frozen=True, kw_only=True)
 class _Strata:
-    """Prediction by strata; the samples have the order (repeat, member of pair, stratum, cell)."""
+    """Prediction by strata. The samples have the order (repeat, half of a pair, stratum, cell)."""
 
     count: int
     samples: Array = field(repr=False)
@@ -531,7 +531,7 @@ class _Strata:
         return predicted, se * _student(squares)
 
     def mean(self, values: Array) -> tuple[Array, Array]:
-        """Return the integral, and its standard error from the samples of each cell."""
+        """Return the integral and its standard error, from the independent samples of each cell."""
         cells = values.reshape(2 * _REPEATS, -1, values.shape[-1])
         variance = cells.var(axis=0, ddof=1).sum(axis=0) / len(cells)
         return values.mean(axis=0), np.sqrt(variance) / cells.shape[1]
@@ -540,36 +540,36 @@ class _Strata:
 @final
 @dataclass(frozen=True, kw_only=True)
 class _Grid:
-    """Values on a midpoint grid, and the power or the gains of the sampler's points.
+    """Prediction from a midpoint grid, and from the power spectrum or the gains of the points.
 
-    Without power and gains, the points are random.
+    If neither power nor gains are given, the points are random.
     """
 
     method: str
     count: int
     samples: Array = field(repr=False)
-    power: Array | None = field(repr=False, default=None)  # entry m is frequency m, also for m < 0
+    power: Array | None = field(repr=False, default=None)  # the index is the frequency m
     power_se: Array = field(repr=False, default_factory=lambda: np.zeros(()))
-    gains: Array | None = field(repr=False, default=None)  # gains Γ_l at levels l = (i, j)
+    gains: Array | None = field(repr=False, default=None)  # gains Γ_l for levels l = (i, j)
 
     def variance(self, values: Array) -> tuple[Array, Array]:
-        """Variance; its error comes from the power and from grids of half the resolution."""
+        """Return the variance; its error comes from the power and grids of half the resolution."""
         grid, *coarse = self._grids(values)
         whole, *parts = map(self._of_grid, (grid, *coarse))
         if self.power is None:
             return whole, _error_of_mean(parts)
-        # The powers of m and −m are the same number, so their errors add up.
-        # The errors of other pairs are independent, so their squares add up
+        # The powers of m and −m are the same number, so add their errors.
+        # Different pairs have independent errors, so add the squares of their errors
         doubled = np.sqrt(2.0 * _sum(self.power_se**2, _energy(grid) ** 2))
         return whole, np.hypot(_error_of_mean(parts), doubled)
 
     def mean(self, values: Array) -> tuple[Array, Array]:
-        """Return the integral; its error comes from the grids of half the resolution."""
+        """Return the integral. Its error comes from the grids of half the resolution."""
         parts = [part.reshape(-1, part.shape[-1]).mean(axis=0) for part in self._grids(values)[1:]]
         return values.mean(axis=0), _error_of_mean(parts)
 
     def _grids(self, values: Array) -> list[Array]:
-        """Values on the grid, and on every second node along each axis (half the resolution)."""
+        """Return the grid, and its parts of half the resolution: every second node along axes."""
         dims = self.samples.shape[-1]
         grid = values.reshape(*[_GRIDS[dims]] * dims, -1)
         offsets = itertools.product((0, 1), repeat=dims)
@@ -584,7 +584,7 @@ class _Grid:
         # Compute Σ_l Γ_l σ²_l / n
         side, pixels = grid.shape[1:]
         levels = range(side.bit_length())
-        # Mean squares of block means: sums of σ² of all levels up to (i, j)
+        # Mean squares of the means over blocks: sums of σ² over all levels up to (i, j)
         squares = np.empty((len(levels), len(levels), pixels))
         for i, j in itertools.product(levels, levels):
             blocks = grid.reshape(2**i, side >> i, 2**j, side >> j, pixels).mean(axis=(1, 3))
@@ -595,14 +595,14 @@ class _Grid:
 
 
 Prediction: TypeAlias = _Strata | _Grid
-"""Methods that predict a variance from values (N, P) of the integrand at certain samples."""
+"""Methods that predict variances from values (N, P) of the integrand at their own samples."""
 
 
 def _student(squares: Array) -> Array:
     """Return the ratio of the quantile of Student's t to the normal quantile, for each pixel.
 
     The squared error of a pixel is the sum of `squares` (J, P) over the J strata.
-    If one stratum has nearly all of this sum, the standard error has one degree of freedom.
+    If one stratum has nearly the whole sum, the standard error has one degree of freedom.
     """
     from scipy.special import stdtrit
 
@@ -625,7 +625,7 @@ def _energy(grid: Array) -> Array:
 def _sum(power: Array, energy: Array) -> Array:
     """Return Σ_m |g_m|² ⟨|S_m|²⟩ for the energy |g_m|².
 
-    The power ⟨|S_m|²⟩ may have further frequencies, which are ignored.
+    The power ⟨|S_m|²⟩ may extend to further frequencies, which are ignored.
     """
     side = len(energy)
     m = np.fft.fftfreq(side, 1.0 / side).astype(int)
@@ -638,7 +638,7 @@ def _midpoints(dims: int) -> Array:
 
 
 def _grid_power(sampler: Sampler, n: int, stream: Stream) -> tuple[Array, Array]:
-    """Return power and its standard error at the frequencies of the grid's FFT, in its order."""
+    """Return the power and its standard error at the frequencies of the grid, in FFT order."""
     from mcspectra.spectra.closed_forms import closed_form_power
     from mcspectra.spectra.power import power_spectrum
 

@@ -1,9 +1,9 @@
 """Maps over an image: variance, its rate, the bottleneck technique, and the gain of MIS.
 
-Every pixel is the integrand `Pixel` with the ray through its center.
-Pixels are measured as in `convergence`: variances over realizations at several counts n.
+Every pixel is the integrand `Pixel`, with the ray through the center of the pixel.
+As in `convergence`, variances are measured over realizations at several counts n.
 The rate is the slope of log variance against log n.
-An image can afford only few realizations, so all results have wide intervals.
+For a whole image, only few realizations are affordable, so all intervals are wide.
 The standard error of a variance of 64 normal estimates is 18 %.
 """
 
@@ -55,7 +55,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Map", "compared", "missed", "variance_map"]
 
-_MOST_NUMBERS = 2**27  # maximum number of values in a result, 1 GiB
+_MOST_NUMBERS = 2**27  # maximum number of values in a result (1 GiB)
 _LONGEST_SIDE = 65_536
 _FILM = (256, 256)  # film size assumed before the scene is read
 
@@ -223,7 +223,7 @@ class Map(Analysis, frozen=True, kw_only=True):
         )
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[Maps]:
-        """Reduce all pixels, row by row; a block is a tile."""
+        """Measure all pixels, row by row. A block of the computation is a tile of pixels."""
         measurement, window = self.measurement(subject, stream)
         x0, y0, width, height = window
         pixels, step = width * height, measurement.tile_pixels
@@ -256,7 +256,7 @@ class Map(Analysis, frozen=True, kw_only=True):
         )
 
     def measurement(self, subject: Subject, stream: Stream) -> tuple[Measurement, _Window]:
-        """Read the scene; return the measurement of each pixel and the window."""
+        """Read the scene; return the measurement of each pixel, and the window of the film."""
         scene = as_scene(self.scene)
         with LOCK:
             sensor_of(scene)
@@ -296,7 +296,7 @@ class Map(Analysis, frozen=True, kw_only=True):
     def of_samplers(self, subjects: Sequence[Subject]) -> list[Map]:
         """Return the map of each sampler; only the first map measures shares.
 
-        Rejects samplers that cannot be compared, and other invalid options, before the work begins.
+        Rejects samplers that cannot be compared, and invalid options, before the work begins.
         """
         counts: dict[str, tuple[int, ...]] = {}
         for subject in subjects:
@@ -340,7 +340,7 @@ class Map(Analysis, frozen=True, kw_only=True):
 
     @property
     def _strategies(self) -> tuple[str, ...]:
-        """Strategies in their usual order; the parts of ``"mis"`` are measured as well."""
+        """Strategies in their usual order. For ``"mis"``, its two parts are also measured."""
         if self.integrator is not None:
             return ("path",)
         given = (self.strategies,) if isinstance(self.strategies, str) else self.strategies
@@ -395,21 +395,21 @@ def variance_map(
     rng: RngLike = 0,
     workers: int | None = None,
 ) -> xr.Dataset:
-    """Measure the variance of every pixel's direct illumination and its rate of convergence.
+    """Measure the variance of direct illumination at every pixel, and its rate of convergence.
 
     Parameters
     ----------
     scene
         A scene: a name, a file or a dictionary, as in `load_scene`.
     strategies
-        Some of these strategies, with n samples per technique: ``"light"``, ``"bsdf"``,
-        the parts ``"mis-light"`` and ``"mis-bsdf"`` of multiple importance sampling, and ``"mis"``.
+        One or more of the following, with n samples per technique: ``"light"``, ``"bsdf"``,
+        ``"mis"``, and the parts of multiple importance sampling ``"mis-light"`` and ``"mis-bsdf"``.
         If ``"mis"`` is given, its two parts are measured as well.
     sampler
         Sampler or its spec; by default ``"jittered"``, or ``"sobol | owen"`` with an integrator.
         Each technique has its own points. A list of samplers compares them.
     counts
-        Numbers of samples n of a technique, ascending, at least two.
+        Numbers of samples n of a technique: at least two, in ascending order.
         The default is (4, 9, 16, 36, 64), or (4, 16, 64) with an integrator.
         Default numbers are rounded to the nearest numbers that the sampler can make in its dims.
     realizations
@@ -419,42 +419,42 @@ def variance_map(
         A crop gives the same numbers as the whole image.
     size
         Width and height of a grid of pixels laid over the film; by default the film's own.
-        Another aspect ratio samples the film unevenly, but does not change the camera's view.
+        Another aspect ratio does not change the camera's view, but stretches the pixels.
     light, heuristic, channel
-        Same as in `Pixel`; one channel at a time.
+        Same as in `Pixel`, but for one channel only.
     dims
-        2, the default, or 3; the third coordinate chooses a light or a BSDF lobe.
-        With an integrator, the number is the same as in `PathPixel`.
-        With an integrator, the default is the number that paths through 256 of the pixels use.
+        2, the default, or 3. The third coordinate then chooses a light or a BSDF lobe.
+        With an integrator, the same as in `PathPixel`.
+        The default is then the number that paths through 256 of the pixels use.
     integrator
-        Measure whole paths like `PathPixel`; the only strategy is then ``"path"``.
+        Measures whole paths, like `PathPixel`. The only strategy is then ``"path"``.
         The value ``"scene"`` is the scene's own integrator.
         By default, direct light is measured by the given strategies.
     joint_dims
         With an integrator: how many of the first numbers of a path come from one joint set.
-        Every later request of the integrator has its own points (padded), as in rendered images.
+        Every later request of the integrator has its own set (padding), as in renderers.
         The default is 4 for scrambled nets in base 2 and 0 otherwise, as in the plugin.
-        If it is the number of dims of the paths, all numbers are joint.
+        If it equals the number of dims of the paths, all numbers are joint.
     points
         ``"shared"``: in a realization, all pixels have the same points.
-        The numbers of a pixel are as good as with its own points, and they are faster to compute.
+        Results of a pixel are as good as with its own points, and are computed faster.
         Shared points also give smooth maps, but the errors of neighbors are correlated.
         Structure in such a map may therefore come from one set of points.
-        ``"own"``: every pixel has its own realizations, and the errors are noise.
+        ``"own"``: every pixel has its own realizations, so the errors look like noise.
     smoothing
         Width of the square window over which rates are averaged: an odd number of pixels.
         This averaging blurs the map of rates.
         Averages have smaller standard errors only with ``points="own"``.
     predict_every
         Step between the pixels at which the variance at the largest count is predicted.
-        A pixel has a prediction if x and y are multiples of this step; 0 gives no predictions.
-        Jittered points use stratum quadrature; random points are exact.
+        Pixels are chosen if x and y are multiples of this step. With 0 there are no predictions.
+        Jittered points use stratum quadrature; the prediction for random points is exact.
         In 2-D, shifted points use the power spectrum, and scrambled nets in base 2 use gains.
-        Variances of other samplers are not predicted.
+        Other samplers have no prediction.
     chains
         Number of pairs of random paths for the shares of the variance of whole paths.
-        The default is 128 pairs. With 0, no shares are computed.
-        A pair costs K + 1 paths if a path requests random numbers from its sampler K times.
+        The default is 128 pairs. With 0, shares are not computed.
+        A pair costs K + 1 paths if a path requests random numbers K times.
     rng
         Seed (SPEC 7).
     workers
@@ -467,61 +467,61 @@ def variance_map(
         Variables are NaN if a pixel shows no surface, a light or a perfectly specular surface.
 
         Moments: ``variance(strategy, n)`` and ``variance_relative_se(strategy, n)``.
-        At the largest n also ``mean(strategy)`` and ``mean_se(strategy)``.
+        At the largest n there are also ``mean(strategy)`` and ``mean_se(strategy)``.
         Fits of the rate: ``rate(strategy)``, ``rate_se``, ``rate_ci(bound)`` and ``fit_chi2``.
 
         With ``"mis"``, ``bottleneck`` is the technique with the slower rate in MIS.
         The value 0 stands for light sampling, and 1 for BSDF sampling.
-        The value is −1 if the 95 % interval of the difference of the rates contains 0.
+        The value is −1 if the rates do not differ significantly (95 %).
         ``dominant_technique`` is the technique with the larger variance at the largest n, or −1.
-        If the single strategies are also measured: ``mis_gain`` and ``mis_gain_ci``,
+        If the single strategies are also measured, ``mis_gain`` and its interval ``mis_gain_ci``:
         the variance of the better single strategy divided by that of MIS.
-        Both variances are for the same total of samples (the largest n), by the fitted lines.
+        Both variances come from the fitted lines, for the same total of samples (the largest n).
         A strategy whose estimates significantly miss light is excluded from this gain.
 
         ``predicted_ratio(strategy)`` and ``predicted_ratio_ci``:
         predicted variance divided by measured variance at the largest n.
-        The error includes light that another strategy hits and the prediction's samples missed.
+        The error includes light that another strategy hits but the prediction's samples missed.
         The ratio is NaN if the relative standard error of the prediction exceeds ½.
         The ratio is NaN if the standard error of the measurement exceeds the limit for rates.
         The ratio is NaN if measured estimates significantly miss light that another strategy hits.
 
         With an integrator: ``path_variance``, the variance of one random path, with ``_se``.
-        ``bounce_share(bounce)`` is the share of the variance that a bounce adds to earlier bounces.
+        ``bounce_share(bounce)`` is the share of the variance that first appears at a bounce.
         Bounce 0 stands for the random numbers of the camera.
-        ``decision_share(decision)`` is the same for each kind of decision, summed over bounces.
-        Each kind of share sums to 1; interactions count for the last number involved.
-        Estimates may be negative, and intervals ``_ci`` extend below 0.
+        ``decision_share(decision)`` is the same for each kind of decision, summed over the bounces.
+        Shares of each kind sum to 1. Interactions count for the last random number involved.
+        Estimates may be negative, and their intervals ``_ci`` extend below 0.
         Shares are NaN if the standard error of ``path_variance`` exceeds half of this variance.
         ``largest_bounce`` and ``largest_decision`` are the indices of the largest shares.
-        An index is −1 if the 95 % interval of the difference from another share contains 0.
+        An index is −1 if the share does not differ significantly from another share.
 
         With several samplers, all variables except the shares have the dim (sampler).
-        The counts are those that all samplers share.
+        The counts are those that all samplers can make.
         ``best_sampler(strategy)`` is the index of the sampler with the least variance at largest n.
-        The index is −1 if the 95 % interval of its ratio to another sampler contains 1.
+        The index is −1 if the sampler does not differ significantly from another one.
 
     Raises
     ------
     ParameterError
-        If a parameter is not allowed, the crop is outside, or no pixel shows a surface.
+        If a parameter is not allowed, the crop leaves the film, or no pixel shows a surface.
         If Mitsuba gives values that are not finite.
     CountError
         If a sampler cannot make one of the counts.
 
     Notes
     -----
-    All shares come from the same chains and depend on outliers.
-    With 128 chains, a share of a few per cent that rare paths cause is mostly too small.
-    The interval of a share with rare paths is also too small.
+    All shares come from the same pairs of paths and are sensitive to outliers.
+    With 128 pairs, a share of a few per cent that rare paths cause is mostly too small.
+    The interval of such a share is also too small.
 
-    Pixels are measured in tiles. Memory is therefore about 200 MiB plus the result for any image.
+    Pixels are measured in tiles. For any image, memory is therefore about 200 MiB plus the result.
     A study keeps finished tiles and can resume.
     If few realizations hit a light, variances are mostly far too small at the smaller n.
     There is no rate if a variance at a smaller n is zero, or has a relative standard error above ½.
     With more realizations, more pixels have a rate.
-    For each pixel, ``bottleneck`` is a test at 95 % of two techniques with independent points.
-    If both rates are equal, one pixel in 20 is decided by chance.
+    At each pixel, ``bottleneck`` is a test at 95 % of two techniques with independent points.
+    If both rates are equal, chance decides at one pixel in 20.
     """
     analysis = Map.of(locals())
     given = analysis.default_sampler if sampler is None else sampler
@@ -529,7 +529,7 @@ def variance_map(
     with _threads(workers):
         subjects = []
         for each in several:
-            # The number of dims of whole paths is not known yet; it is checked later
+            # The number of dims of whole paths is not known yet, and is checked later
             whole = integrator is not None and not isinstance(each, str)
             source = as_sampler(each, None if whole else analysis.points_dims)
             subjects.append(Subject(None, source))
@@ -544,7 +544,7 @@ def variance_map(
 
 @contextmanager
 def _threads(workers: int | None) -> Iterator[None]:
-    """Let Dr.Jit use this number of threads inside the block, for the whole process."""
+    """Let Dr.Jit use this number of threads inside the block; this affects the whole process."""
     if workers is None:
         yield
         return
@@ -648,7 +648,7 @@ def labelled(
 
 
 def _joint_dims(measurement: Measurement) -> int | None:
-    """Return how many numbers of a path are joint; None for direct light."""
+    """Return how many of the first numbers of a path are joint, or None for direct light."""
     sampler = measurement.sampler
     if measurement.tracer is None:
         return None
@@ -676,7 +676,7 @@ def compared(maps: Sequence[xr.Dataset]) -> xr.Dataset:
 
 
 def missed(row: dict[str, int], mean: Array, se: Array, realizations: int) -> Array:
-    """Whether a strategy (S, y, x) significantly missed light that another one hit (t-test).
+    """Whether a strategy (S, y, x) significantly missed light that another strategy hit (t-test).
 
     The measured variance of a strategy is too small if the strategy missed light.
     The two parts of MIS estimate different integrals and are never marked.
@@ -694,9 +694,9 @@ def missed(row: dict[str, int], mean: Array, se: Array, realizations: int) -> Ar
 def _predicted(maps: Maps, largest_se: float, missed: Array) -> dict[str, Array]:
     """Ratio of predicted to measured variance at the largest count, and its interval.
 
-    The interval combines both errors.
-    The ratio is NaN if few samples, or none, of the measurement or prediction hit a rare event.
-    These variances and their errors are most often far too small.
+    The interval combines the errors of both variances.
+    The ratio is NaN if hardly any samples of the measurement or of the prediction hit a rare event.
+    In this case, the variances and their errors are mostly far too small.
     """
     predicted, measured = maps.predicted, maps.variance[:, -1]
     with np.errstate(invalid="ignore", divide="ignore"):

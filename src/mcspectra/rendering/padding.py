@@ -1,14 +1,14 @@
-"""Samplers as renderers use them: the numbers of whole paths, padded request by request.
+"""Samplers as renderers use them: each request of a path for random numbers has its own set.
 
 A path requests random numbers one or two at a time (`mcspectra.rendering.paths.Dimension`).
-A renderer answers each request with its own shuffled set in one or two dims.
+A renderer answers each request with a separate, shuffled set in one or two dims.
 The numbers of different requests are therefore independent.
-A point set in all dims of a path has other dependences, which no rendered image has.
-The variances of both kinds of points differ by factors of up to 6.
+A single point set in all dims of a path has other dependences, which no rendered image has.
+The variances of the two kinds of points differ by factors of up to 6.
 
-`Padded` draws the points that our plugin of Mitsuba gives to a pixel.
-The first `joint_dims` numbers come from one set of the sampler, see `mcspectra.rendering.plugin`.
-Mitsuba's own samplers are also padded, because they shuffle each request by itself.
+`Padded` draws the points that our Mitsuba plugin gives to a pixel.
+The first `joint_dims` numbers come from one set of the sampler, as in the plugin.
+Mitsuba's own samplers are also padded, because they shuffle the points at each request.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _FIRST_PAD = 16  # label of the random stream of the first request
 
 
 def requests_of(dimensions: Sequence[Dimension]) -> tuple[int, ...]:
-    """Return how many numbers each request of a path takes, 1 or 2, in order."""
+    """Return how many numbers each request of a path takes (1 or 2), in order of the requests."""
     found: list[int] = []
     for use in dimensions:
         if use.part == "y" and found and found[-1] == 1:
@@ -49,19 +49,19 @@ def requests_of(dimensions: Sequence[Dimension]) -> tuple[int, ...]:
 def as_rendered(
     sampler: Sampler | str, dimensions: Sequence[Dimension], joint_dims: int | None = None
 ) -> Sampler:
-    """Return the sampler of a path's numbers, as a renderer uses it.
+    """Return the sampler of a path's random numbers, in the way that a renderer uses it.
 
     Parameters
     ----------
     sampler
         A sampler or its spec.
-        Samplers without a spec, such as given points, are returned unchanged: they are joint.
-        Random points are also returned unchanged, because padding does not change their law.
+        Samplers without a spec, such as given points, are returned unchanged: all dims are joint.
+        Random points are also returned unchanged: padding does not change their distribution.
     dimensions
-        Use of each number of the path.
+        What each number of the path is used for.
     joint_dims
-        How many of the first numbers are joint, by default those of `joint_dims_of`; 0 for none.
-        If all numbers are joint, the result is the sampler itself in these dims.
+        How many of the first numbers come from one joint set; 0 for none.
+        The default comes from `joint_dims_of`. If all are joint, the sampler itself is returned.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def as_rendered(
     try:
         pair = as_sampler(sampler if isinstance(sampler, str) else sampler.spec, 2)
     except McspectraError:
-        pair = None  # the sampler has no spec that recreates it, or does not exist in 2-D
+        pair = None  # no spec that recreates the sampler, or no 2-D version
     if pair is not None and joint is None:
         joint = joint_dims_of(pair)
     if (
@@ -93,16 +93,16 @@ def as_rendered(
 @final
 @dataclass(frozen=True, kw_only=True)
 class Padded(Sampler):
-    """Shuffled sets of one sampler, one for each request of a path; the first dims may be joint.
+    """Shuffled sets of one sampler, one set per request of a path. The first dims may be joint.
 
     Attributes
     ----------
     source
-        The sampler in two dims. Requests for one number use it in one dim, if it has one dim.
+        The sampler in two dims. For requests of one number, its 1-D version is used if it exists.
     joint
-        How many of the first numbers of a path come from one joint set; 0 for none.
+        How many of the first numbers of a path come from one joint set, or 0.
     requests
-        Number of values of each request, 1 or 2. A request that exceeds `joint` is padded.
+        Number of values of each request, 1 or 2. Requests beyond `joint` numbers are padded.
     """
 
     name: ClassVar[str] = "padded"
@@ -120,7 +120,7 @@ class Padded(Sampler):
 
     @property
     def spec(self) -> str:
-        """Spec of the source; `padding_note` names the padding, which belongs to the renderer."""
+        """Spec of the source. Padding belongs to the renderer, and `padding_note` describes it."""
         return self.source.spec
 
     @property
@@ -161,7 +161,7 @@ def _sets(spec: str, count: int, joint: int) -> PaddedSets:
 
 
 def padding_note(sampler: Sampler) -> str:
-    """Describe how a path's numbers are taken from a sampler, as a sentence."""
+    """Describe in a sentence how the random numbers of a path are taken from a sampler."""
     if not isinstance(sampler, Padded):
         return "All numbers of a path are joint: they come from one point of the sampler."
     if not sampler.joint:

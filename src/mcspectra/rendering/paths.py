@@ -7,21 +7,21 @@ Our sampler answers these requests in order with the D coordinates of a point u.
 The radiance is therefore a function of u in [0,1)^D.
 Its integral over the cube is the mean over a pixel with a box filter.
 The first coordinates choose the position in the pixel, the point on the lens and the time.
-Mitsuba's own loop has the same order.
+Mitsuba's own rendering loop has the same order.
 The sampler advances for each request, even if a path does not need the number.
 A coordinate therefore has the same meaning for all paths.
 Numbers for bounces that a path does not reach have no effect on that path.
 
-A dry run, with the loop evaluated instead of recorded, finds D and the bounce of each number:
-Dr.Jit evaluates the counter of numbers between two iterations of the loop.
-If the requests of a bounce match an integrator of Mitsuba, each number has a known decision.
+A dry run finds D and the bounce of each number. Its loop is not recorded but evaluated:
+Dr.Jit evaluates the counter of requested numbers after each iteration.
+If the requests of a bounce match an integrator of Mitsuba, the decision of each number is known.
 For any other integrator, decisions are named ``request 1``, ``request 2`` and so on.
 Mitsuba selects a light by stretching the first coordinate of its point.
-The choice of the light and the choice of the point are therefore one decision.
+The choice of the light and the choice of a point on it are therefore one decision.
 
-Rare paths need numbers beyond D, as do all paths if fewer dims are requested.
+Rare paths need numbers beyond D. If fewer dims are requested, all paths may need them.
 These numbers are hashed from the last two coordinates.
-The integrand remains a function of u, but the sampler has no influence on the hashed numbers.
+The integrand remains a function of u, but good points do not spread these numbers evenly.
 
 Integrators return the radiance of all lights together.
 The choice of paths does not depend on the emission.
@@ -86,20 +86,20 @@ __all__ = [
 SCENE_INTEGRATOR = "scene"
 """Name of the integrator that the scene itself contains."""
 
-# A dry run follows 2^14 paths, through 16 × 16 pixels of a window
+# A dry run follows 2^14 paths through 16 × 16 pixels of a window
 _DRY_LANES, _DRY_PIXELS = 2**14, 16
 _PAIR = ("x", "y")
 _MOST_DIMS = 64  # default limit of dims, because analyses by axes support no more
-# Limits of one kernel: numbers in its table (128 MiB), and number of lanes
+# Limits of one kernel: values in its table of numbers (128 MiB), and number of lanes
 _TABLE_NUMBERS, _LANES = 2**25, 2**20
 _DIMMED = 2.0**-30  # factor that dims all other lights; exact in float32
 _EMITTED = r"(\w+_)?scale|(radiance|intensity|irradiance)\.(.+\.)?(value|data)"
 _PATH = ((2, "light"), (1, "lobe"), (2, "direction"), (1, "roulette"))
 _ORDERS = {
-    # Random numbers that a bounce requests, by class of integrator: (their count, decision)
+    # Random numbers that a bounce requests, by class of integrator: (how many, for which decision)
     "PathIntegrator": (_PATH,),
     "PRBIntegrator": (_PATH,),
-    # Two orders, because compilers evaluate the arguments of a call in different orders
+    # Both orders occur, because compilers evaluate the arguments of a call in different orders
     "DirectIntegrator": (_PATH[:3], (_PATH[0], _PATH[2], _PATH[1])),
 }
 
@@ -107,14 +107,14 @@ _ORDERS = {
 @final
 @dataclass(frozen=True)
 class Dimension:
-    """Use of one coordinate of u: its bounce, and the decision that it makes.
+    """Describes one coordinate of u: its bounce, and the decision that uses it.
 
     Attributes
     ----------
     bounce
-        0 for the camera, otherwise the iteration of the integrator's loop, from 1.
+        0 for the camera, otherwise the iteration of the integrator's loop, counted from 1.
     decision
-        ``film``, ``lens``, ``time``, ``light`` (choice of the light and of a point on it),
+        ``film``, ``lens``, ``time``, ``light`` (which light, and which point on it),
         ``lobe``, ``direction`` or ``roulette``.
         If the integrator's order is unknown, the name is ``request K``.
     part
@@ -133,14 +133,14 @@ class Dimension:
 @final
 @dataclass(frozen=True, kw_only=True)
 class PathPixel(MitsubaIntegrand):
-    """Radiance of one pixel by any sampling integrator, as a function of all its random numbers.
+    """Radiance of one pixel by any sampling integrator, as a function of all random numbers.
 
     Parameters
     ----------
     scene
         A scene's name, the path of a Mitsuba XML file or a Mitsuba dictionary (see `load_scene`).
     x, y
-        Pixel, counted from the left and from the top; the integral is the mean over its square.
+        Pixel, counted from the left and from the top. The integral is the mean over the pixel.
     integrator
         ``"scene"`` is the scene's own integrator.
         Any plugin may be named with its properties: ``"path(max_depth=5, rr_depth=100)"``.
@@ -151,19 +151,19 @@ class PathPixel(MitsubaIntegrand):
         Number of coordinates D; by default the number that 16,384 random paths use, at most 64.
         Numbers that a path takes beyond D are pseudo-random.
     selection
-        Probability weight of each light, positive numbers in the order of `emitter_names`.
-        These weights replace the scene's sampling weights.
+        Relative probabilities of the lights: positive numbers in the order of `emitter_names`.
+        They replace the sampling weights of the scene.
 
     Attributes
     ----------
     dimensions
-        Use of each coordinate, a tuple of `Dimension`.
+        What each coordinate is used for, a tuple of `Dimension`.
 
     Raises
     ------
     ParameterError
         If the pixel is outside the film or the scene has no integrator.
-        Also if the integrator is unknown, rejects its properties, or does not follow a camera ray.
+        If the integrator is unknown, rejects its properties, or cannot follow a camera ray.
     MissingDependency
         If Mitsuba or LLVM is missing.
     """
@@ -197,14 +197,14 @@ class PathPixel(MitsubaIntegrand):
 
     @property
     def dimensions(self) -> tuple[Dimension, ...]:
-        """Use of each coordinate; unknown beyond the longest path of the dry run."""
+        """What each coordinate is used for; unknown beyond the longest path of the dry run."""
         return self._tracer.dimensions(((self.x, self.y),), self.dims)
 
     @property
     def numbers_per_path(self) -> float:
-        """Mean count of random numbers per path, without those of the camera.
+        """Mean number of random numbers that a path requests, excluding the camera's.
 
-        Each iteration of the integrator's loop uses the same count.
+        Each iteration of the integrator's loop requests the same count of numbers.
         """
         return self._tracer.dry_run(((self.x, self.y),))[1]
 
@@ -232,7 +232,7 @@ def path_pixel(
     dims: int | None = None,
     selection: Sequence[float] | None = None,
 ) -> PathPixel:
-    """Return a pixel's radiance as an integrand; parameters and errors as in `PathPixel`.
+    """Return the radiance of a pixel as an integrand. Parameters and errors are as in `PathPixel`.
 
     If `integrator` is None, the scene's own integrator is used.
     """
@@ -241,17 +241,17 @@ def path_pixel(
 
 
 def light_selection(scene: Scene) -> Array:
-    """Probability that Mitsuba chooses each light: (L,) in the order of `emitter_names`."""
+    """Return the probabilities (L,) of Mitsuba's lights in the order of `emitter_names`."""
     with LOCK:
         weights = np.array([float(e.sampling_weight()) for e in load_scene(scene).emitters()])
     return np.asarray(weights / weights.sum())
 
 
 def parts_by_light(f: PathPixel, u: Array) -> Array:
-    """Part of each light in the values of f at points u (..., D): (L, ...); the sum is f.
+    """Split the values of f at points u (..., D) by light. The parts (L, ...) sum to f.
 
-    The emission of some lights, such as a black body, cannot be changed in Mitsuba.
-    A scene with a light of this kind raises a ParameterError.
+    Mitsuba cannot change the emission of some lights, such as a black body.
+    A scene with such a light raises a ParameterError.
     """
     with LOCK:
         lights = len(load_scene(f.scene).emitters())
@@ -262,9 +262,9 @@ def parts_by_light(f: PathPixel, u: Array) -> Array:
 def window_dimensions(
     tracer: Tracer, window: tuple[int, int, int, int], dims: int | None
 ) -> tuple[Dimension, ...]:
-    """Use of each coordinate of paths through a window (x0, y0, width, height).
+    """Return what each coordinate is used for by paths through a window (x0, y0, width, height).
 
-    By default, as many coordinates as paths through 256 pixels of the window use, at most 64.
+    By default, the number of coordinates is what paths through 256 pixels use, at most 64.
     """
     x0, y0, width, height = window
     xs = np.unique(x0 + np.linspace(0, width - 1, _DRY_PIXELS).astype(int)).tolist()
@@ -302,7 +302,7 @@ class Tracer:
     ) -> tuple[Dimension, ...]:
         """Return how paths through these pixels use each of the first `dims` coordinates of u.
 
-        By default, the paths determine `dims`, at most 64; the use of later coordinates is unknown.
+        By default, `dims` is the number that paths use, at most 64. Later ones are "unknown".
         """
         found = self.dry_run(pixels)[0]
         count = min(len(found), _MOST_DIMS) if dims is None else dims
@@ -310,13 +310,13 @@ class Tracer:
         return (*found[:count], *[beyond] * (count - len(found)))
 
     def dry_run(self, pixels: tuple[tuple[int, int], ...]) -> tuple[tuple[Dimension, ...], float]:
-        # The selection and the light do not affect the dry run
+        # The probabilities of lights and the dimming do not affect the dry run
         lit = replace(self, selection=None, light=None)
         with LOCK:
             return dimensions_of(load_scene(self.scene))(lit, pixels)
 
     def means(self, u: Array, pixels: Array) -> Array:
-        """Means over samples at pixels (P, 2): float64 (R, P) or (R, P, 3).
+        """Return means over samples at pixels (P, 2): float64 (R, P) or (R, P, 3).
 
         Samples u are (R, n, D), equal for all pixels, or (R, P, n, D).
         Values that are not finite raise a ParameterError.
@@ -334,7 +334,7 @@ class Tracer:
 
     @contextlib.contextmanager
     def _lights(self) -> Iterator[None]:
-        """Yield the scene with the requested lights chosen and dimmed, while the lock is held."""
+        """Change the probabilities and dimming of the lights inside the block; needs the lock."""
         if self.selection is None and self.light is None:
             yield
             return
@@ -366,7 +366,7 @@ class Tracer:
             loaded.parameters_changed([])
 
     def _sums(self, u: Array, pixels: Array) -> Array:
-        """Sums over samples, (R, P, channels), with one lane for each realization and pixel."""
+        """Return sums over samples, (R, P, channels). Each lane is one realization of one pixel."""
         import drjit
 
         mitsuba, corners = load_mitsuba(), corners_of(pixels)
@@ -386,9 +386,9 @@ class Tracer:
         return np.moveaxis(pixel_sums(u, len(pixels), 3 if self.channel == "rgb" else 1, at), 0, -1)
 
     def trace(self, sampler: Any, x: Any, y: Any, film: Any = None) -> Any:
-        """Radiance along a path through pixels x and y, as in Mitsuba's own loop over pixels.
+        """Return the radiance along a path through pixel (x, y), as in Mitsuba's own loop.
 
-        The position in the pixel, `film`, is by default the next pair of the sampler.
+        The position in the pixel is `film`; by default it is the next pair of the sampler.
         """
         mitsuba, loaded = load_mitsuba(), load_scene(self.scene)
         sensor, integrator = sensor_of(self.scene), find_integrator(self.scene, self.integrator)
@@ -402,7 +402,7 @@ class Tracer:
         if isinstance(integrator, mitsuba.ad.integrators.common.ADIntegrator):
             import drjit
 
-            # Mitsuba's differentiable integrators need a mode as an argument
+            # Mitsuba's differentiable integrators take a mode as an argument
             found = integrator.sample(
                 mode=drjit.ADMode.Primal,
                 scene=loaded,
@@ -420,7 +420,7 @@ class Tracer:
 
 
 def find_integrator(scene: Scene, spec: object) -> Any:
-    """Return the integrator of a spec, or of the scene, if it can trace a single ray."""
+    """Return the integrator of a spec, or the scene's own; it must trace single rays."""
     if not isinstance(spec, str) or not spec.strip():
         raise ParameterError(
             Parameter("integrator"),
@@ -447,7 +447,7 @@ def find_integrator(scene: Scene, spec: object) -> Any:
 
 @functools.lru_cache(maxsize=8)
 def _made(spec: str) -> Any:
-    """Create the integrator of a plugin name with its properties."""
+    """Create an integrator from its plugin name and properties."""
     plugin = integrator_plugin(spec)
     try:
         return load_mitsuba().load_dict(plugin)
@@ -465,7 +465,7 @@ def _kind(found: Any) -> str:
 
 
 class _Numbers:
-    """Coordinates of points in Dr.Jit's memory; not a dataclass, so loops do not copy it."""
+    """Coordinates of points in Dr.Jit's memory; not a dataclass, so loops do not copy them."""
 
     def __init__(self, table: Any, dims: Any, first: Any) -> None:
         import drjit
@@ -498,7 +498,7 @@ def _sampler_class() -> Any:
     mitsuba = load_mitsuba()
 
     class Coordinates(mitsuba.Sampler):  # type: ignore[misc,name-defined]
-        """Returns coordinates in order; records how many are requested, by iteration."""
+        """Returns coordinates in order, and records how many are requested in each iteration."""
 
         def __init__(self, numbers: _Numbers) -> None:
             super().__init__(mitsuba.Properties())
@@ -530,7 +530,7 @@ def _sampler_class() -> Any:
 
 @functools.lru_cache(maxsize=4)
 def dimensions_of(scene: Any) -> Callable[..., tuple[tuple[Dimension, ...], float]]:
-    """Return a cached function for the dry runs of one scene; few scenes stay in memory."""
+    """Return a cached function for the dry runs of a scene. At most four scenes are kept."""
     del scene
     return functools.lru_cache(maxsize=256)(_dry_run)
 
@@ -562,7 +562,7 @@ def _dry_run(
     counts = sampler.count.numpy()
     asked, mean = int(np.max(counts)), float(np.mean(counts))
 
-    # Separate the random numbers of the camera and those of each iteration of the loop
+    # Separate the random numbers of the camera from those of each iteration of the loop
     sensor = sensor_of(tracer.scene)
     camera = ["film", *["lens"] * sensor.needs_aperture_sample()]
     camera += ["time"] * (sensor.shutter_open_time() > 0.0)
@@ -572,7 +572,7 @@ def _dry_run(
         if began and turns[-1]:
             turns.append([])
         turns[-1].append(number)
-    # If some paths skip random numbers, decisions have no common order
+    # If some paths skip random numbers, their decisions have no common order
     if len(decided) + sum(map(sum, turns)) != asked:
         rest = range(1, asked - len(decided) + 1)
         unknown = (Dimension(1, f"request {k}") for k in rest)

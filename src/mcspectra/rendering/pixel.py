@@ -4,23 +4,22 @@ Method
 ------
 The camera ray through the pixel's center fixes one surface point.
 Its direct illumination is the integral ∫ f_r L_e V cos over directions.
-Each strategy is an integrand g(u) = f/p in primary space.
-The integrand is evaluated at the direction that belongs to u in [0,1)².
-``light`` samples a light, ``bsdf`` the BSDF, and ``environment`` one of our densities (`skies`).
+Each strategy defines an integrand g(u) = f/p in primary space, the unit square.
+The integrand is evaluated at the direction to which the strategy maps u.
+``light`` samples a light, ``bsdf`` the BSDF, and ``environment`` a density of directions.
 ``mis-light`` and ``mis-bsdf`` weight the first two by a heuristic [VeachGuibas1995]_.
 The heuristic is for equal numbers of samples.
 With independent points, the sum of both parts is therefore multiple importance sampling.
-`pixel_mis` has all heuristics, any counts and any techniques.
-The techniques share directions but no warp, because each technique has its own unit cube.
+`pixel_mis` supports all heuristics, and any counts and techniques.
+The techniques share directions but no warp, because each technique has a separate unit cube.
 Results therefore exist only in primary space, and densities are per steradian.
 Light that reaches the camera directly is excluded.
 
 Mitsuba computes in float32: values carry relative errors of about 1e-7.
-Averages are taken in float64. Use a single light for a clean experiment.
-With all lights, Mitsuba selects one, uniformly or by ``sampling_weight``.
-For this selection, Mitsuba stretches the first coordinate.
-This selection cuts the square into strips and adds discontinuities.
-A separate coordinate for the selection avoids these discontinuities.
+Averages are computed in float64.
+With all lights, Mitsuba selects a light at random, uniformly or by ``sampling_weight``.
+The selection stretches the first coordinate: it cuts the square into strips and adds jumps.
+A single light avoids these discontinuities, and so does a separate coordinate.
 The columns of u have the following meanings:
 
 ===========  ==================================================================================
@@ -30,22 +29,22 @@ The columns of u have the following meanings:
 ``dims=5``   position; direction; selection
 ===========  ==================================================================================
 
-With positions, the integral is the mean over the pixel.
+If positions are sampled, the integral is the mean over the pixel.
 The integrand is 0 if a ray leaves the scene or hits a light.
 
 `PixelView.draws` returns the densities of all techniques at one draw.
 A technique is ``"light"``, ``"bsdf"`` or a density of directions (`Sky`).
 Light sampling and skies are not combined, because both would sample the environment.
-Where f is 0, only the technique that drew a direction gets a positive density.
-The densities of all other techniques are set to 0 at this direction.
-A ray that a surface blocks does not reveal the light behind the surface.
-With this rule, every density p_t nevertheless integrates to 1.
+Where f is 0, only the technique that drew the direction gets a positive density.
+The densities of all other techniques are set to 0 at this direction:
+a ray that a surface blocks does not reveal the light behind the surface.
+Every density p_t nevertheless integrates to 1.
 
-The integral is the mean over independently scrambled Sobol' points.
-A pixel's integrand jumps along curves that no axis follows, the edges of lights and occluders.
-Gauss-Legendre quadrature on boxes therefore does not converge.
+`integral` is the mean over independently scrambled sets of Sobol' points.
+The integrand of a pixel jumps along curves, the edges of lights and occluders.
+These curves are not parallel to any axis, so Gauss-Legendre quadrature does not converge.
 The scrambled points are unbiased for any integrand.
-The spread of the means of scrambled sets is a reliable error [Owen1997]_.
+The spread of the means of the sets gives a reliable error [Owen1997]_.
 """
 
 from __future__ import annotations
@@ -115,14 +114,14 @@ __all__ = [
 ]
 
 STRATEGIES = ("light", "bsdf", "mis-light", "mis-bsdf")
-"""Strategies that exist for any scene."""
+"""Strategies that are available for any scene."""
 
 ENVIRONMENT = "environment"
-"""Strategy that exists for scenes with an environment."""
+"""Strategy that is available for scenes with an environment map."""
 
 
 class MitsubaIntegrand(Integrand):
-    """Mitsuba's values of one or all channels; the integral is estimated by a mean over points."""
+    """Values from Mitsuba for one or all channels. The integral is a mean over points."""
 
     costly: ClassVar[bool] = True
     stock_samplers: ClassVar[tuple[str, ...]] = (
@@ -139,7 +138,7 @@ class MitsubaIntegrand(Integrand):
 
     @property
     def integral_source(self) -> str:
-        """Method by which the integral is computed; its standard error is `integral_accuracy`."""
+        """How the integral is computed; its standard error is `integral_accuracy`."""
         return SOURCE
 
     def _estimated_integral(self) -> Estimate:
@@ -163,29 +162,29 @@ class Pixel(MitsubaIntegrand):
         The parts ``"mis-light"`` and ``"mis-bsdf"`` are used together.
         With ``"environment"``, directions are sampled by the given density.
     light
-        Index or name of the only light to use; other lights are dark but still occlude.
+        Index or name of the only light to use. Other lights then emit nothing but still occlude.
         By default all lights are used.
     heuristic
         ``"balance"`` or ``"power"`` (β = 2), for the two ``mis-`` strategies.
     channel
         ``"luminance"`` (Rec. 709), 0, 1 or 2 for red, green or blue, or ``"rgb"`` for all three.
     dims
-        2; or 3, whose third coordinate chooses a light, or a lobe of the BSDF.
+        2, or 3 if a third coordinate chooses a light or a lobe of the BSDF.
         With 4 or 5 dims, two further coordinates come first: the position in the pixel.
     density
         For ``"environment"``: a density in 2 dims over the square of latitude and longitude.
         Specs are accepted, for example ``"environment(interpolation='bilinear', channel=0)"``.
-        A spec without a ``path`` means the scene's own map.
-        By default, the density interpolates `channel` of the scene's own map bilinearly.
+        A spec without a ``path`` means the environment map of the scene.
+        By default, the density interpolates `channel` of this map bilinearly.
         Nothing is sampled where the density is 0.
         Densities with compensation are therefore for `pixel_mis` only.
 
     Raises
     ------
     ParameterError
-        If the pixel is outside the film, or shows nothing or a light.
-        If its BSDF or a used light is a delta function, or its BSDF needs one more dim.
-        If there is no such light, or other lights are used with ``"environment"``.
+        If the pixel is outside the film, or shows a light or nothing.
+        If its BSDF or a used light is a delta function, or the BSDF needs one more dim.
+        If the light does not exist, or other lights are used with ``"environment"``.
         If a parameter is not allowed.
     MissingDependency
         If Mitsuba or LLVM is missing.
@@ -237,15 +236,15 @@ def pixel_strategies(
     channel: str | int = "luminance",
     dims: int = 2,
 ) -> dict[str, Integrand]:
-    """Return all strategies of a pixel by name; parameters and errors as in `Pixel`."""
+    """Return all strategies of a pixel by name. Parameters and errors are as in `Pixel`."""
     same: dict[str, Any] = locals()
     return {strategy: Pixel(**same, strategy=strategy) for strategy in STRATEGIES}
 
 
 def check_view(view: PixelView, *, bsdf: bool) -> PixelView:
-    """Return a pixel with its numbers as Python integers; a ParameterError as in `Pixel`.
+    """Check a pixel and return it with Python integers; errors are as in `Pixel`.
 
-    The flag `bsdf` is true if the BSDF will be sampled, which may need one more dim.
+    The flag `bsdf` is true if the BSDF will be sampled, which may require one more dim.
     """
     channel = check_channel(view.channel)
     dims = as_integer("dims of a pixel", view.dims, least=2, most=MOST_DIMS)
@@ -269,8 +268,8 @@ def describe_pixel(scene: Scene, x: int, y: int) -> dict[str, Any]:
     Returns
     -------
     dict
-        The keys are ``shape`` (id), ``bsdf`` (type), and ``light`` (name; None without emission).
-        The other keys, ``position`` and ``normal``, have three floats each in world space.
+        ``shape`` (id), ``bsdf`` (type), ``light`` (name; None without emission),
+        and ``position`` and ``normal``, each as three floats in world space.
         All values are None if the ray leaves the scene.
 
     Raises
@@ -292,7 +291,7 @@ def describe_pixel(scene: Scene, x: int, y: int) -> dict[str, Any]:
 
 
 CHUNK = 2**20
-"""Number of samples in one kernel: some 100 MiB of Dr.Jit's memory; larger ones are not faster."""
+"""Number of samples per kernel, for about 100 MiB of Dr.Jit's memory; more are not faster."""
 
 MOST_DIMS = 5
 _WITH_FILM = 4
@@ -315,7 +314,7 @@ class Draws:
 @final
 @dataclass(frozen=True)
 class PixelView:
-    """A pixel of a scene, and the light that is used; the attributes are the same as in `Pixel`."""
+    """A pixel of a scene, and the lights used. The attributes are the same as in `Pixel`."""
 
     scene: Scene
     x: int
@@ -335,7 +334,7 @@ class PixelView:
         return self.dims >= _WITH_FILM
 
     def values(self, technique: Technique, u: Array, heuristic: str | None = None) -> Array:
-        """Values f/p at u (..., dims), times the weight of a heuristic: (...) or (..., 3)."""
+        """Return f/p at u (..., dims), times a heuristic's weight if given: (...) or (..., 3)."""
         found = self.draws(technique, u.reshape(-1, self.dims), (), heuristic).values
         return found.reshape((*u.shape[:-1], *found.shape[1:]))
 
@@ -346,7 +345,7 @@ class PixelView:
         among: Sequence[Technique],
         heuristic: str | None = None,
     ) -> Draws:
-        """Return f/p at u (M, dims), times a heuristic's weight, and all densities at u."""
+        """Return f/p at u (M, dims), weighted by a heuristic if given, and all densities at u."""
         values = np.empty((len(u), 3) if self.channels else len(u))
         pdfs = np.zeros((len(among), len(u)))
         for start in range(0, len(u), CHUNK):
@@ -403,7 +402,7 @@ class PixelView:
                 directions = np.asarray(_spread(towards.numpy().T, (count, 3)), np.float64)
             values = _numbers(value, self.channel, count)
 
-        # Where f is 0, other techniques count as unable to draw the direction
+        # Where f is 0, treat the direction as impossible for the other techniques
         lit = values != 0.0 if values.ndim == 1 else (values != 0.0).any(axis=1)
         rows = np.zeros((len(among), count))
         for row, other in zip(rows, among, strict=True):
@@ -414,7 +413,7 @@ class PixelView:
 
 
 def check_channel(channel: object, names: Sequence[str] = ("luminance", "rgb")) -> str | int:
-    """Return a valid channel, one of `names` or 0, 1 or 2; otherwise raise a ParameterError."""
+    """Check a channel and return it: one of `names`, or 0, 1 or 2."""
     if isinstance(channel, str) and channel in names:
         return str(channel)
     try:
@@ -434,7 +433,7 @@ def _numbers(color: Any, channel: str | int, count: int) -> Array:
 
 
 def _spread(found: Any, shape: int | tuple[int, ...]) -> Array:
-    """Return an array of this shape, because Dr.Jit keeps constants at width 1."""
+    """Return an array of this shape: Dr.Jit keeps constants as arrays of size 1."""
     return np.broadcast_to(np.asarray(found), shape)
 
 
@@ -447,7 +446,7 @@ def incident_light(
     channel: str | int = "luminance",
     resolution: int = 128,
 ) -> xr.Dataset:
-    """Compute the light from all directions of the upper hemisphere at the pixel's surface point.
+    """Compute the light that reaches the surface point of a pixel from all directions.
 
     Parameters
     ----------
@@ -456,22 +455,22 @@ def incident_light(
     channel
         ``"luminance"``, 0, 1 or 2.
     resolution
-        Number of rows of elevation, 4 to 1024; there are four times as many columns of azimuth.
+        Number of rows of elevation, 4 to 1024. There are four times as many columns of azimuth.
 
     Returns
     -------
     xarray.Dataset
         The variables have the dims (elevation, azimuth), with values at cell centers.
         The elevation is in degrees above the surface, the azimuth in degrees around its normal.
-        "Above" is the side of the camera.
-        ``incident_radiance`` is L_e of the used lights where no surface blocks it;
+        "Above" means on the side of the camera.
+        ``incident_radiance`` is L_e of the used lights, or 0 where a surface blocks them.
         ``reflected_radiance`` is f_r L_e cos per steradian.
-        Its integral over directions is the integral of every strategy of `Pixel`.
+        Its integral over directions equals the integral of every strategy of `Pixel`.
 
     Raises
     ------
     ParameterError
-        If the resolution is out of range, the channel is ``"rgb"``, or `Pixel` raises this error.
+        If the resolution is out of range, the channel is ``"rgb"``, or the pixel is invalid.
     """
     request = as_scene(scene)
     rows = as_integer("resolution", resolution, least=4, most=1024)
@@ -495,7 +494,7 @@ def incident_light(
         level, side = np.cos(up), np.where(at.wi.z.numpy() < 0.0, -1.0, 1.0).item()
         vectors = (level * np.cos(around), level * np.sin(around), side * np.sin(up))
         towards = mitsuba.Vector3f(*(v.astype(np.float32).ravel() for v in vectors))
-        # Compute L and f_r L cos in each direction; without UV, textured lights would be wrong
+        # Compute L and f_r L cos in each direction. Textured lights need UV coordinates
         ray = at.spawn_ray(at.to_world(towards))
         met = hit.scene.ray_intersect(ray, mitsuba.RayFlags.UV, False)
         found = met.emitter(hit.scene)
@@ -519,16 +518,16 @@ def incident_light(
 
 
 SOURCE = "mean of 16 Owen-scrambled sets of 2^17 Sobol' points"
-"""Text of `integral_source`."""
+"""Text that `integral_source` returns."""
 
 _POINTS, _SETS = 2**17, 16
 _SEED = 20_170_623
-# Relative rounding error of values, which does not affect their spread
+# Relative rounding error of values, which their spread does not show
 _SINGLE = float(np.finfo(np.float32).eps)
 
 
 def mean_of_points(integrand: Integrand) -> Estimate:
-    """Estimate ∫ g, (C,), with C = 1 for a scalar, and the largest standard error of a channel."""
+    """Estimate ∫ g in C channels (C,), with C = 1 for a scalar, and the largest standard error."""
     sampler, stream = as_sampler("sobol | owen", integrand.dims), Stream.from_rng(_SEED)
     drawn = (sampler.draw_stream(_POINTS, stream, k, 1)[0] for k in range(_SETS))
     means = np.stack([integrand(u).reshape(_POINTS, -1).mean(axis=0) for u in drawn])
@@ -540,7 +539,7 @@ def mean_of_points(integrand: Integrand) -> Estimate:
 
 @final
 class PixelMIS(AbstractEstimator):
-    """Multiple importance sampling of a pixel's direct illumination; made by `pixel_mis`.
+    """Multiple importance sampling of a pixel's direct illumination, created by `pixel_mis`.
 
     Attributes
     ----------
@@ -549,9 +548,9 @@ class PixelMIS(AbstractEstimator):
     heuristic
         Spec of the heuristic.
     shares
-        Relative sample counts of the techniques; heuristics that use f multiply them by factors.
+        Relative sample counts of the techniques. Heuristics that use f adapt these counts.
     control
-        Control variate α_t of ``optimal`` weights, (T,) or (T, 3); None for other weights.
+        Coefficients α_t of the control variate of ``optimal`` weights, (T,) or (T, 3), or None.
     """
 
     def __init__(
@@ -589,14 +588,14 @@ class PixelMIS(AbstractEstimator):
 
     @property
     def dims(self) -> int:
-        """Number of dims of every technique."""
+        """Number of dims, the same for every technique."""
         return self.view.dims
 
     def _primary(self, technique: int) -> Integrand:
         return _Weighted(self, technique)
 
     def primary_values(self, technique: int, u: Array) -> Array:
-        """Weighted values w_t f/p_t; with optimal weights α_t + (f − Σ α_s p_s) w_t/p_t."""
+        """Weighted values w_t f/p_t; for optimal weights α_t + (f − Σ α_s p_s) w_t/p_t."""
         flat = u.reshape(-1, self.dims)
         values = self._weigh(technique, self.draws(technique, flat))
         return values.reshape((*u.shape[:-1], *values.shape[1:]))
@@ -606,7 +605,7 @@ class PixelMIS(AbstractEstimator):
         return self.view.draws(self._bound[technique], u, self._bound)
 
     def with_heuristic(self, heuristic: str) -> PixelMIS:
-        """Return the estimator with the same techniques, counts and sets, but this heuristic."""
+        """Return the estimator with another heuristic, and the same techniques, counts and sets."""
         return PixelMIS(
             self.view, self.techniques, heuristic=heuristic, counts=self.counts, sets=self.sets
         )
@@ -631,7 +630,7 @@ class PixelMIS(AbstractEstimator):
         if self.control is None:
             return scale(draws.values, own * over)
         left = scale(draws.values, own) - draws.pdfs.T @ self.control
-        # A lost sample, for example below the surface, is not a sample of p_t and adds nothing
+        # A lost sample, such as one below the surface, does not come from p_t and adds nothing
         sampled = own > 0.0 if left.ndim == 1 else (own > 0.0)[:, None]
         return np.where(sampled, self.control[technique] + scale(left, over), 0.0)
 
@@ -639,7 +638,7 @@ class PixelMIS(AbstractEstimator):
 @final
 @dataclass(frozen=True, eq=False)
 class _Weighted(MitsubaIntegrand):
-    """The integrand g_t of one technique in the multiple importance sampling of a pixel."""
+    """The integrand g_t of one technique in multiple importance sampling of a pixel."""
 
     name: ClassVar[str] = "pixel-technique"
     estimator: PixelMIS
@@ -667,7 +666,7 @@ class _Weighted(MitsubaIntegrand):
 @final
 @dataclass(frozen=True, eq=False)
 class _PixelPilot(Pilot):
-    """Pilot samples, one per row: densities of T techniques, then the channels of f."""
+    """Pilot samples, one per row: the densities of T techniques, and then the channels of f."""
 
     estimator: PixelMIS
     shares: Array
@@ -715,22 +714,22 @@ def pixel_mis(
     scene, x, y, light, channel, dims
         Same as in the class `Pixel`.
     heuristic
-        A name or spec of `mcspectra.estimators.HEURISTICS`, or an object.
+        Name or spec from `mcspectra.estimators.HEURISTICS`, or a heuristic object.
         ``optimal`` and ``variance-aware`` use a pilot, by default 4096 random samples with seed 0.
-        These two heuristics cannot use quadrature for a pixel.
+        With these two heuristics, a pixel has no quadrature.
     techniques
         ``"light"``, ``"bsdf"``, and densities for the environment as in `Pixel`,
         or ``"environment"`` for the scene's own map.
-        Several densities may be given. Densities and ``"light"`` exclude each other.
+        Several densities are allowed, but not together with ``"light"``.
     counts
         Samples of each technique as multiples of n; by default equal.
     sets
-        Dependence between the points of the techniques: `mcspectra.estimators.base`.
+        Dependence between the points of the techniques, as in `mcspectra.estimators.base`.
 
     Raises
     ------
     ParameterError
-        As in `Pixel`; or if techniques, counts or heuristic are invalid.
+        Same as in `Pixel`; also if techniques, counts or heuristic are invalid.
 
     Examples
     --------
@@ -757,7 +756,7 @@ def pixel_mis(
 
 
 def _bound(view: PixelView, technique: Density | str) -> Technique:
-    """Return a named technique unchanged, and a density as a technique for the environment."""
+    """Return a named technique unchanged, and a density as a technique of the environment."""
     if isinstance(technique, str) and technique in _BY_NAME:
         return technique
     environment_of(view.scene, view.light)

@@ -1,29 +1,29 @@
-"""Our samplers as plugins of Mitsuba: ``<sampler type="mcspectra">`` in any scene.
+"""Our samplers as plugins of Mitsuba, for ``<sampler type="mcspectra">`` in any scene.
 
 Mitsuba's own executable does not run Python, so it cannot load the plugin.
-Use the function `render_file` or the command ``render`` instead.
+Use the function `render_file` or the command ``render`` instead of the executable.
 
 Method
 ------
-Sets are *padded* as in pbrt: every request for two numbers uses its own two-dimensional set.
-Every request for one number uses its own one-dimensional set.
-The points of a set come in a separate random order.
-Requests are therefore independent of one another.
+Sets are *padded* as in pbrt: each request for two numbers has its own two-dimensional set,
+and each request for one number has its own one-dimensional set.
+The points of each set are shuffled.
+Different requests are therefore independent of each other.
 The numbers of each request are as evenly spread as the sampler's points [KolligKeller2002]_.
 
-The first `joint_dims` numbers of a sample come from one *joint* set instead.
+Alternatively, the first `joint_dims` numbers of a sample come from a single *joint* set.
 By default, binary nets scrambled by ``owen`` take `JOINT_DIMS` numbers jointly:
 the position in the pixel and the next pair, which is a point on the lens or on a light.
-Both pairs remain as even as padded ones (`mcspectra.samplers.nets.JoinedPairs`).
+Each pair of these numbers is as even as with padding (`mcspectra.samplers.nets.JoinedPairs`).
 All other samplers are padded by default.
 The same rule holds for `mcspectra.rendering.variance_map` and for pixels (`padding`).
-``python -m benchmarks scenes`` measures this rule with five scenes.
+The command ``python -m benchmarks scenes`` measures the effect of this rule on five scenes.
 
 In vectorized variants, lane i is sample i mod n of pixel ⌊i / n⌋.
-Scrambled nets are computed in the kernel (`kernel_nets`), joint sets up to `_MOST_WORDS` dims too.
-Sets of other samplers are float32 tables in Dr.Jit's memory.
-Requests gather from these tables in the layout of `Rounds`.
-In scalar variants, Mitsuba seeds the sampler for each pixel, and the pixel's sets are drawn then.
+Kernels compute scrambled nets (`kernel_nets`), also joint sets up to `_MOST_WORDS` dims.
+Sets of other samplers are stored as float32 tables in Dr.Jit's memory.
+Requests read these tables in the layout of `Rounds`.
+In scalar variants, Mitsuba seeds the sampler for each pixel. Then the sets of the pixel are drawn.
 """
 
 from __future__ import annotations
@@ -70,13 +70,13 @@ PLUGIN_VARIANTS = ("llvm_ad_rgb", "scalar_rgb")
 """Variants of Mitsuba that get the plugin by default."""
 
 JOINT_DIMS = 4
-"""Number of joint dims of scrambled nets by default.
+"""Default number of joint dims of scrambled nets.
 
-With more dims, pairs of high dims are less evenly spread than padded pairs:
-in a room, 8 joint dims had 16 % more variance at n = 16.
+With more joint dims, pairs of high dims are less evenly spread than padded pairs.
+In a scene of a room, 8 joint dims had 16 % more variance at n = 16.
 """
 
-_MOST_WORDS = 8  # largest number of joint dims that a kernel computes; more are drawn as a table
+_MOST_WORDS = 8  # largest number of joint dims computed in a kernel; more are stored in a table
 _UNKNOWN = 2**32 - 1  # Mitsuba's wavefront size for "unchanged"
 
 
@@ -85,9 +85,9 @@ def register_samplers(variant: str | Sequence[str] | None = None) -> tuple[str, 
 
     The plugin's properties are ``spec`` (string, default ``"sobol | owen"``), ``sample_count``,
     ``seed``, ``joint_dims`` and ``samples_per_pass``.
-    The integer ``joint_dims`` is the number of a sample's first coordinates from one joint set.
+    The integer ``joint_dims`` is how many of the first numbers of a sample come from one joint set.
     With 0, every request has its own set. The default is that of `joint_dims_of`.
-    The integer ``samples_per_pass`` is needed if an integrator splits a pixel's samples.
+    The integer ``samples_per_pass`` is needed if an integrator splits the samples of a pixel.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def register_samplers(variant: str | Sequence[str] | None = None) -> tuple[str, 
 
 @dataclass(frozen=True)
 class _Options:
-    """Options of the sampler in a scene."""
+    """Options of the sampler element in a scene."""
 
     spec: str = "sobol | owen"
     seed: int = 0
@@ -133,12 +133,12 @@ class _Options:
 
     @staticmethod
     def of(properties: Any) -> _Options:
-        """Read a plugin's properties."""
+        """Read the options from the properties of a plugin."""
         default = _Options()
         return _Options(*(properties.get(name, value) for name, value in vars(default).items()))
 
     def sets(self, count: int) -> PaddedSets:
-        """Return the checked point sets, each of `count` points."""
+        """Return the point sets, each of `count` points, after checking the options."""
         most = self.samples_per_pass
         if most < 0 or (most and count % most):
             raise ParameterError(
@@ -147,7 +147,7 @@ class _Options:
         return PaddedSets(spec=self.spec, count=count, joint=self.joint_dims)
 
     def stream(self, seed: int) -> Stream:
-        """Return the random stream of one seed."""
+        """Return the random stream of a seed."""
         base = as_integer("seed", self.seed, least=0)
         return Stream.from_rng(np.random.SeedSequence([base, seed]))
 
@@ -160,8 +160,8 @@ def joint_dims_of(sampler: Sampler) -> int:
 def joint_sampler(pair: Sampler, dims: int) -> Sampler:
     """Return the sampler of joint sets for a sampler in two dims.
 
-    Scrambled binary nets in `JOINT_DIMS` dims are two linked copies of the net (`JoinedPairs`).
-    Other sets are those of the sampler itself in these dims.
+    Scrambled binary nets in `JOINT_DIMS` dims become two linked copies of a net (`JoinedPairs`).
+    In other cases, the sampler itself is used in `dims` dims.
     """
     net = net_of(pair)
     if net is None or dims != JOINT_DIMS:
@@ -175,11 +175,11 @@ def joint_sampler(pair: Sampler, dims: int) -> Sampler:
 
 @functools.cache
 def _plugin_class(variant: str) -> Any:
-    """Derive a sampler class for a variant and register it; its `state` holds the data."""
+    """Derive a sampler class for a variant and register it; `state` holds its data."""
     mitsuba = import_mitsuba()
     if variant.startswith("llvm"):
         before = mitsuba.variant()
-        load_mitsuba()  # this checks for LLVM, and reports missing packages
+        load_mitsuba()  # this searches LLVM and reports missing packages
         if before is not None:
             mitsuba.set_variant(before)
     try:
@@ -192,7 +192,7 @@ def _plugin_class(variant: str) -> Any:
         ) from None
     seed_state: Any = PixelState.of if variant.startswith("scalar") else seed_lanes
 
-    # Mitsuba's worker threads fork the sampler while the caller holds LOCK; they must not take LOCK
+    # Worker threads fork the sampler while the caller holds LOCK: forks must not wait for LOCK
     new_properties = import_mitsuba().Properties
 
     class McspectraSampler(module.Sampler):  # type: ignore[misc]
@@ -213,13 +213,13 @@ def _plugin_class(variant: str) -> Any:
             self.per_pass = samples_per_wavefront
 
         def seed(self, seed: Any, wavefront_size: int = _UNKNOWN) -> None:
-            # If Python calls `seed` of the base class, the base class also calls this method
+            # The `seed` of the base class also calls this method if Python calls it
             if self.seeding:
                 super().seed(seed, wavefront_size)
                 return
             self._seed_base(seed, wavefront_size)
             per_pass = self.per_pass or self.options.samples_per_pass or self.sets.count
-            # Mitsuba's own integrators set the samples per pass without calling Python
+            # Mitsuba's own integrators set this without calling Python: drop the old value
             self.per_pass = None
             number = int(seed) if isinstance(seed, int) else int(seed.numpy()[0])
             stream = self.options.stream(number)
@@ -277,8 +277,8 @@ def _seeded(state: LaneState | PixelState | None) -> LaneState | PixelState:
 
 
 _TAKEN = ("coordinate", "single_offset", "pair_offset")
-_REQUESTS = 4  # number of sets of a single pixel: film, light, BSDF and one more
-_MOST_REQUESTS = 2**16  # largest number of requests of a pixel in scalar variants
+_REQUESTS = 4  # number of sets that are drawn together for one pixel
+_MOST_REQUESTS = 2**16  # largest number of requests per pixel in scalar variants
 
 
 class PixelState:
@@ -293,7 +293,7 @@ class PixelState:
 
     @staticmethod
     def of(_: Any, sets: PaddedSets, stream: Stream, *__: int) -> PixelState:
-        """Return the state of one pixel, for a sampler that a scalar variant has seeded."""
+        """Return the state of a pixel. The unused arguments are those of `seed_lanes`."""
         return PixelState(sets, stream)
 
     def copy(self) -> PixelState:
@@ -343,7 +343,7 @@ class PixelState:
 def seed_lanes(
     module: Any, sets: PaddedSets, stream: Stream, wavefront_size: int, per_pass: int
 ) -> LaneState | None:
-    """Return the state of a wavefront; None for size 1, which renderers use to release memory."""
+    """Return the state of a wavefront, or None for size 1, which renderers use to free memory."""
     pixels, rest = divmod(wavefront_size, per_pass)
     if rest:
         return None
@@ -376,9 +376,9 @@ def seed_lanes(
 
 
 class _DeviceSets:
-    """Point sets in Dr.Jit's memory, made from float32 (sets, count, dims); `size` is their number.
+    """Point sets in Dr.Jit's memory, from a float32 array (sets, count, dims).
 
-    The classes here are not dataclasses: Dr.Jit would make their tables part of a loop's state.
+    This class is not a dataclass: Dr.Jit would copy the tables of a dataclass through its loops.
     """
 
     def __init__(self, module: Any, sets: Array) -> None:
@@ -388,7 +388,7 @@ class _DeviceSets:
         self.size, self._count = (drjit.opaque(module.UInt32, k) for k in sets.shape[:2])
 
     def draw(self, dims: int, number: Any, start: Any, index: Any, active: Any) -> list[Any]:
-        """Return coordinates, from number `start`, of a point of set `number` modulo `size`."""
+        """Return `dims` coordinates of point `index` in set `number` modulo `size`."""
         import drjit
 
         first, kind = (
@@ -399,9 +399,9 @@ class _DeviceSets:
 
 
 class _TablePads:
-    """Tables of sets: 1-D sets for requests for one number, 2-D sets for requests for two numbers.
+    """Tables of point sets: 1-D sets answer requests for one number, 2-D sets those for two.
 
-    An offset selects the set of a request; each request of a pixel has another offset.
+    An offset selects the set that answers a request. Each request of a pixel has another offset.
     """
 
     def __init__(self, module: Any, sets: PaddedSets, stream: Stream, rounds: Rounds) -> None:
@@ -415,7 +415,7 @@ class _TablePads:
         return self._wrapped(offset + self._stride)
 
     def draw(self, dims: int, pixel: Any, offset: Any, index: Any, active: Any) -> list[Any]:
-        """Return the random numbers of the requests with this offset."""
+        """Return the random numbers for a request with this offset."""
         number = self._wrapped(pixel % self._sets[dims].size + offset)
         return self._sets[dims].draw(dims, number, 0, index, active)
 
@@ -428,10 +428,10 @@ class _TablePads:
 
 @dataclass
 class LaneState:
-    """State of a wavefront: a dataclass, so that Dr.Jit carries its arrays through loops.
+    """State of a wavefront. It is a dataclass, so that Dr.Jit carries its arrays through loops.
 
-    For each lane, it holds the pixel, the index of the sample, and the count of used numbers.
-    It also holds the offsets of each lane's next sets.
+    Each lane has a pixel, the index of its sample, the number of used coordinates,
+    and the offsets of its next sets.
     The attribute `done` counts the samples of earlier passes.
     """
 
@@ -496,17 +496,17 @@ class LaneState:
 
 
 MOST_SAMPLES = 2**16
-"""Maximum samples per pixel; with more samples, the largest table would hold too few sets."""
+"""Maximum samples per pixel. With more samples, the largest table would hold too few sets."""
 
-_MOST_NUMBERS = 2**27  # maximum number of values in one table, 512 MiB
-_FEWEST_SETS = 509  # minimum number of sets, a prime; the sets are reused after this many requests
-_BLOCK_NUMBERS = 2**19  # numbers drawn at once, 4 MiB of float64
+_MOST_NUMBERS = 2**27  # maximum number of values in one table (512 MiB)
+_FEWEST_SETS = 509  # minimum number of sets, a prime; after this many requests, sets repeat
+_BLOCK_NUMBERS = 2**19  # numbers drawn at once (4 MiB of float64)
 _GOLDEN = (5**0.5 - 1) / 2
 
 
 @kernel
 def _shuffle(points: Array, keys: Array, largest: Any, out: Array) -> None:
-    # Fisher-Yates shuffle, inside out; shapes: points and out (R, n, d), keys (R, 2)
+    # Fisher-Yates shuffle that builds the output. Shapes: points and out (R, n, d), keys (R, 2)
     for r in range(points.shape[0]):
         for i in range(points.shape[1]):
             j = int(mix_bits(keys[r, 0], keys[r, 1], i) % np.uint64(i + 1))
@@ -518,7 +518,7 @@ def _shuffle(points: Array, keys: Array, largest: Any, out: Array) -> None:
 @final
 @dataclass(frozen=True)
 class Rounds:
-    """Assignment of sets to requests: set (pixel + request · stride) mod size.
+    """Assigns sets to requests: the number of the set is (pixel + request · stride) mod size.
 
     The stride is relatively prime to the size.
     The first `size` requests of a pixel therefore use different sets.
@@ -529,7 +529,7 @@ class Rounds:
 
     @staticmethod
     def of(pixels: int, requests: int, numbers_each: int) -> Rounds:
-        """Lay out sets for the first `requests` of every pixel, within the memory limit."""
+        """Choose the layout of sets for the first `requests` of a pixel within a memory limit."""
         size = max(_FEWEST_SETS, pixels * requests + 1)
         size = min(size, _MOST_NUMBERS // numbers_each)
         golden = int(size * _GOLDEN)
@@ -542,7 +542,7 @@ class Rounds:
 class PaddedSets:
     """Sets of one sampler for requests of one and two numbers, and joint sets in more dims.
 
-    The default of `joint` is `joint_dims_of` the spec.
+    The default of `joint` is the result of `joint_dims_of` for the sampler.
     Raises a ParameterError if the spec, the count or the dims are not possible.
     """
 
@@ -564,13 +564,13 @@ class PaddedSets:
         try:
             single = as_sampler(self.spec, 1)
             single.check_count(count)
-        except ParameterError:  # without 1-D points, use a coordinate of 2-D points
+        except ParameterError:  # without 1-D points, use one coordinate of 2-D points
             single = pair
         settle(self, _samplers=(single, pair, joint))
 
     @property
     def nets(self) -> tuple[Net, Net] | None:
-        """The scrambled nets in one and two dims, or None if kernels cannot compute the sets."""
+        """The scrambled nets in one and two dims, or None if kernels cannot compute these sets."""
         single, pair = (net_of(sampler) for sampler in self._samplers[:2])
         if single is None or pair is None or self.count & (self.count - 1):
             return None
@@ -578,12 +578,12 @@ class PaddedSets:
 
     @property
     def joint_net(self) -> Net | None:
-        """The scrambled net of the joint sets, or None if kernels do not compute these sets."""
+        """The scrambled net of the joint sets, or None if kernels cannot compute these sets."""
         small = self.nets is not None and (self.joint or 0) <= _MOST_WORDS
         return net_of(self._samplers[2]) if small else None
 
     def pads(self, dims: int, stream: Stream, first: int, sets: int) -> Array:
-        """Return shuffled sets in 1 or 2 dims, beginning with set `first`: (sets, count, dims)."""
+        """Return shuffled sets in 1 or 2 dims, starting with set `first`: (sets, count, dims)."""
         sampler = self._samplers[dims - 1]
         assert sampler is not None
         return self._filled(sampler, dims, stream.child(dims), first, sets, shuffled=True)

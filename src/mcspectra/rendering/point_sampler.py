@@ -1,9 +1,9 @@
 """Mitsuba's own samplers as point sets, by name or as objects.
 
-Samplers by name run in the variant ``scalar_rgb`` without setting it as the current variant.
-Pixels depend on the variant of the process, which therefore does not change.
-The module belongs to rendering because it needs `backend`,
-which imports Mitsuba in a way that keeps rendering possible.
+Samplers by name use the variant ``scalar_rgb``, but do not set it as the current variant.
+The current variant stays the same, because pixels depend on it.
+The module belongs to the package `rendering` because it needs `backend`.
+That module imports Mitsuba in a way that keeps rendering possible.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ _SEEDS = 2**32
 @final
 @dataclass(frozen=True, kw_only=True)
 class MitsubaSampler(Sampler):
-    """One of Mitsuba 3's samplers, drawn dimension by dimension, as integrators do.
+    """One of the samplers of Mitsuba 3. Points are drawn dim by dim, as integrators do.
 
     The sampler has 1 to 1024 dims. Pairs of dims are drawn by ``next_2d``.
     If the number of dims is odd, the last dim is drawn by ``next_1d``.
-    Counts are at most 2^20, and only counts that Mitsuba does not round are allowed:
-    any count for ``independent``, s² for ``stratified``,
-    s², s(s + 1) and s(s + 2) for ``multijitter``,
-    squares of primes for ``orthogonal``, and powers of 4 from 4 for ``ldsampler``.
+    Counts are at most 2^20. Only counts that Mitsuba does not round are allowed:
+    ``independent`` takes any count, and ``stratified`` takes s².
+    ``multijitter`` takes s², s(s + 1) and s(s + 2).
+    ``orthogonal`` takes squares of primes, and ``ldsampler`` takes powers of 4 from 4.
 
     Attributes
     ----------
@@ -49,15 +49,15 @@ class MitsubaSampler(Sampler):
         Name of the sampler: ``"independent"``, ``"stratified"``, ``"multijitter"`` (Kensler 2013),
         ``"orthogonal"`` (Jarosz et al. 2019) or ``"ldsampler"`` (Kollig & Keller 2002).
     jitter
-        Whether points are random in their strata or at the centers of their strata.
-        The option applies to the three samplers that have strata.
+        Whether points are random in their strata, or at the centers of their strata.
+        This applies to the three samplers with strata.
 
     Notes
     -----
     Points are float32 numbers.
     A coordinate that Mitsuba rounded up to 1 becomes the largest float32 below 1.
-    Seeds have 32 bits, so that realizations 2^32 apart are equal.
-    Every point is a call of Mitsuba; some hundred thousand points are drawn per second.
+    Seeds have 32 bits, so realizations whose numbers differ by 2^32 are equal.
+    Each point takes one call of Mitsuba. Some hundred thousand points are drawn per second.
 
     References
     ----------
@@ -85,7 +85,7 @@ class MitsubaSampler(Sampler):
 
     @property
     def spec(self) -> str:
-        """The spec, which always names Mitsuba's sampler."""
+        """The spec, which always includes the name of Mitsuba's sampler."""
         jitter = "" if self.jitter else ", jitter=False"
         return f"{self.name}(sampler={self.sampler!r}{jitter})"
 
@@ -98,11 +98,11 @@ class MitsubaSampler(Sampler):
         return _drawn(self._source(n), (count, n, self.dims), stream, first)
 
     def _source(self, n: int) -> Any:
-        """Return a sampler object of the scalar variant, built by Mitsuba's parser."""
+        """Return a sampler object of the scalar variant, created by Mitsuba's parser."""
         options = {} if self.jitter else {"jitter": False}
         with LOCK:
             parser = import_mitsuba().parser
-            # Importing Mitsuba's module registers the classes of its objects
+            # Importing Mitsuba's module registers the Python classes of its objects
             importlib.import_module("mitsuba.scalar_rgb")
             config = parser.ParserConfig("scalar_rgb")
             state = parser.parse_dict(config, {"type": self.sampler, "sample_count": n, **options})
@@ -116,13 +116,13 @@ class MitsubaSampler(Sampler):
 
 
 def _drawn(source: Any, shape: tuple[int, int, int], stream: Stream, first: int) -> Array:
-    """Return points (R, n, d) of a sampler object; each realization has its own seed."""
+    """Return points (R, n, d) of a sampler object. Each realization has a separate seed."""
     (count, n, dims), out = shape, np.empty(shape)
     start = int(stream.keys(0, 1)[0, 0]) + first
     pairs, odd = divmod(dims, 2)
     scalar = "scalar" in source.variant_name()
     for r in range(count):
-        if not scalar:  # vectorized variants return all points of a call at once
+        if not scalar:  # vectorized variants return all points together
             source.set_samples_per_wavefront(n)
             source.seed((start + r) % _SEEDS, n)
             columns = [source.next_2d().numpy() for _ in range(pairs)]
@@ -142,7 +142,7 @@ def _drawn(source: Any, shape: tuple[int, int, int], stream: Stream, first: int)
 @final
 @dataclass(frozen=True, kw_only=True)
 class MitsubaObject(Sampler):
-    """A sampler object of Mitsuba, of any variant and any class; see `from_mitsuba`."""
+    """A sampler object of Mitsuba, of any variant and class, from `from_mitsuba`."""
 
     costly: ClassVar[bool] = True
     max_dims: ClassVar[int | None] = 1024
@@ -160,7 +160,7 @@ class MitsubaObject(Sampler):
 
     @property
     def spec(self) -> str:
-        """The object's class and count; a spec string cannot recreate the object."""
+        """The class and count of the object. A spec string cannot recreate the object."""
         count = self.source.sample_count()
         return f"mitsuba-object({self.source.class_name()}, sample_count={count})"
 
@@ -186,14 +186,14 @@ def from_mitsuba(source: Any, dims: int = DEFAULT_DIMS) -> MitsubaObject:
     ----------
     source
         A sampler object of any variant and class, including plugins in Python.
-        Points are drawn from a fork of this object, so the object does not change.
+        Points are drawn from a copy of this object (fork), so the object does not change.
     dims
-        Number of dims. The object is asked for two coordinates at a time.
+        Number of dims. The object draws two coordinates at a time.
 
     Returns
     -------
     MitsubaObject
-        A sampler with the counts that the object makes without rounding.
+        A sampler that supports the counts that the object does not round.
         The object is queried for these counts each time.
 
     Raises
@@ -204,14 +204,14 @@ def from_mitsuba(source: Any, dims: int = DEFAULT_DIMS) -> MitsubaObject:
     Notes
     -----
     Every realization has its own seed.
-    A realization therefore does not depend on the number of realizations in a call.
-    In vectorized variants, a realization is one wavefront of n lanes. It takes some milliseconds.
+    A realization therefore does not depend on how many realizations a call draws.
+    In vectorized variants, a realization is a wavefront of n lanes, which takes some milliseconds.
     """
     return MitsubaObject(source=source, dims=dims)
 
 
 _STRATA = ("stratified", "multijitter", "orthogonal")
-_ROOTS = range(1, 1032)  # square roots of counts, up to the first prime above 2^10
+_ROOTS = range(1, 1032)  # square roots of possible counts, up to the first prime above 2^10
 _COUNTS: dict[str, Sequence[int]] = {
     "independent": range(1, 2**20 + 1),
     "stratified": [s * s for s in _ROOTS],

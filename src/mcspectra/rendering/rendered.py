@@ -1,19 +1,19 @@
-"""Values of chosen pixels exactly as Mitsuba renders them: any sampler, with the film's own filter.
+"""Values of chosen pixels exactly as Mitsuba renders them, with any sampler and the film's filter.
 
 Method
 ------
-A wavefront of Mitsuba's samplers is split into sequences of n lanes, one for each pixel.
-Every sequence has its own points, and so has every pixel of an image.
-A sequence here is one pixel in one of R images, so that R images are one wavefront.
+Mitsuba's samplers split a wavefront into sequences of n lanes, one sequence per pixel.
+Each sequence has its own points, as each pixel of an image does.
+Here a sequence is one pixel in one of R images, and one wavefront computes all R images.
 Only the measured pixels are traced.
 Positions in the pixel, on the lens and in time are sampled as in Mitsuba's own loop.
-Samplers are Mitsuba's own objects, and ours as its plugin.
-The numbers of a path are therefore taken as in an image.
+The samplers are objects of Mitsuba's own samplers, or of our plugin.
+Paths therefore take their random numbers in the same way as in an image.
 
 With a box filter, a pixel is the mean of its own samples.
-With another filter, samples of the neighbors also count.
-These neighbors are then traced as well, and a pixel is Σ w·L / Σ w over their samples.
-Pixels are measured in square tiles, because neighboring pixels share their margin.
+With another filter, samples in neighboring pixels also count.
+The neighbors are then traced as well, and a pixel is Σ w·L / Σ w over all these samples.
+Pixels are measured in square tiles, because adjacent pixels share the neighbors that they need.
 """
 
 from __future__ import annotations
@@ -37,16 +37,16 @@ from mcspectra.rendering.techniques import check_finite, chosen_channel, lane_su
 __all__ = ["OWN_SAMPLER", "Film", "RenderedPixels", "chosen_tiles", "pixels_of"]
 
 OWN_SAMPLER = "scene's own"
-"""Name of the sampler that the scene's camera has."""
+"""Stands for the sampler of the scene's own camera."""
 
-_LANES = 2**20  # samples in one wavefront; they take some 100 MiB
+_LANES = 2**20  # samples in one wavefront, which take some 100 MiB
 _WIDE_LANES = 2**22  # largest wavefront if a single tile has more samples than `_LANES`
 
 
 @final
 @dataclass(frozen=True)
 class Film:
-    """Size of a film in pixels, and the margin in pixels from which its filter takes samples."""
+    """Size of a film, and how far beyond a pixel its filter takes samples, all in pixels."""
 
     width: int
     height: int
@@ -65,13 +65,13 @@ class Film:
 def chosen_tiles(
     film: Film, pixels: int, stream: Stream, crop: tuple[int, int, int, int] | None = None
 ) -> tuple[Array, int]:
-    """Choose square tiles, one at random in each stratum of the image or of a crop.
+    """Choose square tiles: one at random in each stratum of the image, or of a crop of it.
 
     Returns
     -------
     tuple
-        The upper left pixels of the tiles, (T, 2), and the number of pixels along their sides.
-        Together they have about `pixels` pixels, or all pixels of a small film.
+        The upper left pixels of the tiles, (T, 2), and the side of a tile in pixels.
+        The tiles have about `pixels` pixels in total, or cover all of a small film.
     """
     *start, width, height = crop or (0, 0, film.width, film.height)
     corner = np.array(start)
@@ -92,14 +92,14 @@ def chosen_tiles(
 @final
 @dataclass
 class RenderedPixels:
-    """Measures pixels of a scene as its renderer would.
+    """Measures pixels of a scene in the same way as its renderer.
 
     Attributes
     ----------
     tracer
-        Paths of the integrator and the channel.
+        Traces the paths of the integrator, in one channel.
     seconds, samples
-        Time of all wavefronts and number of their samples, for estimates of the cost.
+        Total time of the wavefronts and their number of samples, for estimates of the cost.
     """
 
     tracer: Tracer
@@ -109,7 +109,7 @@ class RenderedPixels:
     _made: dict[Any, Any] = field(default_factory=dict, repr=False)
 
     def sampler(self, plugin: str | Mapping[str, Any], n: int) -> Any:
-        """Return a sampler object for n samples per pixel; None if Mitsuba would round n."""
+        """Return a sampler object for n samples per pixel, or None if Mitsuba would round n."""
         mitsuba = load_mitsuba()
         if plugin == OWN_SAMPLER:
             made = sensor_of(self.tracer.scene).sampler().fork()
@@ -138,7 +138,7 @@ class RenderedPixels:
         wide = side + 2 * self.film.margin
         each = wide * wide * n
         step = max(1, _LANES // each)
-        # A cell is one tile in one realization
+        # Each cell is one tile in one realization
         cells = np.tile(tiles, (realizations, 1))
         found = []
         for number, first in enumerate(range(0, len(cells), step)):
@@ -198,7 +198,7 @@ class RenderedPixels:
         value = chosen_channel(color, self.tracer.channel)
         value = drjit.select(inside, value, 0.0)
         if margin == 0:
-            # The order of the sum is fixed, so that the bits do not depend on threads
+            # Add in a fixed order, so that the bits do not depend on threads
             drjit.eval(value)
             kept = value.numpy().reshape(len(cells) * side * side, n)
             means = kept.mean(axis=1, dtype=np.float64)

@@ -33,25 +33,25 @@ __all__ = [
 
 
 def check_scene(scene: Scene, *, light: int | str | None = None) -> list[str]:
-    """List the parts of a scene for which direct illumination is not supported.
+    """List the parts of a scene that prevent a measurement of direct illumination.
 
     Parameters
     ----------
     scene
         A scene: a name, a file or a dictionary, as in `load_scene`.
     light
-        The only light to use; by default all lights. With one light, the others may be of any type.
+        The only light to use; by default all lights. With one light, others may be of any type.
 
     Returns
     -------
     list of str
         A sentence for each unsupported part; empty if everything is supported.
-        A scene must have a light, and a camera without a lens or a shutter.
-        A scene must not have participating media, or an integrator of more than direct light.
+        A scene must have a light, and a camera without lens and shutter.
+        A scene must not have participating media, or an integrator that computes indirect light.
         Lights must not be delta functions (point, spot, directional, …).
         An environment must not be scaled, and its pixels must be radiances.
         Shapes must not have a BSDF with a delta function (dielectric, smooth conductor, mask, …).
-        Shapes inside instances are not listed; a pixel that shows one reports it.
+        Shapes inside instances are not listed; a pixel that shows such a shape reports it.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def check_media(scene: Scene) -> None:
 def check_lights(scene: Scene, light: int | str | None = None) -> None:
     """Raise a ParameterError unless the used lights can be sampled and reach surfaces.
 
-    There must be at least one light, but no delta functions and no participating media.
+    There must be at least one light, no delta function among them, and no participating media.
     An environment must not be scaled, and its pixels must be radiances.
     """
     check_media(scene)
@@ -97,16 +97,16 @@ def check_lights(scene: Scene, light: int | str | None = None) -> None:
 
 
 def check_environment(scene: Scene, light: int | str | None = None) -> None:
-    """Raise a ParameterError if the environment is used and is scaled or has broken pixels.
+    """Raise a ParameterError if the environment is used, and is scaled or has invalid pixels.
 
-    Mitsuba does not report the scale of an environment. Its light sampling is wrong by this factor.
+    Mitsuba does not report the scale of an environment, and its light sampling ignores the scale.
     """
     with LOCK:
         _raise_first(_environment(scene, light))
 
 
 def warn_lens(scene: Scene) -> None:
-    """Warn that the camera has a lens or a shutter, which is not sampled."""
+    """Warn that the camera has a lens or a shutter, over which rays are not sampled."""
     with LOCK:
         sentences = _lens(scene, load_scene(scene))
     for sentence in sentences:
@@ -114,13 +114,13 @@ def warn_lens(scene: Scene) -> None:
 
 
 def integrator_note(scene: Scene) -> str:
-    """Return a note if a scene's own integrator is not analyzed, otherwise an empty text."""
+    """Return a note if results do not use the integrator of the scene, otherwise an empty text."""
     with LOCK:
         return "".join(_integrator(scene, load_scene(scene)))
 
 
 def filter_note(scene: Scene) -> str:
-    """Return a note if renders and paths use different pixel filters; empty for a box filter."""
+    """Return a note if images and paths use different pixel filters; empty for a box filter."""
     with LOCK:
         rfilter = sensor_of(scene).film().rfilter()
         if rfilter.is_box_filter():
@@ -133,13 +133,13 @@ def filter_note(scene: Scene) -> str:
 
 
 def warn_integrator(scene: Scene) -> None:
-    """Warn if a scene's own integrator is not analyzed."""
+    """Warn if results do not use the integrator of the scene."""
     if note := integrator_note(scene):
         warn(note, IncompleteImageWarning)
 
 
 def camera_rays(scene: Scene) -> str:
-    """Describe where camera rays start; for a lens or a shutter, results use one ray."""
+    """Describe where camera rays start. For a lens or a shutter, only the central ray is used."""
     with LOCK:
         sensor = load_scene(scene).sensors()[0]
         lens, shutter = _aperture(sensor) > 0.0, sensor.shutter_open_time() > 0.0
@@ -194,7 +194,7 @@ def _raise_first(sentences: list[str]) -> None:
 
 
 def _lens(scene: Scene, loaded: Any) -> list[str]:
-    """Sentences on a lens or a shutter of the first camera, which rays do not sample."""
+    """Return a sentence for a lens and for a shutter of the first camera, which are not sampled."""
     sensors = loaded.sensors()[:1]
     found = {
         f"a lens (of radius {radius:.3g})": radius > 0.0 for radius in map(_aperture, sensors)
@@ -208,7 +208,7 @@ def _lens(scene: Scene, loaded: Any) -> list[str]:
 
 
 def _aperture(sensor: Any) -> float:
-    """Radius of a camera's lens; 0 for a pinhole."""
+    """Radius of a camera's lens, or 0 for a pinhole."""
     if not sensor.needs_aperture_sample():
         return 0.0
     parameters = load_mitsuba().traverse(sensor)
@@ -261,13 +261,13 @@ def _chosen(scene: Scene, light: int | str | None) -> list[Any]:
 
 
 def _environment(scene: Scene, light: int | str | None) -> list[str]:
-    """Return a sentence for each environment that is scaled or has pixels that are no radiance."""
+    """Return a sentence for each environment that is scaled, or whose pixels are not a radiance."""
     found, chosen = [], _chosen(scene, light)
     import drjit
 
     for emitter in chosen:
         parameters = load_mitsuba().traverse(emitter) if emitter.is_environment() else {}
-        if "to_world" in parameters:  # a uniform environment may be scaled
+        if "to_world" in parameters:  # constant environments have no rotation and may be scaled
             try:
                 rotation_of(emitter)
             except ParameterError as error:

@@ -88,11 +88,11 @@ SCENES = Registry(
     },
     base=None,
 )
-"""Functions by scene name; each returns a scene as a Mitsuba dictionary."""
+"""Functions by scene name. Each function returns a scene as a Mitsuba dictionary."""
 
 
 def as_scene(scene: object) -> str | Path | DictScene:
-    """Return a hashable key of a scene: a name, a path, or a dictionary as a `DictScene`.
+    """Return a hashable form of a scene: a name, a path, or a dictionary as a `DictScene`.
 
     Raises
     ------
@@ -112,20 +112,20 @@ def as_scene(scene: object) -> str | Path | DictScene:
 
 
 def scene_name(scene: Scene) -> str:
-    """Return the quoted text for a scene in messages: its name, its path, or ``'dict'``."""
+    """Return the text for a scene in messages: its quoted name or path, or ``'dict'``."""
     return repr(str(as_scene(scene)))
 
 
 def load_scene(scene: Scene) -> Any:
-    """Return a Mitsuba scene; equal requests return the same object.
+    """Return a Mitsuba scene. Equal requests return the same object.
 
     Parameters
     ----------
     scene
         A name in `SCENES`, with optional parameters in brackets (``"veach(width=384)"``),
         the path of a Mitsuba XML file, or a dictionary for `mitsuba.load_dict`.
-        A file is read again if it has changed.
-        It is also read again if a texture, mesh or other file that it names has changed.
+        A file is read again if it has changed since the last call,
+        or if a texture, mesh or other file that it names has changed.
         Relative paths start in the folder of the file.
 
     Raises
@@ -136,7 +136,7 @@ def load_scene(scene: Scene) -> Any:
         If `scene` is not a scene, or Mitsuba cannot evaluate one of its materials or lights.
     FileFormatError
         If the file is missing, or Mitsuba cannot read the file or the dictionary.
-        The message quotes the reason.
+        The message quotes Mitsuba's reason.
     MissingDependency
         If Mitsuba or LLVM is missing.
     """
@@ -177,12 +177,12 @@ def render_file(
     integrator
         Mitsuba plugin, such as ``"path(max_depth=5)"``; by default the scene's own.
     sampler
-        Spec of one of our samplers, which replaces the scene's own; the file is not changed.
+        Spec of one of our samplers, which replaces the scene's own sampler in memory.
     joint_dims
         With `sampler`: how many of the first numbers of a path are joint; the others are padded.
         The default is 4 for scrambled nets in base 2 and 0 otherwise.
     spp
-        Samples per pixel, instead of the file's.
+        Samples per pixel; by default the number in the file.
     seed
         Seed of the image, an integer from 0 to 2^32 − 1.
     sensor
@@ -226,7 +226,7 @@ def render_file(
     )
     plugin = None if integrator is None else integrator_plugin(integrator)
     if sampler is not None:
-        as_sampler(sampler, 2)  # check here, so that the message is ours instead of Mitsuba's
+        as_sampler(sampler, 2)  # check the spec here, for a message of ours instead of Mitsuba's
     elif joint_dims is not None:
         raise ParameterError(Parameter("joint_dims"), " is for a sampler of this package; name it.")
     with LOCK:
@@ -271,7 +271,7 @@ def render_file(
                 camera.film().write(str(target))
             return np.array(image, dtype=np.float64)
         except (RuntimeError, TypeError) as error:
-            if isinstance(error.__cause__, McspectraError):  # raised by one of our samplers
+            if isinstance(error.__cause__, McspectraError):  # one of our samplers raised it
                 raise error.__cause__ from None
             reason = mitsuba_reason(error)
             raise FileFormatError(f"Mitsuba cannot render {shown(named)}: {reason}.") from None
@@ -322,7 +322,7 @@ def integrator_plugin(spec: str) -> dict[str, Any]:
     ParameterError
         If the spec cannot be read.
     """
-    # Names of Mitsuba's plugins may have underscores, but names in our specs may not
+    # Names of Mitsuba's plugins may contain underscores, but names in our specs may not
     plugin, bracket, rest = spec.strip().partition("(")
     try:
         found = {"type": plugin, **parse(f"integrator{bracket}{rest}").arguments}
@@ -330,14 +330,14 @@ def integrator_plugin(spec: str) -> dict[str, Any]:
         raise ParameterError(f"The integrator {shown(spec)} cannot be read: {error}") from None
     if reach_of(found) is not None:
         raise ParameterError(f"The integrator {shown(spec)} names a file or code; remove it.")
-    _copied(found)  # The copy is not used, but copying checks files and depth
+    _copied(found)  # Copying checks files and depth; the copy is not used
     return found
 
 
 def named_pixels(scene: Scene) -> dict[str, tuple[int, int]]:
-    """Return the named pixels (x, y) of a built-in scene; empty for other scenes.
+    """Return the named pixels (x, y) of a built-in scene; other scenes have none.
 
-    A name is left out if the film does not show its point.
+    A name is left out if the film does not show its world point.
     """
     request = as_scene(scene)
     if isinstance(request, DictScene) or _as_file(request) is not None:
@@ -354,7 +354,7 @@ def named_pixels(scene: Scene) -> dict[str, tuple[int, int]]:
 
 
 def sensor_of(scene: Scene) -> Any:
-    """Return the first camera of a scene; a scene without a camera is a ParameterError."""
+    """Return the first camera of a scene. Without a camera, raise a ParameterError."""
     sensors = load_scene(scene).sensors()
     if not sensors:
         raise ParameterError(f"The scene {scene_name(scene)} has no camera; add a <sensor> to it.")
@@ -401,7 +401,7 @@ def project(scene: Scene, point: Sequence[float]) -> tuple[float, float]:
 
 
 def find_emitter(scene: Scene, light: int | str) -> Any:
-    """Return the emitter of a scene with this index, or with this name (own or shape's id).
+    """Return the light of a scene with this index or name. A name may also be the id of its shape.
 
     Raises
     ------
@@ -443,7 +443,7 @@ def emitter_names(scene: Scene) -> list[str]:
 
 @functools.lru_cache(maxsize=16)
 def _built(request: str | Path | DictScene, _state: Hashable = None) -> Any:
-    """Build a scene from a name, a dictionary, or a file in this state."""
+    """Load a scene from a name, a dictionary, or a file in its current state."""
     mitsuba, name = load_mitsuba(), str(request)
     load: Any = mitsuba.load_file
     source: Any = name
@@ -452,7 +452,7 @@ def _built(request: str | Path | DictScene, _state: Hashable = None) -> Any:
         source = SCENES.build(parse(name)) if isinstance(request, str) else request.contents
     register_samplers(VARIANT)  # the scene may use one of our samplers
     try:
-        # Do not optimize the scene, because merging would rename shapes and change their order
+        # Do not optimize the scene: merging renames shapes and changes their order
         scene = load(source, optimize=False)
     except (RuntimeError, TypeError, UnicodeDecodeError) as error:
         raise FileFormatError(
@@ -464,7 +464,7 @@ def _built(request: str | Path | DictScene, _state: Hashable = None) -> Any:
     if found is None:
         return scene
     part, reason = found[0], mitsuba_reason(found[1])
-    # Delete the scene, because Dr.Jit traces its materials for every other scene while they exist
+    # Delete the scene: as long as materials exist, Dr.Jit traces them for every other scene
     del scene, found
     gc.collect()
     raise ParameterError(
@@ -474,9 +474,9 @@ def _built(request: str | Path | DictScene, _state: Hashable = None) -> Any:
 
 
 def mitsuba_reason(error: Exception) -> str:
-    """Return Mitsuba's message on one line, without places in Mitsuba's source code.
+    """Return Mitsuba's message in one line, without references to Mitsuba's source code.
 
-    For an error in a Python plugin, the result is the last line, after the error's name.
+    For an error in a Python plugin, this is the last line without the name of the error.
     """
     text = str(error).strip()
     if "Traceback" in text:
@@ -486,7 +486,7 @@ def mitsuba_reason(error: Exception) -> str:
 
 
 def _as_file(request: str | Path) -> Path | None:
-    """Return the path in a request, or None if it is a name."""
+    """Return the path if a request is a path, or None if it is a name."""
     if isinstance(request, Path):
         return request.expanduser()
     looks = request.lower().endswith(".xml")
@@ -496,7 +496,7 @@ def _as_file(request: str | Path) -> Path | None:
 
 @final
 class DictScene:
-    """A Mitsuba scene dictionary as a cache key; two keys are equal if their contents are equal.
+    """A Mitsuba scene dictionary as a cache key. Two keys are equal if their contents are equal.
 
     Parameters
     ----------
@@ -544,7 +544,7 @@ class DictScene:
 
 
 def _copied(value: Any, depth: int = 0) -> Any:
-    """Copy a scene dictionary; paths in it must be regular files."""
+    """Copy a scene dictionary, and check that paths in it belong to regular files."""
     if depth > DEEPEST:
         raise ParameterError(
             f"The scene dictionary is nested more than {DEEPEST} deep; remove parts that contain "
@@ -571,14 +571,14 @@ def _copied(value: Any, depth: int = 0) -> Any:
 
 
 def _key(value: Any) -> Hashable:
-    # The order of entries matters, because it is the order and the index of the lights
+    # Keep the order of entries, which determines the order and the index of lights
     if isinstance(value, Mapping):
         return "dict", tuple((name, _key(entry)) for name, entry in value.items())
     if isinstance(value, list):
         return "list", tuple(map(_key, value))
     if isinstance(value, str | int | float | bool | None):
         return type(value).__name__, value
-    # Use the numbers of an array, a bitmap or a transform
+    # Use the numbers in an array, a bitmap or a transform
     holder = getattr(value, "matrix", value)
     readable = hasattr(holder, "__array__") or hasattr(holder, "__array_interface__")
     numbers = np.asarray(holder if readable else None)
@@ -589,28 +589,28 @@ def _key(value: Any) -> Hashable:
 
 
 State: TypeAlias = "tuple[tuple[Path, int, int], ...]"
-"""State of files: their paths, sizes in bytes, and times of change in nanoseconds."""
+"""State of files: for each its path, its size in bytes, and its time of change in nanoseconds."""
 
 DEEPEST = 64
-"""Largest nesting of elements, also in dictionaries.
+"""Largest depth of nested elements, in files and in dictionaries.
 
 Shapes in groups with nested materials and textures reach 12 levels.
-Some 10,000 levels would end the process.
+A depth of about 10,000 levels would crash the process.
 """
 
 MOST_ELEMENTS = 2**21
-"""Largest number of elements, including repeated includes: 700,000 shapes load in 20 s."""
+"""Largest number of elements, counting repeated includes: 700,000 shapes load in 20 s."""
 
 MOST_XML = 2**26
 """Largest size of an XML file in bytes: a million elements take about 32 MB."""
 
 _LONGEST_REASON = 300  # maximum length of Mitsuba's message in characters
 _INCLUDES = 16  # maximum levels of includes; Mitsuba allows at most 15
-_MOST_NAMES = 64  # maximum number of values of one text with parameters
-# Maximum number of passes over all names; each pass follows one more include or default
+_MOST_NAMES = 64  # maximum number of values that the parameters in one text can produce
+# Maximum number of passes over all names. Each pass follows one more include or default
 _MOST_ROUNDS = 64
-_LONGEST_PATH = 4096  # maximum length of a path in Linux; a longer text is not a file
-_LONGEST_PARAMETER, _LONGEST_TEXT = 64, 2**20  # maximum length of a name and its values
+_LONGEST_PATH = 4096  # maximum length of a path in Linux; a longer text cannot be a file
+_LONGEST_PARAMETER, _LONGEST_TEXT = 64, 2**20  # longest name and longest text, in characters
 _PARAMETER = re.compile(rf"\w{{1,{_LONGEST_PARAMETER}}}", re.ASCII)
 _PLUGIN_NAME = re.compile(r"[\w-]+")
 _LIBRARIES = (".so", ".dylib", ".dll")
@@ -622,7 +622,8 @@ def watched_state(scene: Path) -> State:
     """Return the state of a scene's file and of all files that it names, for comparison.
 
     The XML is read again only if one of the files has changed since the last call.
-    A file is unchanged if its size and time are; this check takes a few microseconds per file.
+    A file counts as unchanged if its size and its time of change are equal.
+    The check takes a few microseconds per file.
     """
     file = scene.resolve()
     known = _watched.get(file, ())
@@ -634,10 +635,10 @@ def watched_state(scene: Path) -> State:
 def referenced_files(
     scene: Path, definitions: Mapping[str, str] | None = None, trust: Trust | None = None
 ) -> set[Path]:
-    """Return the existing files that a scene's XML names, including XML in includes.
+    """Return the existing files that a scene's XML names. Included XML files are also read.
 
-    A name is searched in the folders of the scene, of the naming file, and of every ``<path>``.
-    A file that is in none of these folders is searched in the current folder.
+    A name is searched for in the folders of the scene, of the naming file, and of every ``<path>``.
+    A file that is in none of these folders is searched for in the current folder.
     A file that is not XML names no other file. All XML that Mitsuba would parse is checked.
 
     Parameters
@@ -645,21 +646,21 @@ def referenced_files(
     scene
         XML file.
     definitions
-        Values for each ``$name`` in the file; values of ``<default>`` are added.
+        Values for each ``$name`` in the file. The file's own ``<default>`` values are added.
     trust
         Files that an untrusted scene may name.
-        None allows every file, for a scene that a person names.
+        None allows every file, for a scene that the user gave directly.
 
     Raises
     ------
     FileFormatError
-        If a file has more bytes, more elements or deeper elements than this module allows.
+        If a file is larger, has more elements, or nests them deeper than this module allows.
         If a file has a document type with entities, or is long and not well-formed XML.
         If a name belongs to a device or a pipe.
         If a picture takes too much memory (see `mcspectra.core.decoding`).
-        If a plugin of the scene is not Mitsuba's own.
+        If a plugin that the scene uses does not belong to Mitsuba.
     ConfigError
-        If a name or a link points outside the folders of `trust`, whether a file exists or not.
+        If a name or link points outside the folders of `trust`, even if the file does not exist.
     """
     first = scene.resolve()
     if trust is not None and trust.reads_all:
@@ -669,12 +670,12 @@ def referenced_files(
     values: dict[str, dict[str, None]] = {k: {v: None} for k, v in (definitions or {}).items()}
     folders, here = {first.parent: None}, Path.cwd()
     files: dict[Path, _SceneFile] = {}
-    places_of: dict[tuple[Path, int], dict[Path, None]] = {}  # keys: file, index of a name
+    places_of: dict[tuple[Path, int], dict[Path, None]] = {}  # keys: file, index of its name
     found: set[Path] = set()
 
     @functools.cache
     def places(name: str, where: tuple[Path, ...], named_in: str) -> list[Path]:
-        """Return the paths of files with this name; `trust`, if not None, must allow each path."""
+        """Return the paths of files with this name; `trust`, if given, must allow each path."""
         beside = [place for folder in where if (place := _regular(folder / name, first))]
         if not beside and (elsewhere := _regular(here / name, first)):
             beside = [elsewhere]
@@ -691,7 +692,7 @@ def referenced_files(
 
     before = (-1, -1, -1)
     rounds = 0
-    # Search all names again in each pass, because a file may have defined a folder or a value
+    # Search for all names again in each pass, because a file may have defined a folder or a value
     while before != (now := (len(files), len(folders), sum(map(len, values.values())))):
         before, rounds = now, rounds + 1
         if rounds > _MOST_ROUNDS:
@@ -723,7 +724,7 @@ def referenced_files(
                     around = tuple(folders | {file.parent: None})
                     if trust is not None and tag == "string":
                         trust.check_scene_spec(name, where)
-                        for ending in ("eta", "k"):  # Mitsuba may open these material files
+                        for ending in ("eta", "k"):  # Mitsuba may open these two files
                             places(f"data/ior/{name}.{ending}.spd", around, where)
                     if tag == "path":
                         for folder in (*around, here):
@@ -745,7 +746,7 @@ def referenced_files(
                 for name in _expanded(text, values, file):
                     check_plugin(name, (*folders, file.parent, here))
 
-    # Count elements and their depth, with all includes expanded
+    # Count elements and their depth as if all includes were expanded
     @functools.cache
     def extent(file: Path, level: int) -> tuple[int, int]:
         count, deepest = files[file].elements, files[file].depth
@@ -771,14 +772,14 @@ def referenced_files(
 
 @dataclass
 class _SceneFile:
-    """Checked contents of an XML file: its ``<default>`` values, files and plugins.
+    """Checked contents of an XML file: its ``<default>`` values, plugins, and named files.
 
     Attributes
     ----------
     names
-        Element, depth, text and line of every entry that may name a file.
+        Element, depth, text and line number of every entry that may name a file.
     unclear
-        Why Mitsuba's parser may read a different text than this module; empty if it does not.
+        Why Mitsuba's parser may read the file differently than this module; empty if it does not.
     """
 
     elements: int = 0
@@ -790,7 +791,7 @@ class _SceneFile:
 
 
 def _parsed(file: Path) -> _SceneFile:
-    """Read an XML file without building its tree; a short file that is not XML gives no names."""
+    """Read an XML file without building a tree. A short file that is not XML names no files."""
     try:
         size = file.stat().st_size
         data = file.read_bytes() if size <= MOST_XML else b""
@@ -805,7 +806,7 @@ def _parsed(file: Path) -> _SceneFile:
         return _elements(file, data)
     except ExpatError as error:
         wrong = error
-    # Mitsuba's parser allows "--" in comments, and much else that is not XML
+    # Mitsuba's parser accepts "--" in comments, and other text that is not XML
     if b"<![CDATA[" not in data and data.count(b"<?") < 2:
         plain = _COMMENT.sub(lambda m: b"<!--" + m[1].replace(b"-", b" ") + b"-->", data)
         with contextlib.suppress(ExpatError):
@@ -826,8 +827,8 @@ def _elements(file: Path, data: bytes) -> _SceneFile:
         value = attributes.get("value", "")
         name = attributes.get("filename") or (value if tag in ("string", "path") else "")
         if found.depth > DEEPEST or found.elements > MOST_ELEMENTS:
-            return  # The limit is exceeded; elements are only counted for the message
-        # A default value with a backslash can give rise to the escape when it is inserted
+            return  # The limit is exceeded: only count, for the message
+        # A default value with a backslash may form this escape when it is inserted
         if any("\\$" in each for each in attributes.values()) or (
             tag == "default" and "\\" in value
         ):
@@ -866,17 +867,17 @@ def _elements(file: Path, data: bytes) -> _SceneFile:
     except (
         LookupError,
         ValueError,
-    ) as error:  # Python cannot decode the file's encoding, or it is multi-byte
+    ) as error:  # the encoding is unknown to Python, or multi-byte
         raise ExpatError(str(error)) from None
     return found
 
 
 def _expanded(text: str, values: Mapping[str, Iterable[str]], file: Path) -> list[str]:
-    """Return a text with its parameters ``$name`` replaced by each of their values.
+    """Return all versions of a text: each parameter ``$name`` is replaced by each of its values.
 
     A parameter without a value is not replaced.
     Mitsuba replaces the names that have a value when it reads the text.
-    If ``ab`` has no value yet but ``a`` has one, Mitsuba replaces only ``$a`` in the text ``$ab``.
+    If ``a`` has a value but ``ab`` does not yet, Mitsuba replaces only the ``$a`` in ``$ab``.
     """
     beginning, *rest = text.split("$")
     found = [beginning]
@@ -899,14 +900,14 @@ def _too_many(file: Path, text: str) -> FileFormatError:
 
 
 def check_plugin(name: str, folders: Iterable[Path]) -> None:
-    """Reject a plugin that is a library in one of these folders; Mitsuba would run its code.
+    """Reject a plugin if one of these folders has a library of this name. Mitsuba would run it.
 
     Raises
     ------
     FileFormatError
         If a library with this name exists, or the name is a path.
     """
-    if "$" in name:  # Mitsuba rejects names with an undefined parameter
+    if "$" in name:  # Mitsuba itself rejects undefined parameters in names
         return
     if not _PLUGIN_NAME.fullmatch(name):
         raise FileFormatError(
@@ -926,7 +927,7 @@ def check_plugin(name: str, folders: Iterable[Path]) -> None:
 
 
 def _exists(place: Path, kind: Callable[[int], bool] = bool) -> bool:
-    """Whether a file of this type exists at a place; false if its name is too long."""
+    """Whether a path exists and has this file type; false if its name is too long."""
     try:
         return kind(place.stat().st_mode)
     except (OSError, ValueError):
@@ -934,7 +935,7 @@ def _exists(place: Path, kind: Callable[[int], bool] = bool) -> bool:
 
 
 def _regular(place: Path, scene: Path) -> Path | None:
-    """Return the resolved path of a file, or None if missing; reject a device or a pipe."""
+    """Return the resolved path of a file, or None if missing. Devices and pipes raise an error."""
     try:
         place = place.resolve()
         mode = place.stat().st_mode
@@ -950,7 +951,7 @@ def _regular(place: Path, scene: Path) -> Path | None:
 
 
 def _states(files: Iterable[Path]) -> State:
-    """Return the states of existing files."""
+    """Return the states of those files that exist."""
     found = []
     for file in files:
         with contextlib.suppress(OSError):
@@ -960,16 +961,16 @@ def _states(files: Iterable[Path]) -> State:
 
 
 def what_fails(scene: Any) -> tuple[str, RuntimeError] | None:
-    """Return the first material or light that cannot be evaluated, and the error; otherwise None.
+    """Return the first material or light that cannot be evaluated, with the error, or None.
 
-    A virtual call of Dr.Jit traces every BSDF in the process, of all scenes.
+    If Dr.Jit traces a call of a BSDF, it traces all BSDFs in the process, of all scenes.
     If one BSDF cannot be evaluated, all other scenes therefore fail as well.
-    So before a scene is used, each BSDF and each light is called once, alone.
-    Calls that are only traced take microseconds. Hold `backend.LOCK` around the call.
+    For this reason, each BSDF and each light of a scene is called once by itself before use.
+    Calls that are only traced take microseconds. The caller must hold `backend.LOCK`.
     """
     import drjit
 
-    # Create a surface point in its own frame
+    # Create a surface point in its local frame
     mitsuba = load_mitsuba()
     at = drjit.zeros(mitsuba.SurfaceInteraction3f)
     at.n = at.wi = mitsuba.Normal3f(0.0, 0.0, 1.0)

@@ -1,15 +1,15 @@
-"""Screen-space samplers: the points of every pixel and frame, from this package or from others.
+"""Screen-space samplers: the points of every pixel and frame, from this package or other code.
 
-A screen-space sampler gives n points of [0,1)^d for each pixel (x, y) of each frame t and a seed.
-A block is a rectangle of pixels over some frames. Sources of blocks are:
+A screen-space sampler gives n points of [0,1)^d for each pixel (x, y), frame t and seed.
+Points are made for blocks: rectangles of pixels over some frames. Sources of points are:
 
-* any sampler of this package; after ``decorrelate(mask=…)`` the pixels depend on each other;
+* any sampler of this package; with ``decorrelate(mask=…)``, pixels depend on each other;
 * ``command(run='./mine {x} {y} {frame} {n} {seed}')``: a program, see `CommandScreen`;
 * ``python(function='module:function')``: a function of arrays x, y and frame, see `PythonScreen`;
 * ``tiles(path='…')``: files of masks, repeated over the screen, see `Tiles`;
 * ``tables(path='….cpp')``: the published tables of Heitz and others, see `Tables`.
 
-This module belongs to rendering, because pixels and frames have no meaning to point samplers.
+This module is in the package `rendering`, because point samplers have no pixels and frames.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ class ScreenBlock(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Number of pixels in all frames."""
+        """Number of pixels, summed over all frames."""
         return self.width * self.height * self.frames
 
 
@@ -102,14 +102,14 @@ class ScreenSettings:
     Attributes
     ----------
     most_numbers
-        Largest number of coordinates in a frame; 512 MiB of float64.
+        Largest number of coordinates in a frame (512 MiB as float64).
     most_processes
         Largest number of processes for all blocks of a sampler.
         A process that prints one pixel takes 2 ms if compiled, and 50 ms in Python.
     most_seconds
-        Largest time of all processes of a sampler, as estimated from the first process.
+        Largest total time of all processes of a sampler, in seconds; estimated from the first.
     warned_seconds
-        A warning gives the estimated time if it is longer than this.
+        A warning shows the estimated time if it is longer than this, in seconds.
     """
 
     most_numbers: int = 2**26
@@ -122,7 +122,7 @@ _SETTINGS = ScreenSettings()
 
 
 class ScreenSampler(Component, ABC):
-    """Points of the pixels and frames of a block.
+    """Source of the points for all pixels and frames of a block.
 
     Attributes
     ----------
@@ -134,7 +134,7 @@ class ScreenSampler(Component, ABC):
 
     @property
     def label(self) -> str:
-        """Name in tables and figures: the spec, or the sampler's own ``name=``."""
+        """Name in tables and figures: the value of ``name=``, or else the spec."""
         return getattr(self, "name_", "") or self.spec
 
     @abstractmethod
@@ -146,7 +146,7 @@ class ScreenSampler(Component, ABC):
         n
             Number of points per pixel and frame.
         block
-            Pixels and frames.
+            Block of pixels and frames.
         seed
             Number of the block: 0, 1, 2, …
         stream
@@ -154,23 +154,23 @@ class ScreenSampler(Component, ABC):
         """
 
     def blocks(self, block: ScreenBlock, seeds: int) -> tuple[int, bool]:
-        """Return the number of different blocks, and whether one block is the whole pattern.
+        """Return the number of different blocks, and whether a block contains the whole pattern.
 
-        A pattern that repeats within the block is fully known from one block.
+        If a pattern repeats within the block, one block gives its exact statistics.
         """
         del block
         return seeds, False
 
     def repeats(self, n: int, block: ScreenBlock) -> tuple[bool, bool]:
-        """Return whether the block is a whole number of periods in space, and in time.
+        """Return whether the block is a whole number of periods in space, and the same for time.
 
-        Filters then wrap around the borders of the block without an error.
+        Filters can then wrap around the borders of the block without an error.
         """
         del n, block
         return False, False
 
     def check(self, n: int, block: ScreenBlock, seeds: int) -> None:
-        """Refuse a block that this sampler cannot make, before anything is drawn."""
+        """Raise an error if this sampler cannot make the block, before anything is drawn."""
         del seeds
         numbers = block.width * block.height * n * self.dims
         if numbers > _SETTINGS.most_numbers:
@@ -188,11 +188,11 @@ class ScreenSampler(Component, ABC):
 class PixelSampler(ScreenSampler):
     """A sampler of this package: each pixel of each frame is one realization.
 
-    With ``decorrelate`` as the last step, realizations are pixels of images of the mask's width.
+    If ``decorrelate`` comes last, realizations are pixels of images with the width of the mask.
     """
 
     sampler: Sampler
-    dims: int = 0  # set from the sampler
+    dims: int = 0  # set to the number of dims of the sampler
 
     def _check(self) -> None:
         settle(self, sampler=shared_sets(self.sampler), dims=self.sampler.dims)
@@ -204,11 +204,11 @@ class PixelSampler(ScreenSampler):
 
     @property
     def label(self) -> str:
-        """Spec of the sampler."""
+        """Label of the sampler, or else its spec."""
         return getattr(self.sampler.plain, "name_", "") or self.spec
 
     def check(self, n: int, block: ScreenBlock, seeds: int) -> None:
-        """Also refuse blocks larger than the image of ``decorrelate``, and too many processes."""
+        """Also reject blocks larger than the image of ``decorrelate``, and too many processes."""
         ScreenSampler.check(self, n, block, seeds)
         self.sampler.check_count(n)
         mask = self._mask
@@ -223,7 +223,7 @@ class PixelSampler(ScreenSampler):
             _check_processes(self.spec, seeds * block.size)
 
     def repeats(self, n: int, block: ScreenBlock) -> tuple[bool, bool]:
-        """Return whether the block holds whole masks of ``decorrelate``."""
+        """Return whether the block is a whole number of masks, in space and in time."""
         del n
         mask = self._mask
         if mask is None or mask.mask not in ("blue-noise", "spatiotemporal"):
@@ -239,7 +239,7 @@ class PixelSampler(ScreenSampler):
         return last if isinstance(last, Decorrelate) else None
 
     def frames_of(self, n: int, block: ScreenBlock, seed: int, stream: Stream) -> Iterator[Array]:
-        """Draw one realization per pixel; each block continues after the frames of the last."""
+        """Draw one realization per pixel. Blocks take successive frames of realizations."""
         width, height, frames = block
         stride, lines = width, height
         if self._mask is not None:
@@ -262,7 +262,7 @@ def _check_processes(spec: str, processes: int) -> None:
 
 
 _AXES = (("frame", "frames"), ("y", "height"), ("x", "width"))
-"""Axes of a block from the slowest to the fastest: placeholders of one place, and of all places."""
+"""Axes of a block, slowest first: the placeholder for one place, and that for all places."""
 
 _PLACEHOLDERS = (*(name for axis in _AXES for name in axis), "n", "seed", "dims")
 
@@ -276,12 +276,12 @@ class CommandScreen(ScreenSampler):
     ----------
     run
         Program and arguments; no shell is used.
-        Each axis of the block has two placeholders.
-        With ``{x}``, ``{y}`` or ``{frame}`` the program runs once per place along this axis.
-        With ``{width}``, ``{height}`` or ``{frames}`` one run prints all places along this axis.
-        Frames come first, then rows y, columns x, and the n points of a pixel.
+        Each axis of the block has two placeholders, of which the command contains one.
+        With ``{x}``, ``{y}`` or ``{frame}``, the program runs once per position on this axis.
+        With ``{width}``, ``{height}`` or ``{frames}``, one run prints all positions on this axis.
+        Points are printed frame by frame, row by row, pixel by pixel.
         For example, ``./mine {width} {height} {frames} {n} {seed}`` prints a whole block.
-        Without ``{frame}`` and ``{frames}``, all frames have the same points.
+        With neither ``{frame}`` nor ``{frames}``, all frames have the same points.
         ``{n}`` is the number of points of a pixel, and ``{dims}`` the number of dims.
         ``{seed}`` is a whole number from 0 to 2^31 − 1, one for each block.
     dims
@@ -338,11 +338,11 @@ class CommandScreen(ScreenSampler):
 
     @property
     def _looped(self) -> tuple[bool, ...]:
-        """For each axis, whether the program runs once per place."""
+        """For each axis, whether the program runs once per position."""
         return tuple(f"{{{one}}}" in self.run for one, _ in _AXES)
 
     def _parts(self, block: ScreenBlock) -> tuple[list[int], list[int]]:
-        """Return the runs along each axis, and the printed places along each axis."""
+        """Return the number of runs and the number of printed positions, along each axis."""
         sizes = (block.frames, block.height, block.width)
         if not set(_AXES[0]) & set(PLACEHOLDER.findall(self.run)):
             sizes = (1, *sizes[1:])
@@ -350,7 +350,7 @@ class CommandScreen(ScreenSampler):
         return runs, [size // part for size, part in zip(sizes, runs, strict=True)]
 
     def blocks(self, block: ScreenBlock, seeds: int) -> tuple[int, bool]:
-        """Return one block if the program gets no seed."""
+        """Return one block if the program does not get a seed."""
         del block
         return (seeds if "{seed}" in self.run else 1), False
 
@@ -360,7 +360,7 @@ class CommandScreen(ScreenSampler):
         return False, not set(_AXES[0]) & set(PLACEHOLDER.findall(self.run))
 
     def check(self, n: int, block: ScreenBlock, seeds: int) -> None:
-        """Also refuse too many processes."""
+        """Also reject too many processes."""
         ScreenSampler.check(self, n, block, seeds)
         _check_processes(self.spec, self.blocks(block, seeds)[0] * math.prod(self._parts(block)[0]))
 
@@ -415,7 +415,7 @@ class CommandScreen(ScreenSampler):
         for index, points in enumerate(map_in_order(part, range(1, total), workers), 1):
             flat[index] = points
             report(self.label, (index + 1) / total)
-        # Join the runs and the printed places of each axis
+        # Join the results of all runs along each axis
         whole = made.transpose(0, 3, 1, 4, 2, 5, 6, 7)
         whole = whole.reshape(-1, block.height, block.width, n, self.dims)
         for t in range(block.frames):
@@ -423,11 +423,11 @@ class CommandScreen(ScreenSampler):
 
 
 ScreenFunction = Callable[[Array, Array, Array, int, int], Any]
-"""Function of x, y, frame, n and seed; x, y and frame are int64 (k,). It gives (k, n, d)."""
+"""Function of x, y, frame, n and seed. x, y and frame are int64 (k,); the result is (k, n, d)."""
 
 
 class _OfFunction(ScreenSampler):
-    """Common part of functions and of their names."""
+    """Base class of sources that call a Python function."""
 
     @abstractmethod
     def _function(self) -> ScreenFunction:
@@ -460,7 +460,7 @@ class _OfFunction(ScreenSampler):
 @final
 @dataclass(frozen=True, kw_only=True)
 class FunctionScreen(_OfFunction):
-    """A Python function of pixels and frames.
+    """A Python function that returns the points of pixels and frames.
 
     Attributes
     ----------
@@ -485,7 +485,7 @@ class FunctionScreen(_OfFunction):
 
     @property
     def spec(self) -> str:
-        """Name of the function, because no spec string can describe a function."""
+        """Name of the function. No spec string can describe a function object."""
         return f"function({qualified_name(self.function)})"
 
     def _function(self) -> ScreenFunction:
@@ -495,13 +495,13 @@ class FunctionScreen(_OfFunction):
 @final
 @dataclass(frozen=True, kw_only=True)
 class PythonScreen(_OfFunction):
-    """A Python function of pixels and frames, by its name.
+    """A Python function of pixels and frames, given by name.
 
     Attributes
     ----------
     function
-        The name as ``module:function``. Modules are found on Python's path (PYTHONPATH).
-        See `FunctionScreen` for its arguments and its result.
+        Name of the function, ``module:function``. Modules are found on Python's path (PYTHONPATH).
+        `FunctionScreen` describes the arguments and the result of the function.
     dims
         Number of coordinates of the returned points.
     name_
@@ -550,16 +550,16 @@ def _as_shape(name: str, given: object) -> object:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Tiles(ScreenSampler):
-    """Masks from files, repeated over the screen and in time.
+    """Masks from files that repeat over the screen and in time.
 
     Attributes
     ----------
     path
         A file, or a pattern with ``*`` that matches one picture per frame.
-        A list of these gives the channels of all of them, in this order.
+        For a list of files, the channels of all files are joined in this order.
 
         * PNG: one picture per frame, sorted by the numbers in the names.
-          This is how spatio-temporal masks are distributed, as in ``stbn_vec2_2Dx1D_128x128x64_*``.
+          Spatio-temporal masks are often published so, as in ``stbn_vec2_2Dx1D_128x128x64_*``.
           Level k of L becomes (k + ½)/L, for 256 or 65,536 levels. Alpha is not used.
         * ``.npy``: shape (frames, height, width, channels), or (height, width, channels), or
           (height, width) for one channel. Floats lie in [0,1). Levels of unsigned integers of 8 or
@@ -568,14 +568,14 @@ class Tiles(ScreenSampler):
     shape
         Frames, height, width and channels of a file of bytes.
     points
-        Sampler of one set that all pixels share, such as ``'sobol'``.
-        Each pixel moves this set by the value of the mask, modulo 1.
-        Without it, the mask's values are the points: frame t uses the slices t·n … t·n + n − 1.
+        Sampler of one point set that all pixels share, such as ``'sobol'``.
+        Each pixel adds its value of the mask to this set, modulo 1.
+        By default, the mask's values are the points: frame t uses the slices t·n … t·n + n − 1.
     time
         ``"golden"`` adds t times the steps of the R-sequence to the values of frame t.
-        With this, a mask of one frame changes from frame to frame.
+        A mask of one frame then changes from frame to frame.
     dims
-        Number of channels that are used, the first ones of the files.
+        Number of channels to use, starting with the first.
     name_
         Label in figures and tables: ``name=`` in a spec.
 
@@ -636,7 +636,7 @@ class Tiles(ScreenSampler):
         return self.path if isinstance(self.path, str) else " and ".join(self.path)
 
     def blocks(self, block: ScreenBlock, seeds: int) -> tuple[int, bool]:
-        """Return the number of different parts of the tile; one, if the block holds it whole."""
+        """Return the number of different parts of the tile: 1 if the block contains all of it."""
         if self.points and not as_sampler(self.points, self.dims).fixed:
             return seeds, False
         if all(self.repeats(1, block)):
@@ -644,19 +644,19 @@ class Tiles(ScreenSampler):
         return min(seeds, math.prod(self._places(block))), False
 
     def repeats(self, n: int, block: ScreenBlock) -> tuple[bool, bool]:
-        """Return whether the block holds whole tiles."""
+        """Return whether the block is a whole number of tiles, in space and in time."""
         del n
         frames, height, width, _ = self.values.shape
         whole = not (block.width % width or block.height % height)
         return whole, self.time == "repeat" and block.frames % frames == 0
 
     def _places(self, block: ScreenBlock) -> list[int]:
-        """Return the numbers of disjoint blocks in time, down and across."""
+        """Return how many disjoint blocks the mask holds along time, rows and columns."""
         sides = zip(self.values.shape, reversed(block), strict=False)
         return [max(1, whole // part) for whole, part in sides]
 
     def check(self, n: int, block: ScreenBlock, seeds: int) -> None:
-        """Also refuse more points per pixel than slices."""
+        """Also reject more points per pixel than the mask has frames."""
         ScreenSampler.check(self, n, block, seeds)
         if self.points:
             as_sampler(self.points, self.dims).check_count(n)
@@ -667,7 +667,7 @@ class Tiles(ScreenSampler):
             )
 
     def frames_of(self, n: int, block: ScreenBlock, seed: int, stream: Stream) -> Iterator[Array]:
-        """Look up the values of the pixels."""
+        """Look up the values of the pixels in the mask."""
         frames, height, width, _ = self.values.shape
         places = self._places(block)
         start = np.unravel_index(seed % math.prod(places), places)
@@ -745,7 +745,7 @@ def _read_tile(path: str, shape: Sequence[int] | None) -> Array:
 
 
 _TABLES = {"sobol_256spp_256d": 256 * 256, "scramblingTile": 128**2 * 8, "rankingTile": 128**2 * 8}
-"""Arrays of the published files, and their numbers of entries."""
+"""Names of the arrays in the published files, and their numbers of entries."""
 
 _TABLE = r"\b{}\s*\[[^\]]*\]\s*=\s*\{{([^}}]*)\}}"
 
@@ -753,14 +753,14 @@ _TABLE = r"\b{}\s*\[[^\]]*\]\s*=\s*\{{([^}}]*)\}}"
 @final
 @dataclass(frozen=True, kw_only=True)
 class Tables(ScreenSampler):
-    """Tables of Heitz and others: one Sobol' set, with a ranking and a scrambling per pixel.
+    """Tables of Heitz and others: one Sobol' set, and ranking and scrambling values per pixel.
 
     Attributes
     ----------
     path
         A published C++ file such as ``samplerBlueNoiseErrorDistribution_…_16spp.cpp``.
         It holds the arrays ``sobol_256spp_256d``, ``scramblingTile`` and ``rankingTile``.
-        The file for one sample per pixel needs no ``rankingTile``.
+        A file for one sample per pixel needs no ``rankingTile``.
     dims
         Number of coordinates, at most 8: only these dims are optimized.
     name_
@@ -770,7 +770,7 @@ class Tables(ScreenSampler):
     -----
     With bytes s, c and r from the three arrays, sample i of dim j at pixel (x, y) is
     (s[j + 256 (i xor r[j + 8 q])] xor c[j + 8 q] + ½) / 256, with q = x + 128 y.
-    Coordinates of pixels are taken modulo 128, and sample numbers modulo 256.
+    Pixel coordinates are taken modulo 128, and sample numbers modulo 256.
     The tables have no time axis: frame t uses the samples t·n … t·n + n − 1.
 
     Raises
@@ -814,24 +814,24 @@ class Tables(ScreenSampler):
         settle(self, arrays=tuple(found))
 
     def blocks(self, block: ScreenBlock, seeds: int) -> tuple[int, bool]:
-        """Return the number of different parts of the tile of 128 × 128 pixels."""
+        """Return how many different blocks the tile of 128 × 128 pixels holds."""
         whole = self.repeats(1, block)[0]
         places = max(1, 128 // block.width) * max(1, 128 // block.height)
         return (1 if whole else min(seeds, places)), whole
 
     def repeats(self, n: int, block: ScreenBlock) -> tuple[bool, bool]:
-        """Return whether the block holds whole tiles, and all 256 samples."""
+        """Return whether the block is a whole number of tiles, and uses all 256 samples."""
         whole = not (block.width % 128 or block.height % 128)
         return whole, block.frames * n % 256 == 0
 
     def check(self, n: int, block: ScreenBlock, seeds: int) -> None:
-        """Also refuse more than the 256 samples of the tables."""
+        """Also reject more samples than the 256 of the tables."""
         ScreenSampler.check(self, n, block, seeds)
         if n > 256:
             raise CountError(f"{self.spec} has 256 samples per pixel, not {n}; ask for fewer.")
 
     def frames_of(self, n: int, block: ScreenBlock, seed: int, stream: Stream) -> Iterator[Array]:
-        """Look up the samples of the pixels."""
+        """Look up the samples of the pixels in the tables."""
         del stream
         sobol, scrambling, ranking = self.arrays
         across = max(1, 128 // block.width)
@@ -856,17 +856,17 @@ SCREEN_SAMPLERS = Registry(
     },
     base=ScreenSampler,
 )
-"""Names of screen-space samplers; all other names are those of samplers."""
+"""Names of screen-space samplers. All other names belong to point samplers."""
 
 
 def as_screen_sampler(source: Any, dims: int | None = None) -> ScreenSampler:
-    """Convert a source of points of pixels to a screen-space sampler.
+    """Convert an object, a spec or a function to a screen-space sampler.
 
     Parameters
     ----------
     source
-        A `ScreenSampler`, a spec string, a function ``points(x, y, frame, n, seed)``,
-        or anything that `mcspectra.samplers.as_sampler` accepts.
+        A `ScreenSampler`, a spec string, or a function ``points(x, y, frame, n, seed)``.
+        Anything that `mcspectra.samplers.as_sampler` accepts is also allowed.
         A command with ``{x}``, ``{y}``, ``{width}`` or ``{height}`` is a `CommandScreen`.
         A single ``python('module:function')`` is a `PythonScreen`.
     dims

@@ -1,17 +1,18 @@
-"""The error of an image sequence before any render: spectra of masks over space and time.
+"""The error of an image sequence before rendering: spectra of masks over space and time.
 
 Let f be an integrand with integral I, and u_i(x, y, t) the points of a pixel and frame.
 The error of the pixel is e(x, y, t) = (1/n) Σ_i f(u_i(x, y, t)) − I.
 Its power P_err(ν_y, ν_x, ν_t) is the squared Fourier transform over a block of pixels and frames.
 A linear filter K, in space or in time, leaves the mean squared error ∫ |K(ν)|² P_err(ν) dν.
-This is the formula of the slides for the variance, with the filter as the integrand.
+This is the slides' formula for the variance, with the filter in the place of the integrand.
 
-The power is normalized so that white noise has the mean squared error of a pixel everywhere.
+The power is normalized: for white noise it equals the mean squared error of a pixel.
 
-The transform treats a block as repeated, which is right for masks that repeat within the block.
-For all other points, filtered errors are averaged only where the filter does not reach the border.
-Their spectra are those of tapered blocks (Hann): a border would spread 1 % of the power of blue
-noise to low frequencies, in a block of 64 × 64 pixels.
+The transform treats a block as periodic, which is right for masks that repeat within the block.
+For all other points, filtered errors are averaged only where the filter stays inside the block.
+Their spectra are computed from blocks with a Hann taper.
+Without a taper, the border would spread 1 % of the power of blue noise to low frequencies,
+in a block of 64 × 64 pixels.
 """
 
 from __future__ import annotations
@@ -49,23 +50,23 @@ class ScreenSpectrumSettings:
     Attributes
     ----------
     most_values
-        Largest number of pixels of a block in all frames: 128 MiB of complex numbers.
+        Largest number of pixels of a block in all frames (128 MiB of complex numbers).
     most_points
         Largest number of evaluations of the integrand, for all samplers and seeds.
         A million evaluations of a built-in integrand take about 20 ms.
     low
-        Limit of low frequencies, in cycles per pixel and in cycles per frame.
-        The eye does not blur noise below 1/8 cycle per pixel.
+        Frequencies below this limit are low, in cycles per pixel and in cycles per frame.
+        The eye does not blur noise with less than 1/8 cycle per pixel.
     least_tapered
-        Axes with fewer pixels or frames are not tapered, because a taper of 8 values leaves no
-        low frequencies.
+        Axes with fewer pixels or frames are not tapered:
+        a taper over 8 values would leave no low frequencies.
     reach, cut
-        Pixels are used that have a distance of 4 σ from the border of the block.
-        The Gaussian's weight beyond 4 σ in one dim is 6e-5, so errors change by less than 2.5e-4.
+        Only pixels at least 4 σ away from the border of the block are used.
+        Beyond 4 σ, the Gaussian has the weight 6e-5 in one dim: errors change by less than 2.5e-4.
     remembered
-        Share of an earlier error that an average over frames may still remember.
-        Frames before that are not used, unless the points repeat after the block.
-        The variance changes by about this share if errors are correlated in time.
+        An average over frames may still contain this share of an earlier error.
+        Earlier frames are not used, unless the points repeat after the block.
+        If errors are correlated in time, the variance changes by about this share.
     """
 
     most_values: int = 2**23
@@ -95,18 +96,18 @@ def screen_spectrum(
     alpha: float = 0.1,
     rng: RngLike = 0,
 ) -> xr.Dataset:
-    """Rank masks and screen-space samplers by the error that filters leave, before any render.
+    """Rank masks and screen-space samplers by the error after filters, before any rendering.
 
     Parameters
     ----------
     samplers
-        One source of points of pixels, or a list; see `mcspectra.rendering.as_screen_sampler`.
+        A source of the points of pixels, or a list; see `mcspectra.rendering.as_screen_sampler`.
     integrand
-        Integrand of every pixel, of one channel.
+        Integrand of every pixel, with one channel.
     n
         Number of points per pixel and frame.
     dims
-        Number of dims, if the integrand's spec does not fix it.
+        Number of dims, if the spec of the integrand does not fix it.
     block
         Width and height in pixels, and number of frames. One frame has no time axis.
     seeds
@@ -121,38 +122,38 @@ def screen_spectrum(
     Returns
     -------
     xarray.Dataset
-        On (sampler, frequency, radius): ``error_power``, the power P_err in units of f².
-        The frequency is in cycles per frame, and the radius in cycles per pixel.
-        ``relative_power`` is this power over the mean squared error of a pixel; white noise has 1.
-        On sampler: ``pixel_error``, the mean squared error of a pixel, with ``pixel_error_ci``.
-        ``low_share`` is the mean relative power below 1/8 cycle per pixel; white noise has 1.
+        By sampler, frequency and radius: ``error_power``, the power P_err in units of f².
+        Frequencies are in cycles per frame, and radii in cycles per pixel.
+        ``relative_power`` is the power over the mean squared error of a pixel, 1 for white noise.
+        By sampler: ``pixel_error``, the mean squared error of a pixel, with ``pixel_error_ci``.
+        ``low_share`` is the mean relative power below 1/8 cycle per pixel, 1 for white noise.
         ``slow_share`` is the same below 1/8 cycle per frame.
-        On (sampler, filter): ``filtered_error``, the mean squared error after a filter.
-        ``filtered_ratio`` is this error over the error of random points after the same filter.
-        Its intervals ``filtered_ratio_ci`` hold at 95 % for all samplers together.
-        ``best`` on filter is the number of the best sampler; −1 if intervals overlap.
+        By sampler and filter: ``filtered_error``, the mean squared error after a filter.
+        ``filtered_ratio`` is this error divided by that of random points after the same filter.
+        The intervals ``filtered_ratio_ci`` have 95 % confidence for all samplers together.
+        By filter: ``best``, the index of the best sampler, or −1 if intervals overlap.
         ``error_image(sampler, y, x)`` is frame 0 of the first block.
-        ``error_slice(sampler, frame, x)`` is row 0 of all frames.
+        ``error_slice(sampler, frame, x)`` is row 0 of all its frames.
         ``blocks`` is the number of independent blocks. The attribute ``note`` has warnings.
 
     Raises
     ------
     ParameterError
-        If an option is out of range, or the integrand is constant, has an infinite variance or
-        several channels.
+        If an option is out of range, or the integrand is constant.
+        If the integrand has several channels or an infinite variance.
         If the block is too large, or two samplers have the same name.
     McspectraError
-        If a sampler cannot be made, or cannot make the points.
+        If a sampler cannot be created, or cannot make the points.
 
     Notes
     -----
     Intervals come from independent seeds.
-    A file of a mask has no seeds; different parts of it are different blocks.
-    If the block holds the whole mask, its numbers are exact and their intervals have no width.
-    If it has only one block that is not the whole mask, the intervals are unknown (NaN).
+    A file with a mask has no seeds; different parts of the mask are different blocks.
+    If a block contains the whole mask, its numbers are exact, and their intervals have width 0.
+    If only one block exists and it is not the whole mask, intervals are unknown (NaN).
     The filters are ``gaussian`` and ``ema`` of `mcspectra.rendering.frames`.
     If the points do not repeat after the block, pixels within 4 σ of its border are not used.
-    The frames during which the EMA still remembers 0.5 % of its start are not used either.
+    The first frames are not used either, until the EMA contains less than 0.5 % of its start.
 
     References
     ----------
@@ -192,7 +193,7 @@ def screen_spectrum(
         kind = "an infinite variance" if white > 0 else "no variance"
         raise ParameterError(f"{f.spec} has {kind}; give another integrand.")
 
-    # Measure the power of each block; powers and errors of a sampler are means over its blocks
+    # Measure the power of each block. Powers and errors of a sampler are means over its blocks
     stream, rings = Stream.from_rng(rng), Rings(place.height, place.width)
     gains = _gains(place, sigma, alpha)
     low, slow = _low_frequencies(place)
@@ -202,7 +203,7 @@ def screen_spectrum(
         blocks, whole = source.blocks(place, seeds)
         repeats = source.repeats(n, place)
         taper, (used, short) = _taper(place, repeats), _used(place, repeats, sigma, alpha)
-        # Filtered errors may be wrong by this share, because filters are cut at the border
+        # Filtered errors may be wrong by this fraction, because filters are cut at the border
         cut = np.array([any(each != slice(None) for each in part[1:]) for part in used])
         late = np.array([part[0] != slice(None) for part in used])
         slack = np.concatenate([[0.0], _SETTINGS.cut * cut + _SETTINGS.remembered * late])
@@ -233,7 +234,7 @@ def screen_spectrum(
         mean = table[:, : len(FILTERS)].mean(axis=0)
         ends = _interval(table[:, : len(FILTERS)], whole, len(sources), slack)
         found["filtered_error"].append(mean)
-        # Random points are white; their filtered error is the sum of the squared filter weights
+        # Random points give white noise: a filter multiplies it by the sum of its squared weights
         level = white * np.array([_white_gain(name, sigma, alpha) for name in FILTERS])
         found["filtered_ratio"].append(mean / level)
         found["filtered_ratio_ci"].append(ends / level[:, None])
@@ -298,7 +299,7 @@ _SHAPES: dict[str, tuple[str, ...]] = {
 
 
 def _as_block(given: Any) -> ScreenBlock:
-    """Check width, height and number of frames of a block."""
+    """Check the width, the height and the number of frames of a block, and return them."""
     as_instance("block", given, list | tuple, "width, height and number of frames")
     if len(given) != 3:
         raise ParameterError(
@@ -317,7 +318,7 @@ def _as_block(given: Any) -> ScreenBlock:
 
 
 def _names(sources: Sequence[ScreenSampler]) -> list[str]:
-    """Return a distinct name of each sampler."""
+    """Return a different name for each sampler."""
     if not sources:
         raise ParameterError("There are no samplers; give at least one.")
     names = [source.label for source in sources]
@@ -343,9 +344,9 @@ def _gains(block: ScreenBlock, sigma: float, alpha: float) -> list[Array]:
 def _used(
     block: ScreenBlock, repeats: tuple[bool, bool], sigma: float, alpha: float
 ) -> tuple[list[tuple[slice, ...]], bool]:
-    """Return the part of a block where the values of each filter depend on this block alone.
+    """Return the part of a block in which filtered values depend only on values inside the block.
 
-    Also return whether there are too few frames, so that all frames are used.
+    Also return whether the block has too few frames; then all frames are used.
     """
     whole, steady = repeats
     edge = 0 if whole else math.ceil(_SETTINGS.reach * sigma)
@@ -367,16 +368,16 @@ def _used(
 
 
 def _white_gain(kind: str, sigma: float, alpha: float) -> float:
-    """Return the sum of the squared weights of a filter, its effect on white noise."""
+    """Return the sum of the squared weights of a filter, its factor for white noise."""
     space = float((Gaussian(sigma=sigma).weights() ** 2).sum()) ** 2
     time = alpha / (2.0 - alpha)
     return {"none": 1.0, "gaussian": space, "ema": time, "both": space * time}[kind]
 
 
 def _share(power: Array, width: int, part: Array) -> float:
-    """Return the mean of a power, given for `rfftn`, over a part of the frequencies / its mean."""
+    """Return the mean power over a part of the frequencies, divided by the mean over all."""
     across = np.arange(power.shape[-1])
-    # Columns with positive frequencies also represent the frequencies of opposite sign
+    # Columns with positive frequencies also count for the frequencies of opposite sign
     both = np.broadcast_to(np.where((across > 0) & (2 * across < width), 2.0, 1.0), power.shape)
     weighted, whole = power * both, float(np.sum(power * both))
     if not whole:
@@ -385,7 +386,7 @@ def _share(power: Array, width: int, part: Array) -> float:
 
 
 def _taper(block: ScreenBlock, repeats: tuple[bool, bool]) -> Array | None:
-    """Return Hann windows, of mean square 1, along the axes on which points do not repeat."""
+    """Return Hann windows with mean square 1, for the axes on which points do not repeat."""
 
     def window(size: int, steady: bool) -> Array:
         if steady or size < _SETTINGS.least_tapered:
@@ -401,7 +402,7 @@ def _taper(block: ScreenBlock, repeats: tuple[bool, bool]) -> Array | None:
 
 
 def _low_frequencies(block: ScreenBlock) -> tuple[Array, Array]:
-    """Return masks of low frequencies in space and in time, for the frequencies of `rfftn`."""
+    """Return masks of low frequencies in space and in time, in the order of `rfftn`."""
     down, across = np.fft.fftfreq(block.height)[:, None], np.fft.rfftfreq(block.width)
     low = np.hypot(down, across)[None] < _SETTINGS.low
     slow = np.abs(np.fft.fftfreq(block.frames))[:, None, None] < _SETTINGS.low
@@ -409,16 +410,16 @@ def _low_frequencies(block: ScreenBlock) -> tuple[Array, Array]:
 
 
 def _over_rings(power: Array, rings: Rings) -> Array:
-    """Return mean powers over rings in space, and over both signs of the frequency in time."""
+    """Return mean powers over rings in space, and over the two signs of each frequency in time."""
     flat = np.array([rings.mean(each) for each in power])
     return np.asarray((flat + flat[-np.arange(len(flat))])[: len(flat) // 2 + 1] / 2.0)
 
 
 def _interval(values: Array, whole: bool, samplers: int, slack: Array | float = 0.0) -> Array:
-    """Return intervals (k, 2) of means over blocks (blocks, k), at 95 % for all samplers together.
+    """Return 95 % intervals (k, 2) of means over blocks (blocks, k), for all samplers together.
 
-    Student's t is applied to the logarithm, as in `mcspectra.core.confidence.log_mean_interval`.
-    The intervals are widened by `slack`, a share of the means.
+    Student's t is applied to logarithms, as in `mcspectra.core.confidence.log_mean_interval`.
+    Each interval is widened by the factor 1 + `slack`.
     """
     from scipy.special import stdtrit
 
@@ -435,7 +436,7 @@ def _interval(values: Array, whole: bool, samplers: int, slack: Array | float = 
 
 
 def _best(ends: Array) -> int:
-    """Return the sampler whose interval (samplers, 2) is below all others, or −1."""
+    """Return the sampler whose interval is below all other intervals (samplers, 2), or −1."""
     if len(ends) < 2 or not np.isfinite(ends).all():
         return -1
     first = int(np.argmin(ends[:, 1]))
@@ -450,7 +451,7 @@ def _note(
     block: ScreenBlock,
     alpha: float,
 ) -> str | None:
-    """Return warnings about the numbers, or None."""
+    """Return warnings about the results, or None."""
     notes = []
     alone = [
         name

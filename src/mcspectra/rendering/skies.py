@@ -26,14 +26,14 @@ __all__ = ["Sky", "environment_of", "rotation_of", "sky_pixels", "sky_technique"
 
 _ROWS = 512
 _MOST_ROWS = 2**12
-_ORTHONORMAL = 1e-4  # tolerance for float32 products of several rotations
-_SMALLEST_SINE = 1e-12  # limit at the poles, where a density per steradian is unbounded
+_ORTHONORMAL = 1e-4  # tolerance for products of several rotations in float32
+_SMALLEST_SINE = 1e-12  # limit near the poles, where the density per steradian is unbounded
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Sky:
-    """A density of directions toward an environment; `rotation` maps its frame to the world."""
+    """A density of directions toward an environment. `rotation` maps its frame to the world."""
 
     density: Density
     rotation: Array
@@ -88,14 +88,14 @@ def sky_pixels(scene: Scene, rows: int = _ROWS) -> Array:
     scene
         A scene: a name, a file or a dictionary, as in `load_scene`.
     rows
-        Number of pixels along θ; there are twice as many along φ.
+        Number of pixels along θ. There are twice as many pixels along φ.
 
     Returns
     -------
     ndarray
         Linear radiance (rows, 2 rows, 3) at pixel centers, for `EnvironmentDensity`.
         Mitsuba's maps have the centers of the first and last rows at the poles.
-        The returned pixels are therefore interpolated between those of Mitsuba's map.
+        The result is therefore interpolated between the pixels of Mitsuba's map.
 
     Raises
     ------
@@ -117,8 +117,8 @@ def sky_technique(scene: Scene, density: Density | str | None, channel: str | in
     """Bind a 2-D density, or the density of a spec, to the environment of a scene.
 
     A spec ``environment`` without a path means the scene's own environment, `sky_pixels`.
-    With None, this environment is interpolated bilinearly, and its density is by `channel`.
-    The density is by luminance for ``"rgb"``.
+    If the density is None, this environment is interpolated bilinearly.
+    The density is then proportional to `channel`, or to the luminance for ``"rgb"``.
     """
     if density is None:
         chosen = "luminance" if channel == "rgb" else channel
@@ -131,7 +131,7 @@ def sky_technique(scene: Scene, density: Density | str | None, channel: str | in
 def _sky(loaded: Any, name: str, density: Density | str) -> Sky:
     made = as_density(density, 2) if isinstance(density, str) else density
     if isinstance(density, str) and isinstance(made, EnvironmentDensity):
-        # Use the scene's environment map, unless the spec names another map
+        # Use the environment map of the scene, unless the spec names another map
         given = parse(density).arguments
         if not {"path", "values"} & set(given):
             made = EnvironmentDensity(values=_pixels(loaded.environment(), _ROWS), **given)
@@ -159,7 +159,7 @@ def _pixels(emitter: Any, rows: int) -> Array:
 
 
 def rotation_of(emitter: Any) -> Array:
-    """Return the (3, 3) rotation of an emitter to the world; a scaled frame is a ParameterError."""
+    """Return the rotation (3, 3) from an emitter's frame to the world; scaling is an error."""
     matrix = np.asarray(emitter.world_transform().matrix, np.float64).reshape(4, 4)[:3, :3]
     if not np.allclose(matrix.T @ matrix, np.eye(3), atol=_ORTHONORMAL):
         raise ParameterError(

@@ -1,8 +1,8 @@
-"""Visible surface points of pixels, and the techniques of their direct illumination.
+"""Visible surface points of pixels, and the techniques that sample their direct illumination.
 
-A technique, light or BSDF sampling, computes a direction from u in [0,1)² at every point.
+A technique, light or BSDF sampling, computes a direction from u in [0,1)² at a surface point.
 A technique returns f/p, and the densities of both techniques per steradian [VeachGuibas1995]_.
-All samples share one surface point, or each sample has its own surface point.
+All samples share one surface point, or each sample has a separate surface point.
 Hold the lock `backend.LOCK` around every call.
 """
 
@@ -50,26 +50,26 @@ POWERS = {"balance": 1, "power": 2}
 """Exponents β of the power heuristics, by name."""
 
 Techniques = tuple[Any, Any, Any]
-"""Value f/p, density of the technique, and density of the other technique."""
+"""Three arrays: the value f/p, the density of the technique, and that of the other technique."""
 
-_SCENES, _PIXELS = 4, 256  # number of scenes with cached hits; pixels in each
+_SCENES, _PIXELS = 4, 256  # number of scenes with cached hits, and of pixels in each
 _PROBES = 16  # number of tested positions along each side of a pixel
 
 
 @dataclass(frozen=True)
 class Hit:
-    """Surface points that are hit by one ray, or by an array of many rays.
+    """Surface points that one ray hits, or that many rays hit (arrays).
 
     Attributes
     ----------
     scene, interaction
         The Mitsuba scene, and the surface interactions.
     bsdf
-        The BSDF: None if a single ray hits nothing, or an array of pointers for many rays.
+        The BSDF. None if a single ray hits nothing; for many rays, an array of pointers.
     active
         Whether a ray hits a surface that is not a light: one bool, or a mask for many rays.
     shape, light
-        For one ray: id of the shape and name of the light that it hits, or None.
+        For one ray: id of the shape that it hits, and name of the light, or None.
     """
 
     scene: Any
@@ -81,15 +81,15 @@ class Hit:
 
 
 def primary_hit(scene: Any, x: int, y: int) -> Hit:
-    """Follow the ray through the centers of the pixel, the lens and the shutter's time."""
+    """Follow the ray through the centers of pixel and lens, at the middle of the shutter's time."""
     return hits_of(scene)(x, y)
 
 
 @functools.lru_cache(maxsize=_SCENES)
 def hits_of(scene: Any) -> Callable[[int, int], Hit]:
-    """Return `primary_hit` for one scene, with a cache of its last pixels.
+    """Return `primary_hit` for one scene, with a cache of the most recent pixels.
 
-    Hits keep their scene in memory, with its meshes, textures and BSDFs.
+    Cached hits keep their scene in memory, with its meshes, textures and BSDFs.
     Dr.Jit traces these BSDFs for all scenes. Therefore only a few scenes are cached.
     """
     return functools.lru_cache(maxsize=_PIXELS)(functools.partial(_primary_hit, scene))
@@ -98,7 +98,7 @@ def hits_of(scene: Any) -> Callable[[int, int], Hit]:
 def _primary_hit(scene: Any, x: int, y: int) -> Hit:
     import drjit
 
-    # Opaque values are data instead of constants, so that all pixels share compiled kernels
+    # Opaque values are data, not constants, so that all pixels share compiled kernels
     position = load_mitsuba().Point2f(*_on_film(scene, x, y))
     drjit.make_opaque(position)
     interaction = follow_camera(scene, position)
@@ -114,7 +114,7 @@ def _primary_hit(scene: Any, x: int, y: int) -> Hit:
 def film_hits(scene: Any, x: int, y: int, film: Array) -> Hit:
     """Follow a ray through each position (M, 2) in [0,1)² of a pixel and the center of the lens.
 
-    A float32 number resolves positions to 2⁻²⁴ of the whole film.
+    In float32, a position is resolved to 2⁻²⁴ of the whole film.
     """
     import drjit
 
@@ -131,18 +131,18 @@ def follow_camera(scene: Any, position: Any) -> Any:
     time = sensor.shutter_open() + 0.5 * sensor.shutter_open_time()
     mitsuba = load_mitsuba()
     ray, _ = sensor.sample_ray(time, 0.5, position, mitsuba.Point2f(0.5))
-    # Coherent rays save 10 % of an image's time
+    # Coherent rays, those of neighboring pixels together, save 10 % of an image's time
     return scene.ray_intersect(ray, mitsuba.RayFlags.All, True)
 
 
 def _on_film(scene: Any, x: int, y: int, dx: Any = 0.5, dy: Any = 0.5) -> tuple[Any, Any]:
-    """Return float64 coordinates in [0,1) of a pixel position on the film's crop window."""
+    """Convert a position in a pixel to float64 coordinates in [0,1) on the film's crop window."""
     width, height = scene.sensors()[0].film().crop_size()
     return (x + dx) / int(width), (y + dy) / int(height)
 
 
 def check_pixel(scene: Scene, x: object, y: object) -> tuple[int, int]:
-    """Return x and y as Python integers; a pixel outside the film is a ParameterError."""
+    """Return x and y as Python integers. A pixel outside the film is a ParameterError."""
     width, height = film_size(scene)
     try:
         column = as_integer("x", x, least=0, most=width - 1)
@@ -153,7 +153,7 @@ def check_pixel(scene: Scene, x: object, y: object) -> tuple[int, int]:
 
 
 def check_receiver(scene: Scene, x: int, y: int) -> Hit:
-    """Return the surface at the pixel's center if its reflection can be sampled.
+    """Return the surface at the center of a pixel if its reflection can be sampled.
 
     A ParameterError is raised if the ray hits nothing, a light, or a BSDF that is a delta function.
     """
@@ -170,9 +170,9 @@ def check_receiver(scene: Scene, x: int, y: int) -> Hit:
 
 
 def check_film_receivers(scene: Scene, x: int, y: int, *, single_lobe: bool) -> None:
-    """Raise a ParameterError unless the surfaces on a grid of positions can be sampled.
+    """Raise a ParameterError unless surfaces at a grid of positions in the pixel can be sampled.
 
-    Parts of the pixel may show a light or nothing, but not the whole pixel.
+    A part of the pixel may show a light or nothing, but not the whole pixel.
     With `single_lobe`, a BSDF must not need a third random number.
     """
     middles = (np.arange(_PROBES) + 0.5) / _PROBES
@@ -207,7 +207,7 @@ def _raise_delta(where: str, bsdf: Any, shape: str) -> None:
 
 
 def check_single_lobe(hit: Hit, dims: int) -> None:
-    """Raise an error if a BSDF needs one more random number than `dims` has."""
+    """Raise an error if a BSDF needs one more random number than there are `dims`."""
     mitsuba = load_mitsuba()
     grid = (np.arange(8, dtype=np.float32) + 0.5) / 8
     u = mitsuba.Point2f(*(mitsuba.Float(c.ravel()) for c in np.meshgrid(grid, grid)))
@@ -221,7 +221,7 @@ def check_single_lobe(hit: Hit, dims: int) -> None:
 
 
 def chooses_lobe(hit: Hit, u: Any) -> bool:
-    """Whether directions of the BSDF at samples u depend on a third random number."""
+    """Whether directions that the BSDF samples at u depend on a third random number."""
     mitsuba = load_mitsuba()
     context, at = mitsuba.BSDFContext(), hit.interaction
     low, high = (
@@ -232,7 +232,7 @@ def chooses_lobe(hit: Hit, u: Any) -> bool:
 
 
 def sample_columns(u: Array) -> list[Any]:
-    """Return the columns of samples u (M, dims) as `Float` in [0,1), never rounded up to 1."""
+    """Return the columns of samples u (M, dims) as `Float` in [0,1). None is rounded up to 1."""
     columns = np.minimum(np.array(u.T, np.float32, order="C"), np.float32(LARGEST_SAMPLE))
     return [load_mitsuba().Float(c) for c in columns]
 
@@ -245,16 +245,16 @@ def corners_of(pixels: Array) -> list[Any]:
 def lane_sums(
     lanes: int, count: int, numbers: int, values: Callable[[Any], Callable[[Any], Sequence[Any]]]
 ) -> Array:
-    """Sum float32 numbers over k < `count` in float64 for each lane: (lanes, numbers).
+    """Sum float32 values over k < `count` in float64, separately in each lane: (lanes, numbers).
 
     One loop is recorded, so that memory does not grow with `count`.
-    The argument `values` is a function that maps the lane numbers to a function of k.
+    The argument `values` is a function of the lane numbers that returns a function of k.
     """
     import drjit
 
     mitsuba = load_mitsuba()
     real: Any = drjit.float64_array_t(mitsuba.Float)
-    # Opaque values are data; constants in a kernel would need a new compilation for each value
+    # Opaque values are data. As constants, each new value would require a compilation
     end, at = drjit.opaque(mitsuba.UInt32, count), values(drjit.arange(mitsuba.UInt32, lanes))
 
     def add(k: Any, *sums: Any) -> tuple[Any, ...]:
@@ -269,10 +269,12 @@ def lane_sums(
 def pixel_sums(
     u: Array, pixels: int, numbers: int, values: Callable[[Any], Callable[[Any], Sequence[Any]]]
 ) -> Array:
-    """Sum over samples u: (R, n, D), equal for all pixels, or (R, P, n, D); gives (numbers, R, P).
+    """Sum values over samples u, separately for each realization and pixel: (numbers, R, P).
 
-    Each lane is one realization of one pixel.
-    The function `values` gets the pixel of each lane, and returns a function of a row of u.
+    Samples u are (R, n, D), equal for all pixels, or (R, P, n, D).
+
+    Each lane is one realization of one pixel. The function `values` gets the pixel of each lane,
+    and returns a function of the row of u.
     """
     import drjit
 
@@ -289,13 +291,13 @@ def pixel_sums(
 
 
 def chosen_channel(color: Any, channel: str | int) -> Any:
-    """Return the luminance of a color, or its channel with this index."""
+    """Return the luminance of a color, or the channel with this index."""
     return load_mitsuba().luminance(color) if channel == "luminance" else color[channel]
 
 
 def check_finite(values: Array, scene: Scene, pixels: Array) -> None:
     """Raise an error for NaN and infinity among values (P, …) at pixels (P, 2)."""
-    if np.isfinite(values.sum()):  # a sum is much faster than a test of each value
+    if np.isfinite(values.sum()):  # one sum is much faster than testing each value
         return
     bad = ~np.isfinite(values)
     if bad.any():
@@ -309,10 +311,10 @@ def check_finite(values: Array, scene: Scene, pixels: Array) -> None:
 def sample_light(
     hit: Hit, emitter: Any, u: Any, extra: Any = None, active: Any = True
 ) -> Techniques:
-    """Sample a light, or one of all lights if `emitter` is None, by samples u, a `Point2f`.
+    """Sample a light with u, a `Point2f`. If `emitter` is None, also choose one of all lights.
 
     The third number in [0,1), `extra`, selects the light.
-    If it is None, the first coordinate of u also selects. Inactive points have the value 0.
+    If it is None, the first coordinate of u also selects. Inactive points get the value 0.
     """
     import drjit
 
@@ -332,7 +334,7 @@ def sample_light(
     value *= weight
     useful = active & (sample.pdf > 0.0) & drjit.any(value != 0.0)
     visible = useful & ~hit.scene.ray_test(at.spawn_ray_to(sample.p), useful)
-    # BSDF sampling never hits a light that is a delta function, so its density there is 0
+    # BSDF sampling never hits a delta light, so its density is 0 there
     other = drjit.select(sample.delta, 0.0, bsdf_pdf)
     return drjit.select(visible, value, 0.0), sample.pdf, other
 
@@ -340,7 +342,7 @@ def sample_light(
 def sample_bsdf(
     hit: Hit, emitter: Any, u: Any, extra: Any = None, active: Any = True
 ) -> Techniques:
-    """Sample the BSDF; parameters are as in `sample_light`, but `extra` selects the lobe."""
+    """Sample the BSDF. Parameters are as in `sample_light`, but `extra` selects the lobe."""
     value, own, other, _ = follow_bsdf(hit, emitter, u, extra, active)
     return value, own, other
 
@@ -348,7 +350,7 @@ def sample_bsdf(
 def follow_bsdf(
     hit: Hit, emitter: Any, u: Any, extra: Any = None, active: Any = True
 ) -> tuple[Any, Any, Any, Any]:
-    """Sample the BSDF as in `sample_bsdf`; also return the direction in the world."""
+    """Sample the BSDF as in `sample_bsdf`, and also return the direction in the world."""
     import drjit
 
     mitsuba, at, scene = load_mitsuba(), hit.interaction, hit.scene
@@ -359,11 +361,11 @@ def follow_bsdf(
     # Without UV texture coordinates, the values of textured lights are wrong by 10-15 %
     met = scene.ray_intersect(ray, mitsuba.RayFlags.UV, False, useful)
     found = met.emitter(scene, useful)
-    # A ray that hits no light has a null pointer, and calls of a null pointer return zero
+    # A ray that hits no light has a null pointer. Calls of a null pointer return zero
     shines = useful if emitter is None else useful & (found == mitsuba.EmitterPtr(emitter))
     value = drjit.select(shines, weight * found.eval(met, shines), 0.0)
     direction = mitsuba.DirectionSample3f(scene, met, at)
-    # Light sampling never gives the exact direction of a specular lobe, so its density there is 0
+    # Light sampling never gives the exact direction of a specular lobe: its density is 0 there
     rough = shines & ~mitsuba.has_flag(sample.sampled_type, mitsuba.BSDFFlags.Delta)
     if emitter is None:
         light_pdf = scene.pdf_emitter_direction(at, direction, rough)
@@ -373,7 +375,7 @@ def follow_bsdf(
 
 
 def look_at_sky(hit: Hit, emitter: Any, direction: Any, active: Any = True) -> tuple[Any, Any]:
-    """Evaluate f_r L V cos and the BSDF's density in world directions toward the environment."""
+    """Evaluate f_r L V cos and the BSDF's density, for directions toward the environment."""
     import drjit
 
     mitsuba, at = load_mitsuba(), hit.interaction
@@ -386,7 +388,7 @@ def look_at_sky(hit: Hit, emitter: Any, direction: Any, active: Any = True) -> t
 
 
 def heuristic_weight(own: Any, other: Any, power: int) -> Any:
-    """Return own^β / (own^β + other^β) by a ratio, as squares would overflow for mirrors."""
+    """Return own^β / (own^β + other^β) from the ratio: squares would overflow for mirrors."""
     import drjit
 
     ratio = drjit.select(own > 0.0, other / own, 0.0)

@@ -3,14 +3,14 @@
 Method
 ------
 All samples of a chunk of pixels run in one kernel, by the strategies of `techniques`.
-The kernel adds up values over the samples of each pixel in float64.
-The memory is limited by the number of samples in a chunk.
+The kernel adds up the samples of each pixel in float64.
+Memory is limited by the number of samples in a chunk.
 It does not depend on the number of pixels or of samples per pixel.
 
 The first two columns of u are the position in the pixel, if it is sampled.
-Two columns of u are the direction; a further one may select a light or a lobe of the BSDF.
+Two columns of u are the direction. A further column may select a light or a lobe of the BSDF.
 The strategy ``mis`` adds up both techniques at the same surface point.
-This strategy has a block of columns for the light, then one for the BSDF.
+It uses a block of columns for the light and then a block for the BSDF.
 """
 
 from __future__ import annotations
@@ -52,10 +52,10 @@ __all__ = ["CHUNK_SAMPLES", "FILMS", "WAVEFRONT_STRATEGIES", "Wavefront"]
 WAVEFRONT_STRATEGIES = ("light", "bsdf", "mis-light", "mis-bsdf", "mis")
 FILMS = ("center", "sampled")
 CHUNK_SAMPLES = 2**20
-"""Number of samples in one kernel: some 200 MiB of Dr.Jit's memory; larger ones are not faster."""
+"""Number of samples per kernel, for about 200 MiB of Dr.Jit's memory; more are not faster."""
 
-_LOOP_SAMPLES = 16  # maximum number of samples of a lane; more would leave too few lanes
-_MOST_VALUES = 2**26  # maximum number of samples returned one by one, 768 MiB
+_LOOP_SAMPLES = 16  # maximum number of samples per lane; more would leave too few lanes
+_MOST_VALUES = 2**26  # maximum number of samples returned one by one (768 MiB)
 
 
 class Wavefront:
@@ -68,8 +68,8 @@ class Wavefront:
     light
         Index or name of the only light to use; by default all lights.
     film
-        ``"center"``: rays through the pixels' centers.
-        ``"sampled"``: rays through a point of the pixel, uniform by the first two columns of u.
+        ``"center"``: rays go through the centers of the pixels.
+        ``"sampled"``: rays go through random points of the pixel, from the first two columns.
         With sampled positions, the image has a box filter.
     heuristic
         ``"balance"`` or ``"power"`` (β = 2), for the ``mis`` strategies.
@@ -108,7 +108,7 @@ class Wavefront:
             self._request, self._scene = scene, load_scene(scene)
             check_media(scene)
             self.width, self.height = film_size(scene)
-            # Pass the size as data, because kernels round a division by a constant differently
+            # Pass the size as data: kernels round a division by a constant differently
             sides = (float(side) for side in (self.width, self.height))
             self._size = [drjit.opaque(load_mitsuba().Float, side) for side in sides]
             self._emitter = None if light is None else find_emitter(scene, light)
@@ -116,7 +116,7 @@ class Wavefront:
                 raise ParameterError(
                     f"The scene {scene_name(scene)} has no lights; add an emitter."
                 )
-            # A BSDF with several components on one side selects one of them by a random number
+            # A BSDF with several components on one side selects a component by a random number
             flags = load_mitsuba().BSDFFlags
             bsdfs = [shape.bsdf() for shape in self._scene.shapes()]
             self.selects_lobe = any(
@@ -124,7 +124,7 @@ class Wavefront:
                 for b in bsdfs
                 for side in (flags.FrontSide, flags.BackSide)
             )
-        # Tiles are evaluated repeatedly with other points, so their first hits are cached
+        # Tiles are evaluated repeatedly with other points, so cache their first hits
         self._center_hits = functools.lru_cache(maxsize=4)(self._trace_centers)
 
     def dims(self, strategy: str, *, select: bool | None = None) -> int:
@@ -142,7 +142,7 @@ class Wavefront:
     def values(self, strategy: str, pixels: Any, u: Any) -> Array:
         """Return the estimate of every sample of every pixel: float32 (P, S, 3).
 
-        Parameters and errors are the same as in `means`. More than 2^26 samples are an error.
+        Parameters and errors are the same as in `means`. More than 2^26 samples raise an error.
         """
         pixels, u = self._checked(strategy, pixels, u)
         count = u.shape[-2]
@@ -157,7 +157,7 @@ class Wavefront:
         return out
 
     def means(self, strategy: str, pixels: Any, u: Any) -> Array:
-        """Return the estimate of every pixel, the mean over its samples.
+        """Return the estimate of every pixel: the mean over its samples.
 
         Parameters
         ----------
@@ -167,7 +167,7 @@ class Wavefront:
         pixels
             Integers (P, 2): x and y, counted from the left and from the top.
         u
-            Samples in [0,1): (P, S, dims), or (S, dims) if equal for all pixels; see `dims`.
+            Samples in [0,1): (P, S, dims), or (S, dims) if all pixels share them; see `dims`.
 
         Returns
         -------
@@ -190,7 +190,7 @@ class Wavefront:
         return out
 
     def net_means(self, strategy: str, pixels: Array, points: NetPoints) -> Array:
-        """Same as `means` without checks, for points from the kernel, one set per pixel."""
+        """Same as `means`, without checks. The kernel computes the points, one set per pixel."""
         sums = self._sums(strategy, pixels, points)
         sums /= points.count
         return sums
@@ -233,7 +233,7 @@ class Wavefront:
         return pixels, u
 
     def _sums(self, strategy: str, pixels: Array, points: Array | NetPoints) -> Array:
-        """Return sums over the samples of each pixel of one chunk: float64 (P, 3)."""
+        """Return sums over the samples of each pixel in a chunk: float64 (P, 3)."""
         count = points.shape[-2]
         each = max(k for k in range(1, _LOOP_SAMPLES + 1) if count % k == 0)
         parts = self._parts(strategy, pixels, points, each)
@@ -241,7 +241,7 @@ class Wavefront:
         return sums
 
     def _parts(self, strategy: str, pixels: Array, points: Array | NetPoints, each: int) -> Array:
-        """Return sums over `each` consecutive samples, one per lane: float64 (P, n / each, 3)."""
+        """Return sums over runs of `each` samples, one run per lane: float64 (P, n / each, 3)."""
         import drjit
 
         mitsuba, count, at_center = load_mitsuba(), points.shape[-2], self.film == "center"
@@ -273,7 +273,7 @@ class Wavefront:
                 else:
                     at = self._trace(x + blocks[0], y + blocks[1])
                     hits, blocks = Hit(self._scene, at, at.bsdf()), blocks[2:]
-                if strategy == "mis":  # one block of columns for each technique
+                if strategy == "mis":  # a block of columns for each technique
                     half = len(blocks) // 2
                     found = self._technique("mis-light", hits, blocks[:half])
                     found += self._technique("mis-bsdf", hits, blocks[half:])
@@ -295,7 +295,7 @@ class Wavefront:
         return parts
 
     def _trace_centers(self, pixels: bytes) -> Any:
-        """Return first hits through the centers of pixels, given as bytes of int64 (P, 2)."""
+        """Return first hits through the centers of pixels. Pixels are the bytes of int64 (P, 2)."""
         import drjit
 
         x, y = corners_of(np.frombuffer(pixels, np.int64).reshape(-1, 2))
@@ -304,7 +304,7 @@ class Wavefront:
         return found
 
     def _trace(self, x: Any, y: Any) -> Any:
-        """Follow rays through points of the film, given in pixels."""
+        """Follow rays through points of the film, which are given in pixels."""
         position = load_mitsuba().Point2f(x / self._size[0], y / self._size[1])
         return follow_camera(self._scene, position)
 
@@ -319,7 +319,7 @@ class Wavefront:
 
 
 def _chunks(pixels: int, u: Array) -> Iterator[tuple[slice, slice, Array]]:
-    """Yield slices of pixels and of at most `CHUNK_SAMPLES` samples, as contiguous float32."""
+    """Yield slices of pixels and samples, and at most `CHUNK_SAMPLES` samples as float32."""
     width = min(u.shape[-2], CHUNK_SAMPLES)
     height = max(1, CHUNK_SAMPLES // width)
     for row in range(0, pixels, height):

@@ -1,7 +1,7 @@
 """The xarray accessor of results: ``ds.mcspectra.plot()``, ``.figures()`` and ``.summary()``.
 
 mcspectra registers the accessor when it creates or opens a result.
-For datasets that were read in another way, import this module first.
+If a dataset was read in another way, import this module before using the accessor.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Result"]
 
-_SENTENCES = ("diagnosis", "answer", "note")  # attributes of results that hold sentences
+_SENTENCES = ("diagnosis", "answer", "note")  # attributes of results that contain sentences
 
 
 @final
@@ -63,21 +63,21 @@ class Result:
         axes
             Matplotlib axes to draw into, one per panel. Default: new axes.
         ax
-            Alias of `axes` for a figure of one panel, the name used by pandas and xarray.
+            Another name for `axes` if the figure has one panel, as in pandas and xarray.
         overlay
-            Result of `predict` for the same samplers. The plot ``convergence`` then shows the
-            predictions and theory's slopes on the same axes.
+            Result of `predict` for the same samplers.
+            The plot ``convergence`` then also shows the predictions and the theoretical slopes.
 
         Returns
         -------
         matplotlib.axes.Axes or list of matplotlib.axes.Axes
-            The axes drawn into; the figure is ``axes.figure``.
+            The axes that were used; the figure is ``axes.figure``.
 
         Raises
         ------
         ParameterError
             If no figure shows this result, or if the figure `kind` does not fit this result.
-            If the number of `axes` is not the number of panels, or if `axes` and `ax` are given.
+            If the number of `axes` is not the number of panels, or `axes` and `ax` are both given.
 
         Examples
         --------
@@ -131,7 +131,7 @@ class Result:
         """Write figures and tables for a paper, and a LaTeX page that includes them.
 
         Each figure is written as PDF, PGF and SVG. Tables need the package booktabs.
-        Options that are not given follow Matplotlib's rcParams where these were changed.
+        Options that are not given follow Matplotlib's rcParams if those were changed.
 
         Parameters
         ----------

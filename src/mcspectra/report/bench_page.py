@@ -1,4 +1,4 @@
-"""Write a sampler bench as HTML, PDF, LaTeX, PGF or CSV: tables, overlays, projections, cards."""
+"""Write a sampler bench as a page, sheets, tables or plots: HTML, PDF, LaTeX, PGF or CSV."""
 
 from __future__ import annotations
 
@@ -49,11 +49,11 @@ BENCH_FILES = (".html", ".pdf", ".csv", ".tex", ".pgf")
 """Extensions that `write_bench` accepts; a name without an extension is a folder."""
 
 _HEADS = QUALITY_HEADS | {"generalized_l2_discrepancy": "Generalized L2 discrepancy"}
-_ROWS = 44  # lines of text on a PDF sheet
-_ABREAST = 6  # more samplers than this become rows of a table, fewer become columns
-_IN_OVERLAY = 10  # largest number of samplers in one plot
+_ROWS = 44  # lines of text per PDF sheet
+_ABREAST = 6  # with more samplers, each one is a row of a table instead of a column
+_IN_OVERLAY = 10  # largest number of samplers per plot
 _MOST_AXES = 10
-_MOST_NAMED = 2  # largest number of samplers whose own number of sets is stated
+_MOST_NAMED = 2  # with more exceptions, the caption gives a range for the number of sets
 _CURVES = ["points_made", "variance", "variance_ci", "rate", "rate_ci", "rank", "rank_ci"]
 
 
@@ -91,7 +91,7 @@ def write_bench(bench: xr.Dataset, file: str, cards: Sequence[Card] = ()) -> Pat
         A folder gets ``index.html`` and ``bench.csv``. ``.html`` is one self-contained page.
         ``.pdf`` has the table and all figures, one per sheet, with Type 42 fonts.
         ``.csv`` has variances, rates and ranks, with one row per sampler, integrand and n.
-        ``.tex`` is the table as a tabular. ``.pgf`` is the convergence plot for LaTeX.
+        ``.tex`` is the table as a LaTeX tabular. ``.pgf`` is the convergence plot for LaTeX.
     cards
         Cards in the same order as the samplers. Each card becomes a section of the page.
 
@@ -155,8 +155,8 @@ def bench_table(bench: xr.Dataset) -> tuple[list[str], list[list[str]]]:
 def _sampler_table(bench: xr.Dataset) -> tuple[list[str], list[list[tuple[str, float]]]]:
     """Return randomization, n, quality at the largest n and speed of each sampler.
 
-    Each entry of a row is a pair of a text and its sort key.
-    The first column header is for the samplers' names, but the rows do not contain the names.
+    Each entry of a row is a pair: a text, and a number by which rows are sorted.
+    The first column header is for the names of samplers, which the rows do not contain.
     """
     names = [name for name in BENCH_QUALITY if name in bench]
     last, rows = bench.isel(n=-1), []
@@ -177,7 +177,7 @@ def bench_labels(bench: xr.Dataset) -> list[str]:
 
 
 class BenchFigure(NamedTuple):
-    """A figure of a bench: its section on the page, a name for files, the plot, n and sets."""
+    """A figure of a bench: title, name for files, plot, and a text with n and the sets."""
 
     title: str
     name: str
@@ -213,7 +213,7 @@ def _plots_of(
 ) -> Iterator[BenchFigure]:
     """Yield the figures of a few samplers of a bench."""
 
-    # Plot convergence, one sheet per number of dims; each sampler has its own counts
+    # Plot convergence on one sheet per number of dims. Each sampler has its own counts
     for d in dict.fromkeys(bench["integrand_dims"].values.tolist()):
         tasks: dict[str, Group] = {}
         for title in bench["integrand"].values[bench["integrand_dims"].values == d]:
@@ -229,7 +229,7 @@ def _plots_of(
             yield BenchFigure(f"Convergence in {d}-D", f"convergence-{d}d", plot, sets)
 
     def of(*names: str, sets: str) -> tuple[dict[str, xr.Dataset], str]:
-        """Return variables of the samplers that have the first one, and their n and sets."""
+        """Return some variables of the samplers that have the first variable, with a caption."""
         dims, kept = point_dims(bench), [*names, sets]
         found = {
             name: each[kept].assign_attrs(n=int(each["pictured_n"]), dims=dims)
@@ -285,7 +285,7 @@ def _plots_of(
 
 
 def _sets_of(group: Group, key: str) -> str:
-    """Return the usual number of averaged sets, and samplers with another number in brackets."""
+    """Return the usual number of averaged sets, and in brackets samplers with other numbers."""
     counts = {name: int(each[key]) for name, each in group.items() if np.isfinite(each[key])}
     usual = Counter(counts.values()).most_common(1)[0][0] if counts else 0
     others = [f"{name}: {count}" for name, count in counts.items() if count != usual]
@@ -295,7 +295,7 @@ def _sets_of(group: Group, key: str) -> str:
 
 
 def _range(values: Iterable[float]) -> str:
-    """Return the text of one number, or of the smallest and the largest: ``1021 to 1024``."""
+    """Return one number as text, or the smallest and largest number: ``1021 to 1024``."""
     found = sorted({int(value) for value in values})
     return " to ".join(map(str, found[:1] + found[1:][-1:]))
 
@@ -360,7 +360,7 @@ def _page(bench: xr.Dataset, cards: Sequence[Card]) -> html.Page:
 
 
 def _sheets(bench: xr.Dataset) -> Iterator[Drawn]:
-    """Yield sheets with a description of the measurement and the tables."""
+    """Yield sheets that describe the measurement and show the tables."""
     from matplotlib.figure import Figure as MatplotlibFigure
 
     lines: list[tuple[str, bool]] = [("Sampler bench", True), ("", False)]
@@ -371,7 +371,7 @@ def _sheets(bench: xr.Dataset) -> Iterator[Drawn]:
         for name, row in zip(bench_labels(bench), own, strict=True)
     ]
     for heads, rows in ((alone, texts), bench_table(bench)):
-        # Wrap long heads over several lines
+        # Wrap long column headers over several lines
         broken = [textwrap.wrap(head, 26 if k == 0 else 14) or [""] for k, head in enumerate(heads)]
         tall = max(map(len, broken))
         above = [[([""] * (tall - len(b)) + b)[line] for b in broken] for line in range(tall)]

@@ -65,10 +65,10 @@ def compare_curves(first: xr.Dataset, second: xr.Dataset) -> Difference:
 
 
 def verdict(first: Curves, second: Curves) -> str:
-    """Return sentences that say where the second study has less or more noise than the first.
+    """Return sentences that say where the second study has significantly less or more noise.
 
     A ratio of variances is smaller or larger than 1 if its interval excludes 1.
-    The intervals hold simultaneously for all common pairs of estimator and sampler [Sidak1967]_.
+    The intervals hold simultaneously for all pairs in both studies [Sidak1967]_.
     """
     both = [pair for pair in first if pair in second]
     same = [pair for pair in both if first[pair]["variance"].equals(second[pair]["variance"])]
@@ -202,7 +202,7 @@ def _written(folders: list[Path], file: Path, second: str) -> Path:
 
 
 def _side_by_side(first: Curves, second: Curves) -> Iterator[html.Block]:
-    """Yield a table and plots of the set-ups in both studies, and lists of all other set-ups."""
+    """Yield a table and plots of the set-ups that both studies have, and lists of all others."""
     both = [pair for pair in first if pair in second]
     if both:
         yield html.table_of(

@@ -1,4 +1,4 @@
-"""Findings about the noise of a renderer's frames, as sentences, EXR layers and one page."""
+"""Findings about the noise of rendered frames: as sentences, as EXR layers and as one page."""
 
 from __future__ import annotations
 
@@ -33,21 +33,21 @@ __all__ = [
 
 _COLUMNS = ("Samples per pixel", "Frames", "Variance", "95 %", "σ / mean")
 _MEASURES = {"mean_flip": "FLIP", "relmse": "relMSE", "smape": "SMAPE"}
-_LOW = 0.125  # upper limit of the low frequencies, in cycles per pixel
-# Noise is not white if its relative power at low frequencies is below 0.8 or above 1.25
+_LOW = 0.125  # frequencies below this limit in cycles per pixel count as low
+# Noise counts as white if its relative power at low frequencies is between 0.8 and 1.25
 _BLUE, _RED = 0.8, 1.25
-_UNSURE = 0.5  # a power with a larger relative error than this is not interpreted
-_ALIKE = 0.1  # smallest correlation of neighbors that is reported
+_UNSURE = 0.5  # a power with a relative error above this limit is not interpreted
+_ALIKE = 0.1  # smallest correlation of neighboring errors that is reported
 # In white noise, the larger of two correlations exceeds 2.24 standard errors in 5 % of cases
 _SURE = 2.24
 _HEAVY = 0.5  # tail index above which the variance is infinite
 _CARRIED = 0.05  # fireflies are reported if they hold more than this share of the variance
-_MOST = 0.5  # a cause with more than this share makes the variance
-_SURELY = 100.0  # effect of findings that change the meaning of all numbers, such as a bias
+_MOST = 0.5  # a cause with more than this share is called the main source of the variance
+_SURELY = 100.0  # effect of findings that change the meaning of all numbers, for example a bias
 
 
 def frame_summary(result: xr.Dataset) -> dict[str, Any]:
-    """Return numbers of the whole image: one row per number of samples, and the attributes."""
+    """Return numbers of the whole image as a dict: per number of samples, with all attributes."""
     # Attributes store lists as JSON text
     told = {
         key: json.loads(value) if isinstance(value, str) and value[:1] == "[" else value
@@ -104,7 +104,7 @@ def frame_summary(result: xr.Dataset) -> dict[str, Any]:
 
 
 def _left(one: xr.Dataset, name: str) -> dict[str, Any]:
-    """Return what one filter leaves."""
+    """Return the variance after one filter, as numbers for the page."""
     row: dict[str, Any] = {}
     for part in ("variance", "ratio", "picture_ratio"):
         if (full := f"{name}_{part}") in one:
@@ -113,9 +113,9 @@ def _left(one: xr.Dataset, name: str) -> dict[str, Any]:
 
 
 def frame_findings(result: xr.Dataset) -> list[str]:
-    """Return the findings as sentences, the largest effect first.
+    """Return the findings as sentences, with the largest effect first.
 
-    The effect is the size of the logarithm of a factor in the variance or in its meaning.
+    The effect is |ln r|, where r is the factor by which a finding changes the variance.
     """
     found = frame_summary(result)
     every = [
@@ -130,7 +130,7 @@ def frame_findings(result: xr.Dataset) -> list[str]:
 
 
 def _after(found: dict[str, Any]) -> Iterator[_Finding]:
-    """Describe correlations over time, and comparisons after a filter."""
+    """Describe correlations over time, and compare the frames after a filter."""
     if "boiling" in found:
         level, (low, high) = found["boiling"], found["boiling_ci"]
         frames, ends = found["effective_frames"], found["effective_frames_ci"]
@@ -178,13 +178,13 @@ def _after(found: dict[str, Any]) -> Iterator[_Finding]:
             continue
         if asked:
             yield each
-    # Without a filter that was asked for, report the Gaussian at which the order changes most
+    # If no filter was given, report the Gaussian at which the order changes most
     if not asked and opposites:
         yield max(opposites)
 
 
 def _referred(result: xr.Dataset, found: dict[str, Any]) -> Iterator[_Finding]:
-    """Describe the errors against a reference, and the worst tile."""
+    """Describe the errors relative to the reference, and the tile with the largest error."""
     if "reference" not in found:
         return
     last, biased = found["samples"][-1], found["reference_biased_pixels"]
@@ -220,7 +220,7 @@ def _referred(result: xr.Dataset, found: dict[str, Any]) -> Iterator[_Finding]:
 
 
 def _commanded(found: dict[str, Any]) -> Iterator[_Finding]:
-    """Describe the measured error after a program."""
+    """Describe the error that was measured after a program."""
     if "filter_command" not in found:
         return
     whole = found["samples"][-1]["picture_variance"]
@@ -244,14 +244,14 @@ def _compare(ratio: float) -> str:
 
 
 class _Finding(NamedTuple):
-    """A sentence, and the effect by which findings are ordered."""
+    """A sentence with its effect; findings are sorted by effect."""
 
     effect: float
     text: str
 
 
 def _lost(share: float) -> float:
-    """Return the effect of something that makes this share of the variance."""
+    """Return the effect of a cause that makes this share of the variance."""
     return -math.log1p(-min(max(share, 0.0), 1.0 - 1e-9))
 
 
@@ -315,14 +315,14 @@ def _against(found: dict[str, Any]) -> Iterator[_Finding]:
 
 
 def _shift(ratio: float, low: float, high: float) -> float:
-    """Return the effect of a ratio: |log| if its interval excludes 1, or else 0."""
+    """Return the effect of a ratio: |ln ratio| if its interval excludes 1, or else 0."""
     return abs(math.log(ratio)) if ratio > 0 and not low <= 1.0 <= high else 0.0
 
 
 def _doubts(found: dict[str, Any]) -> Iterator[_Finding]:
     """Yield warnings about unreliable numbers.
 
-    Each kind of problem is reported once, for the largest sample count at which it occurs.
+    Each kind of problem is reported once, at the largest number of samples where it occurs.
     """
     last = len(found["samples"]) - 1
     for k in range(last, -1, -1):
@@ -354,10 +354,10 @@ def _doubts(found: dict[str, Any]) -> Iterator[_Finding]:
     for k in range(last, -1, -1):
         count, expected = found["outliers"][k], found["outliers_expected"][k]
         share, tail = found["outlier_share"][k], found["tail_index"][k]
-        # Report fireflies only if they are four standard errors more than in normal noise
+        # Report fireflies only if their number exceeds that of normal noise by four standard errors
         if count and count > expected + 4 * expected**0.5 and share > _CARRIED:
             yield _Finding(
-                # Fireflies are a headline only if they make most of the variance
+                # Fireflies come first only if they make most of the variance
                 _lost(share) if share > _MOST else 0.0,
                 f"Fireflies: at {count} pixels one frame is far brighter than the others "
                 f"({number(expected, 2)} pixels expected for normal noise). These pixels cause "
@@ -382,7 +382,7 @@ def _doubts(found: dict[str, Any]) -> Iterator[_Finding]:
 
 
 def _flickers(found: dict[str, Any], k: int) -> bool:
-    """Whether changes of brightness make most of the variance."""
+    """Whether changes of brightness between frames make most of the variance."""
     return bool(found["drift_share"][k] > _MOST)
 
 
@@ -391,7 +391,7 @@ def _signed(change: float) -> str:
 
 
 def _noise(result: xr.Dataset, found: dict[str, Any]) -> Iterator[_Finding]:
-    """Describe the rate, the target, and the correlation of errors between pixels."""
+    """Describe the rate, the target, and correlations of errors between pixels."""
     if "picture_rate" in found:
         slope, (low, high) = found["picture_rate"], found["picture_rate_ci"]
         if not is_resolved(low, high):
@@ -415,7 +415,7 @@ def _noise(result: xr.Dataset, found: dict[str, Any]) -> Iterator[_Finding]:
         known = found["spp_known"][-1]
         times = "" if known else " times as many"
         resolved = "picture_rate" in found and is_resolved(*found["picture_rate_ci"])
-        # Relative error of σ² for normal noise; the number of samples needed is proportional to σ²
+        # Relative error of σ² for normal noise. The number of samples needed is proportional to σ²
         doubt = math.sqrt(2.0 / max(found["samples"][-1]["frames"] - 1, 1))
         yield _Finding(
             0.0,
@@ -437,7 +437,7 @@ def _noise(result: xr.Dataset, found: dict[str, Any]) -> Iterator[_Finding]:
     last = result.isel(n=-1)
     lowest = last["radius"].values < _LOW
     power, ends = last["error_spectrum"].values[lowest], last["error_spectrum_ci"].values[lowest]
-    # Weight each ring with its number of frequencies
+    # Weight each ring by its number of frequencies
     sizes = Rings(result.sizes["y"], result.sizes["x"]).sizes[lowest]
     weight = np.nan_to_num(sizes) / max(float(np.nansum(sizes)), 1.0)
     level = float(weight @ np.nan_to_num(power))
@@ -451,7 +451,7 @@ def _noise(result: xr.Dataset, found: dict[str, Any]) -> Iterator[_Finding]:
     below = f"below {_LOW} cycles per pixel " + (
         f"the errors have {have}" if power.size else "this small image has no frequencies"
     )
-    # Errors of a power are relative, so its interval is a factor
+    # Errors of a power are relative, so multiply it by a factor for its interval
     factor = math.exp(min(half / level, 700.0)) if level > 0 else math.inf
     if level < _BLUE and level * factor < 1.0:
         yield _Finding(
@@ -512,7 +512,7 @@ def frame_table(found: dict[str, Any]) -> html.Table:
 
 
 def filter_table(found: dict[str, Any]) -> html.Table | None:
-    """Return the variance after each filter that was asked for, or None."""
+    """Return the variance after each requested filter, or None."""
     rows = found.get("filtered", [])
     if not rows:
         return None
@@ -542,7 +542,7 @@ def filter_table(found: dict[str, Any]) -> html.Table | None:
 
 
 def frame_layers(result: xr.Dataset) -> dict[str, Array]:
-    """Return EXR layers: the mean image, and each per-pixel number by name and sample count."""
+    """Return EXR layers: the mean image, and quantities per pixel by name and samples."""
     maps = result.drop_vars(
         [n for n in result if not {"y", "x"} <= set(result[n].dims)] + ["image"]
     )
@@ -563,7 +563,7 @@ def check_frames_packages() -> None:
 
 
 def write_frames(result: xr.Dataset, folder: str | Path) -> Path:
-    """Write ``frames.exr``, images, ``frames.json`` and ``report.html``, replacing older files.
+    """Write ``frames.exr``, images, ``frames.json`` and ``report.html``. Older files are replaced.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Verdict of a gate as sentences, a page, JUnit XML, and annotations of GitHub."""
+"""Verdict of a gate as sentences, a page, JUnit XML, and annotations on GitHub."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ _TESTS = {
 }
 _MEANS = ("image", "tiles", "pixels", "spread", "trend")
 _MARKS: dict[str, Any] = {"pass": "yes", "fail": "no", "undecided": "none"}
-# A ratio of variances outside this range is mentioned
+# Ratios of variances outside this range are mentioned
 _QUIET, _LOUD = 0.8, 1.25
 
 
 def gate_summary(result: xr.Dataset) -> dict[str, Any]:
-    """Return the attributes and the tests as plain data."""
+    """Return the attributes and the tests as plain Python data."""
     told = {
         key: json.loads(value) if isinstance(value, str) and value[:1] == "[" else value
         for key, value in result.attrs.items()
@@ -66,7 +66,7 @@ def gate_summary(result: xr.Dataset) -> dict[str, Any]:
 
 
 def gate_findings(result: xr.Dataset) -> list[str]:
-    """Return the verdict with its reason, the power, and remarks, as sentences."""
+    """Return sentences: the verdict with its reason, the bias that can be found, and remarks."""
     found = gate_summary(result)
     return [_reason(result, found), *_power(found), *_remarks(found)]
 
@@ -100,7 +100,7 @@ def _reason(result: xr.Dataset, found: dict[str, Any]) -> str:
 
 
 def _failed(found: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the failed tests: the image first, then the most significant, then the noise."""
+    """Return the failed tests: first the image, then other means by p-value, then the noise."""
     order = list(_TESTS)
     failed = [each for each in found["tests"] if each["p"] <= found["level"]]
 
@@ -147,12 +147,12 @@ def _failure(test: dict[str, Any], result: xr.Dataset, found: dict[str, Any]) ->
 
 
 def _place(result: xr.Dataset, size: int, name: str) -> str:
-    """Describe the place of the largest difference among the most significant tiles."""
+    """Describe where the largest difference is, among the most significant tiles."""
     smallest, change = result["smallest_p"].values, result["difference"].values
     finest = int(result.attrs["finest"])
     times = max(size // finest, 1)
     least = smallest <= np.nanmin(smallest) * (1 + 1e-9)
-    # Compare tiles of this size by the mean of their differences in units of its error
+    # Compare tiles of this size by their mean difference, divided by its error
     height, width = (-(-side // times) for side in change.shape)
     padded = np.full((height * times, width * times), np.nan)
     padded[: change.shape[0], : change.shape[1]] = np.where(np.isfinite(change), change, np.nan)
@@ -182,7 +182,7 @@ def _place(result: xr.Dataset, size: int, name: str) -> str:
 
 
 def _power(found: dict[str, Any]) -> Iterator[str]:
-    """Describe the smallest bias that would have been found, and the samples for less."""
+    """Describe the smallest bias that would have been found, and how many samples find less."""
     seen, region = found.get("detectable_image"), found.get("detectable_region")
     if seen is None:
         return
@@ -193,7 +193,7 @@ def _power(found: dict[str, Any]) -> Iterator[str]:
         text = "If the variance falls as 1/n"
     else:
         text += ", with 90 % probability. If the variance falls as 1/n"
-    # The next power of ten below the bias, and the samples that find it
+    # Choose the next power of ten below the bias, and compute the samples that find it
     wanted = found.get("target")
     if wanted is None or wanted >= seen:
         wanted = 10.0 ** math.floor(math.log10(seen / 1.5))
@@ -210,7 +210,7 @@ def _power(found: dict[str, Any]) -> Iterator[str]:
 
 
 def _percent(fraction: float) -> str:
-    """Return a fraction as per cent with two digits."""
+    """Return a fraction as a percentage with two digits."""
     return f"{number(100.0 * fraction, 2)} %"
 
 
@@ -226,7 +226,7 @@ def _rounded(count: float) -> str:
 
 
 def _remarks(found: dict[str, Any]) -> Iterator[str]:
-    """Yield sentences about further failures, the method, and frames or pixels left out."""
+    """Yield sentences about further failures, the method, and what was left out."""
     others = _failed(found)[1:] if found["verdict"] == "fail" else []
     sizes: dict[str, list[int]] = {}
     for each in others:
@@ -277,7 +277,7 @@ def _described(test: str) -> str:
 
 
 def _listed(name: str, sizes: list[int]) -> str:
-    """Name the tests of one kind that failed at several sizes."""
+    """Describe together the tests of one kind that failed at several sizes."""
     if name not in ("tiles", "spread"):
         return _TESTS[name]
     wide = ", ".join(str(size) for size in sorted(sizes) if size > 1)
@@ -306,7 +306,7 @@ def gate_table(found: dict[str, Any]) -> html.Table:
 
 
 def write_gate(result: xr.Dataset, folder: str | Path) -> Path:
-    """Write ``report.html``, ``gate.json`` and the figures, replacing older files.
+    """Write ``report.html``, ``gate.json`` and the figures. Older files are replaced.
 
     Parameters
     ----------
@@ -365,7 +365,7 @@ def _frames(found: dict[str, Any], which: str) -> str:
 
 
 def write_junit(result: xr.Dataset, file: str | Path) -> Path:
-    """Write the tests as JUnit XML: failures for ``fail``, skipped for ``undecided``.
+    """Write the tests as JUnit XML. ``fail`` becomes a failure, and ``undecided`` a skipped test.
 
     Raises
     ------
@@ -407,7 +407,7 @@ def write_junit(result: xr.Dataset, file: str | Path) -> Path:
 
 
 def github_annotation(result: xr.Dataset) -> str:
-    """Return the verdict as a command of a GitHub workflow, which shows it at the run."""
+    """Return the verdict as a command of a GitHub workflow; GitHub shows it next to the run."""
     kind = {"pass": "notice", "fail": "error", "undecided": "warning"}[result.attrs["verdict"]]
     text = printable(" ".join(gate_findings(result)[:2]), 2000)
     for letter, code in (("%", "%25"), ("\r", "%0D"), ("\n", "%0A")):
@@ -416,7 +416,7 @@ def github_annotation(result: xr.Dataset) -> str:
 
 
 def write_github_summary(result: xr.Dataset) -> Path | None:
-    """Append the findings and tests as Markdown to the summary of a GitHub workflow, if it runs.
+    """Append findings and tests as Markdown to the summary page of a GitHub workflow, if it runs.
 
     The path is the environment variable ``GITHUB_STEP_SUMMARY``.
     """

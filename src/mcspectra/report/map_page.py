@@ -24,7 +24,7 @@ from mcspectra.report import page as html
 
 __all__ = ["map_layers", "map_note", "map_sentences", "map_summary", "map_table", "write_map"]
 
-_TELLING = 0.1  # the answer names a cause that holds at more than this share of pixels
+_TELLING = 0.1  # a cause is named if it holds at more than this share of the pixels
 _WORST = 5  # number of pixels that are listed
 _COLUMNS = {
     "mean": "Mean",
@@ -36,7 +36,7 @@ _COLUMNS = {
 }
 
 
-_TOLD = 0.005  # smallest share of the variance that a sentence names
+_TOLD = 0.005  # smallest share of the variance that is named in a sentence
 _METHODS = {
     "strata": "quadrature within the strata",
     "random": "∫g²",
@@ -76,7 +76,7 @@ _PROVENANCE = {
 
 
 def write_map(result: xr.Dataset, folder: str | Path) -> Path:
-    """Write ``maps.exr``, ``*.png``, ``map.json`` and ``report.html``, replacing older files.
+    """Write ``maps.exr``, ``*.png``, ``map.json`` and ``report.html``. Older files are replaced.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ def map_table(summary: Mapping[str, Any]) -> html.Table:
 def _worst_row(
     pixel: Mapping[str, Any], known: Mapping[str, Any], root: Path
 ) -> tuple[html.TableCell | str, ...]:
-    """Return the table row of a pixel: its analysis command, and a link if its page exists."""
+    """Return the table row of a pixel: the command to analyze it, and a link to its page if any."""
     x, y = pixel["x"], pixel["y"]
     page = f"pixel-{x}-{y}/report.html"
     scene, film = known["scene"], known["size"] == known.get("film")
@@ -202,7 +202,7 @@ def map_layers(result: xr.Dataset) -> dict[str, Array]:
     Returns
     -------
     dict
-        Arrays (y, x) by name; NaN where a value is missing.
+        Arrays (y, x) by name, with NaN where a value is missing.
     """
     return {
         str(name): values
@@ -212,7 +212,7 @@ def map_layers(result: xr.Dataset) -> dict[str, Array]:
 
 
 def _layers(name: str, data: xr.DataArray) -> Iterator[tuple[str, Array]]:
-    """Yield one layer for each sampler, strategy, bounce, count and bound."""
+    """Yield one layer per sampler, strategy, bounce, count and end of an interval."""
     outer = next((dim for dim in data.dims if dim not in ("y", "x")), None)
     if outer is None:
         yield name, data.values
@@ -223,10 +223,10 @@ def _layers(name: str, data: xr.DataArray) -> Iterator[tuple[str, Array]]:
 
 
 def map_summary(result: xr.Dataset) -> dict[str, Any]:
-    """Return medians over pixels by strategy, shares of pixels, and the provenance.
+    """Return medians over pixels by strategy, fractions of pixels, and the provenance.
 
-    With several samplers, the keys of strategies have the form "STRATEGY, SAMPLER".
-    All other entries describe the first sampler, except the entry on the best sampler.
+    With several samplers, the entry of a strategy is called "STRATEGY, SAMPLER".
+    All other entries describe the first sampler, except the entry about the best sampler.
     """
     whole, several, parts = result, "sampler" in result.dims, list(along(result, "sampler"))
     strategies = {
@@ -272,7 +272,7 @@ def map_summary(result: xr.Dataset) -> dict[str, Any]:
         }
     if "best_sampler" in whole and "answer" not in found:
         found["answer"] = _sampler_answer(whole.isel(strategy=-1, n=-1), found)
-    # List the pixels with the largest variance of the last strategy, at the largest n
+    # List the pixels at which the last strategy has the largest variance, at the largest n
     variance = result["variance"].isel(strategy=-1, n=-1).values
     order = np.argsort(np.nan_to_num(variance, nan=-1.0), axis=None, kind="stable")[::-1]
     found["worst_pixels"] = [
@@ -304,16 +304,16 @@ def _causes(result: xr.Dataset, kind: str) -> dict[str, dict[str, float]]:
 
 
 def _named(strategy: str) -> str:
-    """Return a strategy's name in words, followed by its sampler if there are several."""
+    """Return the name of a strategy in words, and its sampler if there are several samplers."""
     name, comma, sampler = strategy.partition(", ")
     return f"{STRATEGIES.get(name, name)}{comma}{sampler}"
 
 
 def _answer(last: xr.Dataset, found: Mapping[str, Any]) -> str:
-    """Name the strategy with the least variance at most pixels, for equal total samples.
+    """Name the strategy that has the least variance at most pixels, for equal total samples.
 
-    MIS is best at a pixel if its gain over the better single strategy exceeds 1.
-    At a given n, MIS takes n samples with each strategy, which is 2 n samples in total.
+    At a pixel, MIS is best if its gain over the better single strategy exceeds 1.
+    At a given n, MIS takes n samples with each of two strategies, so 2 n samples in total.
     """
     names = ("light", "bsdf")
     singles = np.stack([last["variance"].sel(strategy=name).values for name in names])
@@ -355,10 +355,10 @@ def _answer(last: xr.Dataset, found: Mapping[str, Any]) -> str:
 
 
 def _sampler_answer(last: xr.Dataset, found: Mapping[str, Any]) -> str:
-    """Name the best sampler, and the bounce and decision that add most variance.
+    """Name the best sampler, and the bounce and the decision that add most variance.
 
-    A sampler is recommended if it is the significant best at more pixels than any other sampler,
-    and if its variance is also the least in the geometric mean over pixels.
+    A recommended sampler is significantly the best at more pixels than any other sampler.
+    It also has the least geometric mean of the variance over the pixels.
     """
     names = list(map(str, last["sampler"].values))
     shares = found["best_sampler"][str(last["strategy"].item())]
@@ -378,7 +378,7 @@ def _sampler_answer(last: xr.Dataset, found: Mapping[str, Any]) -> str:
     )
 
     def larger(name: str, other: str) -> str:
-        """Compare the variances of two samplers in the geometric mean."""
+        """Compare two samplers by the geometric means of their variances over the pixels."""
         more = math.expm1(logs[name] - logs[other])
         return f"{percent(abs(more))} {'more' if more > 0.0 else 'less'} variance than {other}"
 
@@ -444,7 +444,7 @@ def map_sentences(result: xr.Dataset) -> Iterator[str]:
 
 
 def _shown_numbers(row: Mapping[str, float]) -> list[str]:
-    """Format the numbers of a strategy; an unresolved rate is replaced by a word."""
+    """Format the numbers of a strategy. If a rate is not resolved, a word replaces it."""
     slope, half = row["rate"], 2.0 * row["rate_se"]
     known = rate(slope, slope - half, slope + half).partition(" ")[0]
     shown = {name: percent if name.endswith("within_ci") else number for name in row}
@@ -472,7 +472,7 @@ def _share(values: Array, label: int) -> float:
 
 
 def _sentences(summary: Mapping[str, Any]) -> Iterator[str]:
-    """Yield sentences: which parts of the scene were not measured, and fractions of pixels."""
+    """Yield sentences on parts of the scene that were not measured, and fractions of pixels."""
     if summary.get("scene_note"):
         yield summary["scene_note"]
     if summary.get("padding"):

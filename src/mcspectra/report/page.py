@@ -1,11 +1,11 @@
-"""A self-contained HTML page of text, facts, tables and figures, or a deck of slides.
+"""Self-contained HTML pages of text, facts, tables and figures, and decks of slides.
 
-Every report is a `Page`, and every lecture a `Deck`; both are plain data.
+Every report is a `Page`, and every lecture is a `Deck`. Both contain only plain data.
 `write_page` draws the figures and writes the HTML.
-Styles, scripts and images are embedded, so the page loads nothing.
+Styles, scripts and images are embedded, so a page needs no other files.
 
 Each figure is an image. A `live` figure also has an interactive plot.
-The plot replaces the image once scripts run. On paper, the image is printed.
+The plot replaces the image once scripts run. When the page is printed, the image is used.
 
 All text is escaped except `Markup`, which only our own code creates.
 The same page always gives the same bytes.
@@ -67,7 +67,7 @@ __all__ = [
 
 @final
 class Markup(str):
-    """HTML created by our own code, which the template inserts without escaping."""
+    """HTML created by our own code. The template inserts it without escaping."""
 
     __slots__ = ()
 
@@ -75,7 +75,7 @@ class Markup(str):
         return str(self)
 
     def format(self, *values: object) -> Markup:  # type: ignore[override]
-        """Insert values; those that are not `Markup` are escaped."""
+        """Insert values. All values except `Markup` are escaped."""
         texts = (v if isinstance(v, Markup) else html.escape(str(v)) for v in values)
         return Markup(str(self).format(*texts))
 
@@ -83,7 +83,7 @@ class Markup(str):
 @final
 @dataclass(frozen=True, kw_only=True)
 class Paragraph:
-    """A paragraph, an answer, a heading in a section, a quotation, code, or a MathML formula."""
+    """A paragraph, an answer, a heading inside a section, a quotation, code, or a formula."""
 
     text: str | Markup
     kind: Literal["", "answer", "soft", "heading", "quote", "code", "formula"] = ""
@@ -92,7 +92,7 @@ class Paragraph:
 @final
 @dataclass(frozen=True, kw_only=True)
 class FactList:
-    """A list of names with descriptions; `code` sets the descriptions in a monospace font."""
+    """A list of names with descriptions. If `code` is true, descriptions use a monospace font."""
 
     rows: tuple[tuple[str, str | Markup], ...]
     code: bool = False
@@ -101,7 +101,7 @@ class FactList:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Sentences:
-    """Findings in words: pairs of a subject and a sentence about it."""
+    """Findings in words: pairs of a subject and a sentence."""
 
     rows: tuple[tuple[str, str], ...]
 
@@ -109,7 +109,7 @@ class Sentences:
 @final
 @dataclass(frozen=True, kw_only=True)
 class TableCell:
-    """A cell of a table.
+    """A cell of a table, as text with optional properties.
 
     Attributes
     ----------
@@ -118,11 +118,11 @@ class TableCell:
     numeric
         Whether the cell is right-aligned with digits of equal width.
     order
-        Sort key of the cell.
+        Value by which rows are sorted.
     link
-        Target of the text's hyperlink.
+        Address of a hyperlink on the text.
     mark
-        Color class of a verdict: ``yes``, ``no`` or ``none``. The text repeats the verdict.
+        CSS class of a verdict: ``yes``, ``no`` or ``none``. The text also states the verdict.
     """
 
     text: str
@@ -136,12 +136,12 @@ class TableCell:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """Rows of cells; the first `heads` cells of each row are row headers.
+    """A table as rows of cells. The first `heads` cells of each row are row headers.
 
     Attributes
     ----------
     sortable
-        Whether a click on a column header sorts the rows by that column.
+        Whether clicking on a column header sorts the rows by that column.
     stacked
         Whether the cells of a row are stacked on narrow screens. Useful for long texts.
     """
@@ -157,16 +157,16 @@ class Table:
 @final
 @dataclass(frozen=True, eq=False)
 class Slider:
-    """Plots of equal layout, one for each value of a parameter.
+    """Plots with the same layout, one for each value of a parameter.
 
     Attributes
     ----------
     label
         Name of the parameter.
     plots
-        Plots by the text of the value.
+        The plot for each value. Values are given as texts.
     start
-        Value that is shown at first, on paper, and without scripts.
+        Value that is shown first, when printed, and without scripts.
     """
 
     label: str
@@ -177,14 +177,14 @@ class Slider:
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Figure:
-    """A plot in a page. If it has a name, PNG and PDF files of that name are written.
+    """A plot on a page. If it has a name, PNG and PDF files with this name are written.
 
     Attributes
     ----------
     live
         Whether the page also has an interactive version.
     slider
-        Plots that replace the plot when a slider is moved.
+        Plots that are shown instead when a slider is moved.
     """
 
     plot: Plot
@@ -203,12 +203,12 @@ class Figure:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Figures:
-    """A group of figures, two per row where the page is wide enough.
+    """A group of figures, arranged in pairs if the page is wide enough.
 
     Attributes
     ----------
     small
-        Whether the figures are small pictures, five per row where the page is wide enough.
+        Whether the figures are small pictures, shown five per row if the page is wide enough.
     """
 
     figures: tuple[Figure, ...]
@@ -218,7 +218,7 @@ class Figures:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Collapsible:
-    """Blocks that a click on the summary shows. They are always printed."""
+    """Blocks that are shown after a click on the summary. They are always printed."""
 
     summary: str
     blocks: tuple[Block, ...]
@@ -239,7 +239,7 @@ class Section:
     blocks
         Contents. A section without blocks is omitted.
     beside
-        Words after the section's entry in the contents, in the color of `mark`.
+        Words next to the section's entry in the table of contents, in the color of `mark`.
     fresh
         Whether the section starts on a new sheet when printed.
     """
@@ -267,26 +267,26 @@ class Page:
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Screen:
-    """A slide of a lecture: a statement, one figure, a verdict and folded details.
+    """A slide of a lecture: a statement, one figure, a verdict and collapsed details.
 
     Attributes
     ----------
     number
-        Number in the navigation.
+        Number of the slide in the navigation.
     anchor
         HTML id, unique within a deck.
     statement, formula
-        Quotation, and a formula that is shown above all.
+        Quotation, and a formula that is shown above everything else.
     figure
-        The figure, which fills the screen. None: words only.
+        The figure, which fills the screen. None for a slide of words only.
     verdict, condition, mark
         Verdict on the statement in one or two words, its condition, and its color class.
     reason
         Reason for the verdict.
     link
-        Address of the explorer in the state of the figure, or empty.
+        Address of the explorer that shows the figure's settings, or empty.
     folded
-        Details below the figure. They are hidden until a reader opens them, and never printed.
+        Details below the figure. They are hidden until a reader opens them. They are not printed.
     """
 
     number: str
@@ -306,9 +306,9 @@ class Screen:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Deck:
-    """A lecture: a title page, screens that are shown one at a time, and a last page.
+    """A lecture: a title page, slides that are shown one at a time, and a last page.
 
-    Without scripts all screens are below each other. On paper each screen is a sheet.
+    Without scripts, all slides are shown below each other. When printed, each slide is a sheet.
     """
 
     title: str
@@ -331,7 +331,7 @@ def anchors(names: Iterable[str], head: str = "") -> list[str]:
 
 
 def number_cell(text: str, order: float | None = None, *, why: str = "") -> TableCell:
-    """Return the cell of a number with its sort key; `why` explains a missing number."""
+    """Return a table cell for a number, sorted by the number; `why` explains a missing number."""
     known = order is not None and math.isfinite(order)
     why = why if text.startswith(MISSING) else ""
     return TableCell(text=text, why=why, order=order if known else None)
@@ -354,7 +354,7 @@ def table_of(
     rows
         Rows of texts or of finished table cells.
     words
-        Indices of the columns of words (−1: the last); all others hold numbers.
+        Indices of the columns that contain words (−1: the last). All other columns contain numbers.
     **options
         Further attributes of the `Table`, by name.
     """
@@ -370,7 +370,7 @@ def table_of(
 
 
 def sections_of(blocks: Mapping[str, Sequence[Block]]) -> tuple[Section, ...]:
-    """Return one section per title; the anchors are made from the titles."""
+    """Return one section per title, with ids made from the titles."""
     return tuple(
         Section(title=title, anchor=slug(title), blocks=tuple(each))
         for title, each in blocks.items()
@@ -395,26 +395,26 @@ def columns_of(table: Table, names: Sequence[str]) -> Table:
 def figures_of(
     plots: Mapping[str, Plot] | Iterable[Plot], *, live: bool = False
 ) -> tuple[Figures, ...]:
-    """Return one block with all plots, by file name; return no block if there are no plots."""
+    """Return one block with all plots, which are given by file name; or nothing without plots."""
     named = plots.items() if isinstance(plots, Mapping) else (("", plot) for plot in plots)
     figures = tuple(Figure(plot=plot, name=name, live=live) for name, plot in named)
     return (Figures(figures=figures),) if figures else ()
 
 
 def versions_of(attributes: Mapping[Any, Any]) -> str:
-    """Return the package versions in a result's attributes ``version_*`` as one text."""
+    """Return all package versions (attributes ``version_*``) of a result as one text."""
     head = "version_"
     found = {str(key): value for key, value in attributes.items() if str(key).startswith(head)}
     return ", ".join(f"{key.removeprefix(head)} {found[key]}" for key in sorted(found))
 
 
 def check_page_packages(extras: str = "report") -> None:
-    """Check that pages can be written, before anything is computed for one.
+    """Check that pages can be written, before anything is computed for them.
 
     Parameters
     ----------
     extras
-        Extras that the error message names.
+        Names of package extras for the error message.
 
     Raises
     ------
@@ -431,8 +431,8 @@ def page_file(folder: Path, name: str, out: object) -> Path:
     Raises
     ------
     ParameterError
-        If `out` is not a path, or if `out` is missing and `folder` is a Zarr store.
-        No page may be added to a store, because the store has a digest of all its files.
+        If `out` is not a path, or if it is missing and `folder` is a Zarr store.
+        A page cannot be added to a store, because the store has a checksum of all its files.
     """
     if out is not None:
         return as_path("out", out)
@@ -460,7 +460,7 @@ def write_page(
     figures
         Folder for ``NAME.png`` and ``NAME.pdf`` of every named figure; created if missing.
     with_pdf
-        Whether the PDF files are written, which takes half of the time of a figure.
+        Whether PDF files are written; this takes half of the time of a figure.
 
     Raises
     ------
@@ -496,7 +496,7 @@ def write_page(
         seen: Counter[str] = Counter()
 
         def label(text: str) -> str:
-            """Append a number to the label of a region if an earlier region has the same label."""
+            """Add a number to the label of a page region if an earlier region has the same."""
             seen[text] += 1
             return text if seen[text] == 1 else f"{text} ({seen[text]})"
 
@@ -512,7 +512,7 @@ def write_page(
         text = environment.get_template(template).render(page=page, bokeh=script)
         partial = file.parent / f".{file.name}.partial"
         try:
-            partial.unlink(missing_ok=True)  # a symbolic link is removed, not followed
+            partial.unlink(missing_ok=True)  # removes a symbolic link itself, not its target
             partial.write_text(text, encoding="utf-8")
             partial.replace(file)
         finally:
@@ -521,7 +521,7 @@ def write_page(
 
 
 def write_json(file: Path, value: Any) -> None:
-    """Write strict JSON: NaN becomes null, infinite values become strings."""
+    """Write strict JSON. NaN becomes null, and infinite values become strings."""
     text = json.dumps(strict_json(value), indent=1, ensure_ascii=False, allow_nan=False)
     with writing(file, StoreError):
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -532,12 +532,12 @@ _JOINER = "\u2060"  # word joiner, an invisible character that prevents a line b
 
 
 def markup(template: str, *texts: object) -> Markup:
-    """Fill the ``{}`` of our own HTML template with texts, which are escaped and made printable."""
+    """Insert texts for ``{}`` in our own HTML template, after escaping them."""
     return Markup(template).format(*map(_shown, texts))
 
 
 def _shown(value: Any) -> Any:
-    """Remove control characters from text, except word joiners; return other values unchanged."""
+    """Remove control characters from text, except word joiners. Return other values unchanged."""
     if not isinstance(value, str) or hasattr(value, "__html__"):
         return value
     return _JOINER.join(printable(part, lines=True) for part in value.split(_JOINER))
@@ -551,13 +551,13 @@ def _figures_in(blocks: Iterable[Block]) -> Iterable[Figure]:
             yield from _figures_in(block.blocks)
 
 
-_THUMBNAIL = (176, 112)  # largest width and height in pixels, twice the size on the page
+_THUMBNAIL = (176, 112)  # largest width and height in pixels: twice the size on the page
 
 
 def _drawn(
     figure: Figure, folder: Path | None, root: Path, *, thumbnail: bool, with_pdf: bool
 ) -> Mapping[str, Any]:
-    """Return a figure for the template: base64 PNG with its size, and the compressed live plot."""
+    """Return a figure for the template: base64 PNG, its size, and the compressed live plot."""
     from mcspectra.plots import backend_matplotlib
 
     plot, file, filed = figure.plot, "", folder is not None and bool(figure.name)
@@ -601,7 +601,7 @@ def _drawn(
 
 
 def _thumbnail(png: bytes) -> str:
-    """Return a base64 PNG that fits into the thumbnails of a deck."""
+    """Return a base64 PNG that fits in the thumbnails of a deck."""
     import io
 
     from PIL import Image

@@ -1,4 +1,4 @@
-"""Figures and tables of a result for a paper: PDF, PGF and SVG, booktabs, and a LaTeX page."""
+"""Figures and tables of a result for a paper, as PDF, PGF, SVG and LaTeX."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from mcspectra.report.result_files import latex_table, result_table
 __all__ = ["write_paper"]
 
 _COLUMN = 3.34  # inches; wider figures span both columns of the page
-_MOST_ROWS = 60  # larger tables do not fit on a page, and are left to .csv files
+_MOST_ROWS = 60  # larger tables do not fit on a page and are only written as .csv files
 _ROOT = re.compile(r"n\^\(([^)]*)\)")
 _HEADS = QUALITY_HEADS | {"generalized_l2_discrepancy": "Generalized L2"}
 
 
 class _Table(NamedTuple):
-    """A table: name of its file, LaTeX source of the tabular, and caption."""
+    """A table: its file name, the LaTeX source of its tabular, and its caption."""
 
     name: str
     source: str
@@ -58,7 +58,7 @@ def write_paper(
     folder
         Folder for the files. Existing files with the same names are replaced.
     width, font_size, colors
-        Width of each figure, font size in points, and color map of spectra.
+        Width of each figure, font size in points, and color map for spectra.
         See `mcspectra.plots.paper.PaperStyle.of`.
     spectra
         Color scale of spectra: ``"linear"`` or ``"log"``.
@@ -104,7 +104,7 @@ def write_paper(
 
 
 def _figures(result: xr.Dataset, styles: Mapping[str, LineStyle]) -> Iterator[BenchFigure]:
-    """Yield the figures of a result of another analysis."""
+    """Yield the figures of a result that is not a bench."""
     counted = [
         f"{key} = {result.attrs[key]}" for key in ("n", "realizations") if key in result.attrs
     ]
@@ -113,7 +113,7 @@ def _figures(result: xr.Dataset, styles: Mapping[str, LineStyle]) -> Iterator[Be
 
 
 def _tables(result: xr.Dataset) -> Iterator[_Table]:
-    """Yield the table of a result of another analysis, if it fits on a page."""
+    """Yield the table of a result that is not a bench, if it fits on a page."""
     columns, rows = result_table(result)
     if len(rows) <= _MOST_ROWS:
         heads = [name.replace("_", " ") for name in columns]
@@ -121,7 +121,7 @@ def _tables(result: xr.Dataset) -> Iterator[_Table]:
 
 
 def _bench_tables(bench: xr.Dataset) -> Iterator[_Table]:
-    """Yield tables of rates, variances and quality; columns are integrands or figures."""
+    """Yield tables of rates, variances and quality. Columns are integrands or quality figures."""
     names = [_latex(name) for name in bench_labels(bench)]
     sets, last = bench.attrs["realizations"], int(bench["n"][-1])
     for d in dict.fromkeys(bench["integrand_dims"].values.tolist()):
@@ -131,7 +131,7 @@ def _bench_tables(bench: xr.Dataset) -> Iterator[_Table]:
         cells = {"rates": list[list[str]](), "variances": list[list[str]]()}
         for i in range(part.sizes["sampler"]):
             one = part.isel(sampler=i)
-            if not one["variance"].notnull().any():  # a sampler without sets in these dims
+            if not one["variance"].notnull().any():  # this sampler has no sets in these dims
                 continue
             rates = []
             for k in range(one.sizes["integrand"]):
@@ -185,7 +185,7 @@ def _bench_tables(bench: xr.Dataset) -> Iterator[_Table]:
 
 
 def _grouped(kinds: Sequence[str], heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a booktabs tabular of LaTeX cells; equal kinds side by side share a heading."""
+    """Return a booktabs tabular of LaTeX cells; adjacent columns of one kind share a heading."""
     lines = [
         r"% needs \usepackage{booktabs}",
         rf"\begin{{tabular}}{{l{'r' * (len(heads) - 1)}}}",
@@ -250,14 +250,14 @@ BODY
 
 def _latex(text: str) -> str:
     """Return a text for LaTeX with signs, indices, exponents and roots as mathematics."""
-    words = _ROOT.split(text)  # every second part is the exponent of a power of n
+    words = _ROOT.split(text)  # every second part is the exponent of n
     words[::2] = [latex_maths(word.translate(LATEX_TEXT)) for word in words[::2]]
     words[1::2] = [f"$n^{{{power.replace('−', '-')}}}$" for power in words[1::2]]
     return "".join(words)
 
 
 def _quality(key: str, value: float) -> str:
-    """Return a figure of quality with three digits, or a speed with one, as LaTeX."""
+    """Return a quality figure with three digits, or a speed with one digit, as LaTeX."""
     if math.isnan(value):
         return "--"
     if key == "t_value":
@@ -276,14 +276,14 @@ def _scientific(value: float, digits: int = 2) -> str:
 
 
 def _with_digits(value: float, low: float, high: float) -> str:
-    """Return a rate with half its interval in units of the last digit: $-1.52(3)$."""
+    """Return a rate with half of its interval in units of the last digit: $-1.52(3)$."""
     if not math.isfinite(value):
         return "--"
     half = 0.5 * (high - low)
     if not math.isfinite(half) or half <= 0.0:
         return f"${value:.2f}$"
     decimals = min(max(-math.floor(math.log10(half)), 0), 4)
-    if round(half * 10**decimals) == 10:  # rounding has added a digit
+    if round(half * 10**decimals) == 10:  # rounding added a digit
         decimals = max(decimals - 1, 0)
     text = rf"{value:.{decimals}f}({max(round(half * 10**decimals), 1):.0f})"
     return rf"$\mathit{{{text}}}$" if half > 0.5 else f"${text}$"

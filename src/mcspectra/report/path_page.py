@@ -1,4 +1,4 @@
-"""Report the noise of whole paths at a pixel: page, tables, sentences and numbers for JSON."""
+"""Report the noise of whole paths at a pixel, as a page, tables, sentences and JSON numbers."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ _TABLES = {
 
 
 def path_tables(tree: xr.DataTree) -> dict[str, html.Table]:
-    """Return the non-empty tables by title: rates, parts of the variance and shares of lights.
+    """Return the non-empty tables by title: rates, parts of the variance, and shares of lights.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def path_tables(tree: xr.DataTree) -> dict[str, html.Table]:
         columns = [found[v].values for v in ("anova_share", "total_share", "truncation_share")]
         columns[0] = columns[0][: len(names)]
         shown = list(zip(names, *columns, strict=True))
-        # One decision is made at many bounces: decisions have no order and no cumulative share
+        # Decisions recur at many bounces, so they have no order and no cumulative share
         if kind == "decision":
             shown = [(name, alone, total, np.nan) for name, alone, total, _ in shown]
         for name, *shares in shown:
@@ -113,7 +113,7 @@ def path_tables(tree: xr.DataTree) -> dict[str, html.Table]:
 
 
 def path_answer(tree: xr.DataTree) -> str:
-    """Recommend a set-up for these paths and name the cause, using remedies if there are any."""
+    """Recommend a set-up for these paths, and name the cause of the noise."""
     curves, said = tree["convergence"].to_dataset(), dict(path_sentences(tree))
     if "noise" in said:
         return said["noise"]
@@ -126,8 +126,8 @@ def path_answer(tree: xr.DataTree) -> str:
     sizes = {}
     for k in range(found.sizes["remedy"]):
         row = found.isel(remedy=k)
-        # Only changes whose gain is sure are recommended, as in the table of changes.
-        # The error leaves out a pilot's cost, but the verdict includes it
+        # Recommend only changes whose gain is significant, as in the table of changes.
+        # The error excludes the cost of a pilot, but the verdict includes it
         sure = row["verdict"].item() in ("better", "given")
         if not sure and row["remedy"].item() != other["remedy"].item():
             continue
@@ -137,10 +137,10 @@ def path_answer(tree: xr.DataTree) -> str:
 
 
 def _advised(tree: xr.DataTree, *kinds: str) -> tuple[xr.Dataset, xr.Dataset]:
-    """Return the best change that helps significantly, or the path as given, and its reference.
+    """Return the best change if it helps significantly, else the path as given; and the reference.
 
-    If `kinds` are given, only changes of these kinds are considered.
-    The reference is the path with random numbers if it was measured, else the path as given.
+    If `kinds` are given, only these kinds of changes are considered.
+    The reference is the path with random numbers if it was measured, otherwise the path as given.
     """
     found = tree["remedies"].to_dataset()
     given = found.sel(remedy="as given")
@@ -153,7 +153,7 @@ def _advised(tree: xr.DataTree, *kinds: str) -> tuple[xr.Dataset, xr.Dataset]:
 
 
 def _setup(tree: xr.DataTree, row: xr.Dataset) -> str:
-    """Return the name of a changed set-up: a sampler, or the given sampler with a change."""
+    """Return the name of a changed set-up: another sampler, or the given sampler with a change."""
     name, given = str(row["remedy"].item()), str(tree.attrs["sampler"])
     if name == "as given":
         return given
@@ -161,7 +161,7 @@ def _setup(tree: xr.DataTree, row: xr.Dataset) -> str:
 
 
 def path_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
-    """Return findings: sources of the noise, the effective dimension, and the best points."""
+    """Return findings about the sources of noise, the effective dimension, and the best points."""
     known = tree.attrs
     said = []
     for kind, axes in (("bounce", "bounce"), ("request", "decision")):
@@ -226,7 +226,7 @@ def path_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
     elif known.get("lights_note"):
         said.append(("lights", str(known["lights_note"])))
     if "remedies" in tree.children:
-        # Find the fewest leading QMC coordinates that are not significantly worse than all of them
+        # Find the fewest leading QMC coordinates that are not significantly worse than all
         tried = tree["remedies"].to_dataset()
         enough = (tried["kind"].values == "padding") & (tried["verdict"].values != "worse")
         fewest = [int(str(name).split()[0]) for name in tried["remedy"].values[enough]]
@@ -275,7 +275,7 @@ def path_summary(tree: xr.DataTree) -> dict[str, Any]:
 
 
 def write_path(tree: xr.DataTree, folder: str | Path) -> Path:
-    """Write ``report.html``, ``pixel.json`` and ``figures/``, replacing older files.
+    """Write ``report.html``, ``pixel.json`` and ``figures/``. Older files are replaced.
 
     Parameters
     ----------
@@ -305,7 +305,7 @@ def write_path(tree: xr.DataTree, folder: str | Path) -> Path:
     for title, table in path_tables(tree).items():
         sections[title] = (table, *html.figures_of(plots.get(title, {})))
     if "remedies" in tree.children:
-        # List changes that cost extra, and changes that could not be tried
+        # List changes that cost more, and changes that could not be tried
         found = tree["remedies"].to_dataset()
         costs = [
             (str(name), str(one["reason"].item()))

@@ -1,4 +1,4 @@
-"""Report of one pixel: a self-contained page, table rows, sentences and numbers for JSON."""
+"""Report on one pixel: a self-contained page, table rows, sentences and numbers for JSON."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ _REMEDY = (
     "rate_verdict",
     "reason",
 )
-_GIVEN = "balance"  # default strategy of renderers
+_GIVEN = "balance"  # heuristic that renderers use by default
 _PINHOLE = "pinhole"
 _FIXED = (
     "Direct light at one fixed point, seen through the center of the pixel: without the variation "
@@ -88,7 +88,7 @@ _ABOUT_INCIDENT = (
 
 
 def write_pixel(tree: xr.DataTree, folder: str | Path) -> Path:
-    """Write ``report.html``, ``pixel.json`` and ``figures/``, replacing older files.
+    """Write ``report.html``, ``pixel.json`` and ``figures/``. Older files are replaced.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ def write_pixel(tree: xr.DataTree, folder: str | Path) -> Path:
 
 
 def pixel_answer(tree: xr.DataTree) -> str:
-    """Recommend a strategy and sampler at equal evaluations, compared with MIS as given."""
+    """Recommend a strategy and sampler for equal evaluations, compared with MIS as given."""
     curves, setups = tree["convergence"].to_dataset(), {}
     for strategy, name in STRATEGY_NAMES.items():
         techniques = 1 if strategy in ("light", "bsdf") else 2
@@ -155,7 +155,7 @@ def pixel_answer(tree: xr.DataTree) -> str:
 
 
 def pixel_rows(tree: xr.DataTree) -> list[SummaryRow]:
-    """Return one row per strategy and sampler, with the prediction and the terms if analyzed.
+    """Return one row per strategy and sampler, with the prediction and, if available, the terms.
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ def pixel_rows(tree: xr.DataTree) -> list[SummaryRow]:
 
 
 def term_rows(tree: xr.DataTree) -> list[SummaryRow]:
-    """Return a row for each strategy and basis; the field `sampler` holds "strategy; basis"."""
+    """Return one row per strategy and basis. The field `sampler` contains "strategy; basis"."""
     rows: list[SummaryRow] = []
     for strategy, views in tree["terms"].children.items():
         seen: dict[str, xr.DataTree] = {}
@@ -190,7 +190,7 @@ def term_rows(tree: xr.DataTree) -> list[SummaryRow]:
 
 
 def about_pixel(tree: xr.DataTree) -> list[tuple[str, str]]:
-    """Return the surface that the ray hits and its lights, as pairs of a name and a text."""
+    """Return the surface that the ray hits, and its lights, as pairs of a name and a text."""
     known = tree.attrs
     place = ", ".join(number(v) for v in known["position"])
     normal = ", ".join(number(v) for v in known["normal"])
@@ -220,7 +220,7 @@ def pixel_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
         text = f"{explain(row, terms)} {known[f'diagnosis_{strategy}']}"
         said.append((STRATEGY_NAMES[strategy], text.strip()))
     said += [("bottleneck", bottleneck_sentence(tree)), ("fastest", _fastest(every))]
-    # Report regions without points only once, and name strategies instead of their specs
+    # Report regions without points only once, and replace the specs of strategies by their names
     note = str(tree["convergence"].attrs.get("note", ""))
     for name, spec in zip(
         *(tree["convergence"][v].values for v in ("strategy", "spec")), strict=True
@@ -257,7 +257,7 @@ def bottleneck_sentence(tree: xr.DataTree) -> str:
         n, slopes = int(found["n"][-1]), found["technique_rate"].values
         later = f" at larger n; at n = {n} it has {percent(part)} of the variance"
         gap = float(slopes[slow] - slopes[1 - slow])
-        if gap > 0.0 and last[slow] > 0.0:  # n at which the fitted lines cross
+        if gap > 0.0 and last[slow] > 0.0:  # n at which the two fitted lines cross
             crossing = n * float(last[1 - slow] / last[slow]) ** (1.0 / gap)
             later += f", and more than half beyond n ≈ {number(crossing, 2)} by the fitted lines"
     name = names[slow][0].upper() + names[slow][1:]
@@ -269,7 +269,7 @@ def bottleneck_sentence(tree: xr.DataTree) -> str:
 
 
 def _fastest(rows: list[SummaryRow]) -> str:
-    """Name the strategy and sampler with the steepest rate, and those with the least variance."""
+    """Name the strategies and samplers with the steepest rate and with the least variance."""
     fitted = [
         row
         for row in rows
@@ -341,10 +341,10 @@ def pixel_summary(tree: xr.DataTree) -> dict[str, Any]:
 
 
 def _sections(tree: xr.DataTree) -> Iterator[tuple[str, tuple[html.Block, ...]]]:
-    """Yield title and blocks of each section that has figures or tables."""
+    """Yield the title and the blocks of each section that has figures or tables."""
     known = tree.attrs
 
-    # Rates and predictions: the summary table without the columns about terms
+    # Show rates and predictions: the summary table without the columns on terms
     curves = tree["convergence"].to_dataset()
     table = summary_table(pixel_rows(tree))
     table = replace(
@@ -362,7 +362,7 @@ def _sections(tree: xr.DataTree) -> Iterator[tuple[str, tuple[html.Block, ...]]]
     plot = task_curves(by_strategy, styles, by="by each strategy", x=x, alike=True)
     yield "Rates and predictions", (table, *html.figures_of({"rates": plot}))
 
-    # Show the three terms in the best basis, and the captured shares in all bases
+    # Show the three terms in the best basis, and the captured variance in all bases
     trees = tree["terms"].children.items()
     fitting = {STRATEGY_NAMES[name]: views["auto"].to_dataset() for name, views in trees}
     every = {
@@ -379,11 +379,11 @@ def _sections(tree: xr.DataTree) -> Iterator[tuple[str, tuple[html.Block, ...]]]
     figures = html.figures_of({"terms": bars, "captured": shares})
     yield "Three terms", (html.Paragraph(text=_ABOUT_TERMS), table, *figures)
 
-    # Integrands on the unit square, and the incident light
+    # Show integrands on the unit square, and the incident light
     if "pictures" in tree.children:
         group = {}
         for name, node in tree["pictures"].children.items():
-            strategy, _, technique = name.partition("-")  # "balance-bsdf" is a part of MIS
+            strategy, _, technique = name.partition("-")  # "balance-bsdf" is one part of MIS
             title = (
                 f"{STRATEGY_NAMES[technique]} share, {strategy}"
                 if technique
@@ -395,7 +395,7 @@ def _sections(tree: xr.DataTree) -> Iterator[tuple[str, tuple[html.Block, ...]]]
     plot = replace(incident_maps(tree["incident"].to_dataset()), caption=_ABOUT_INCIDENT)
     yield "Incident light", html.figures_of({"incident": plot})
 
-    # The bottleneck
+    # Show the bottleneck
     found = tree["techniques"].to_dataset()
     variances = found["technique_variance"].isel(n=-1).values
     total = float(variances.sum())
@@ -417,7 +417,7 @@ def _sections(tree: xr.DataTree) -> Iterator[tuple[str, tuple[html.Block, ...]]]
     )
     yield "Bottleneck", (html.Paragraph(text=bottleneck_sentence(tree)), table)
 
-    # Remedies
+    # Show the remedies
     if "remedies" in tree.children:
         yield "Remedies", remedies_blocks(tree["remedies"].to_dataset(), str(known["sampler"]))
 
@@ -433,7 +433,7 @@ def remedies_summary(found: xr.Dataset) -> dict[str, Any]:
 
 
 def remedies_blocks(found: xr.Dataset, sampler: str) -> tuple[html.Block, ...]:
-    """Return the answer, a table of all changes that were tried, and a figure."""
+    """Return the answer, a table of all changes that were tried, and a figure of their errors."""
     made = analysis_table("remedies", {sampler: found})
     assert made is not None
     table = html.columns_of(made[1], made[1].columns[1:])

@@ -1,9 +1,9 @@
-"""Notebook representations of samplers, densities, integrands and estimators: images and facts.
+"""Notebook representations of samplers, densities, integrands and estimators: images with facts.
 
-Everything shown is cheap to compute: a set of about 64 points and values on a 48 × 48 grid.
+All of this is cheap to compute: a set of about 64 points, and values on a 48 × 48 grid.
 Integrals are shown only if they are known in closed form.
-Components that declare themselves `costly`, and slow functions, are shown without an image.
-Images are SVG text. An image takes a millisecond to draw and loads nothing.
+Components that are declared `costly`, and slow functions, are shown without an image.
+Images are SVG text. An image is drawn in a millisecond and needs no other files.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ _BLUE = "#0072B2"
 # Five colors of viridis (van der Walt, Smith 2015), equally spaced in lightness.
 # Colors between these five are interpolated linearly.
 _VIRIDIS = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37))
-_CLIPPED = 0.5  # percentage of values clipped at each end, because of poles
+_CLIPPED = 0.5  # percentage of values clipped at each end, because functions may have poles
 _POINTS = 64
 _MOST_NUMBERS = 2**16  # largest number of coordinates (n · dims) of a set that is drawn
-_CELLS = {1: 192, 2: 48}  # cells along each axis of an image, by dims
-_TIME = 0.2  # time limit in seconds for the values of an image, except their first row
+_CELLS = {1: 192, 2: 48}  # number of cells along each axis of an image, by dims
+_TIME = 0.2  # limit in seconds for the time to compute an image, excluding its first row
 _MOST_TECHNIQUES = 3
 _LONGEST = 160  # longest spec that is shown, in characters
 
@@ -50,7 +50,7 @@ Pictures: TypeAlias = list[tuple[str, str]]
 
 
 def component_html(component: object) -> str:
-    """Return the HTML of a component; an unknown kind of component is shown by its spec alone."""
+    """Return the HTML of a component. For an unknown kind of component, only its spec is shown."""
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")  # warnings about counts and 0/0 in f/p do not matter here
         if isinstance(component, Sampler):
@@ -97,7 +97,7 @@ def _sampler(sampler: Sampler) -> tuple[Pictures, Rows]:
     if _is_costly(sampler) or n * sampler.dims > _MOST_NUMBERS:
         return [], [*rows, ("picture", f"omitted: {n} points would take long")]
     points = sampler.draw(n, rng=0)[0]
-    # The nearest point is the point itself, so take the second; a single point gives infinity
+    # The nearest point is the point itself, so use the second; a single point gives infinity
     tree = KDTree(points, boxsize=np.ones(points.shape[1]))
     least = float(np.min(tree.query(points, k=[2])[0]))
     rows.append(("smallest distance", f"{number(least)} (of these points)"))
@@ -136,7 +136,7 @@ def _integrand(integrand: Integrand) -> tuple[Pictures, Rows]:
 
 
 def _integral(component: Integrand | AbstractEstimator) -> Rows:
-    """Return the integral if it is known exactly, because a quadrature may take long."""
+    """Return the integral if it is known exactly; quadrature might take long."""
     if component.integral_source != "exact":
         return []
     return [("∫ f", ", ".join(number(float(v), 6) for v in np.atleast_1d(component.integral)))]
@@ -167,7 +167,7 @@ def _estimator(estimator: AbstractEstimator) -> tuple[Pictures, Rows]:
 
 
 def _values(function: Callable[[Array], Array], dims: int) -> Array | None:
-    """Return values at cell centers, or None if that takes too long; further axes are at ½."""
+    """Return values at cell centers, or None if that takes too long. Further coordinates are ½."""
     side = _CELLS[min(dims, 2)]
     centres = (np.arange(side) + 0.5) / side
     rows = []
@@ -178,7 +178,7 @@ def _values(function: Callable[[Array], Array], dims: int) -> Array | None:
         if dims > 1:
             x[:, 1] = centres
         rows.append(function(x))
-        start = start or time.monotonic()  # after the first row, which may load or compile code
+        start = start or time.monotonic()  # exclude the first row, which may load or compile code
         if time.monotonic() - start > _TIME:
             return None
     return np.stack(rows) if dims > 1 else np.concatenate(rows)
@@ -214,7 +214,7 @@ def _yes(holds: bool) -> str:
 
 
 def scatter(points: Array, label: str) -> str:
-    """Draw points (n, 2) of the unit square; the second axis points up."""
+    """Draw points (n, 2) of the unit square. The second axis points up."""
     radius = float(np.clip(8.0 / np.sqrt(len(points)), 0.3, 2.2))
     dots = "".join(
         f'<circle cx="{100 * x:.2f}" cy="{100 - 100 * y:.2f}" r="{radius:.2f}"/>' for x, y in points
@@ -230,7 +230,7 @@ def strip(points: Array, label: str) -> str:
 
 
 def curve(values: Array, label: str) -> str:
-    """Draw values (k,) or (k, channels) at the centers of k equal cells; the range includes 0."""
+    """Draw values (k,) or (k, channels) at k cell centers, in a range that includes 0."""
     columns = values.reshape(len(values), -1)
     low, high = _limits(columns)
     low, high = min(low, 0.0), max(high, 0.0)
@@ -280,7 +280,7 @@ def _framed(drawing: str, label: str) -> str:
 
 
 def _limits(values: Array) -> tuple[float, float]:
-    """Return the color range: percentiles of the finite values."""
+    """Return the range of values for colors, from percentiles of the finite values."""
     finite = values[np.isfinite(values)]
     if not finite.size:
         return 0.0, 0.0
@@ -289,7 +289,7 @@ def _limits(values: Array) -> tuple[float, float]:
 
 
 def _line(x: Array, y: Array) -> str:
-    """Return an SVG path that has gaps at non-finite values and is clipped to the frame."""
+    """Return an SVG path, clipped to the frame, with gaps where values are not finite."""
     parts, pen = [], "M"
     for at, height in zip(x, np.clip(y, 0.0, 100.0), strict=True):
         if not np.isfinite(height):

@@ -1,4 +1,4 @@
-"""Write results as values, tables (CSV, LaTeX), images or pages, according to the extension."""
+"""Write results as values, tables (CSV, LaTeX), images or pages, depending on the extension."""
 
 from __future__ import annotations
 
@@ -46,22 +46,22 @@ RESULT_FILES = (".npz", ".csv", ".tex", *backend_matplotlib.FORMATS, ".html")
 """Extensions that `write_result_file` accepts."""
 
 _SAID = ("answer", "diagnosis", "note")
-# Groups of dims: a page has one table of values for each group
+# Combinations of dims: a page has one table of values for each of them
 _TABLES = (
     ("sampler",), ("method",), ("n",), ("sampler", "n"), ("method", "n"), ("sampler", "method"),
     ("sampler", "method", "n"),
 )  # fmt: skip
-_LONG = 300  # attributes with at least this number of characters are not listed as facts
+_LONG = 300  # an attribute with at least this many characters is not listed among the facts
 _MOST_TEX_ROWS = 500
 
 
 def check_result_file(file: str, known: tuple[str, ...] = RESULT_FILES) -> None:
-    """Check the extension of a file and that it can be written, before anything is computed.
+    """Check the extension of a file, and that it can be written, before anything is computed.
 
     Raises
     ------
     ParameterError
-        If the extension is not in `known`.
+        If the extension is not one of `known`.
     MissingDependency
         If the file is a page and the extra ``report`` is not installed.
     """
@@ -129,9 +129,9 @@ def result_table(
 ) -> tuple[list[str], list[list[Any]]]:
     """Return the columns and rows of a table of a result.
 
-    The table has all variables over `dims`, with one row per coordinate.
+    The table has all variables with the given `dims`, and one row per coordinate.
     By default, `dims` are the dims of most variables. Variables over fewer dims are repeated.
-    An interval gives two columns, ``_low`` and ``_high``. A result of scalars gives one row.
+    An interval gives two columns, ``_low`` and ``_high``. Scalars alone give one row.
     """
     variables = {str(k): v for k, v in result.data_vars.items() if v.dtype.kind in "fiubUO"}
     if dims is None:
@@ -148,7 +148,7 @@ def result_table(
     for name, values in variables.items():
         own = [d for d in values.dims if d != "bound"]
         if not set(own) <= set(dims) or (dims and not own):
-            continue  # such variables belong to other tables
+            continue  # these variables belong to other tables
         missing = {d: sizes[d] for d in dims if d not in own}
         full = values.expand_dims(missing).transpose(*dims, ...).values.reshape(rows, -1)
         ends = ("_low", "_high") if "bound" in values.dims else ("",)
@@ -163,13 +163,13 @@ def result_table(
 def csv_text(
     columns: Sequence[str], rows: Iterable[Sequence[Any]], about: dict[Any, Any] | None = None
 ) -> str:
-    """Return comma-separated values with numbers in full, after comment lines ``# name: value``.
+    """Return comma-separated values with all digits, after comment lines ``# name: value``.
 
-    `csv_cell` prevents cells that a spreadsheet would run as formulas.
+    `csv_cell` changes cells that a spreadsheet would run as formulas.
     """
     stream = io.StringIO()
     for name, value in (about or {}).items():
-        # Put a space after commas and semicolons, because they start a new cell in a spreadsheet
+        # Add a space after commas and semicolons: spreadsheets may start a new cell after them
         text = printable(f"# {name}: {value}")
         stream.write(re.sub(r"([,;])(?=[^\w\s])", r"\1 ", text) + "\n")
     writer = csv.writer(stream, lineterminator="\n")
@@ -179,7 +179,7 @@ def csv_text(
 
 
 def latex_table(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
-    """Return a LaTeX tabular with numbers rounded to a few digits.
+    """Return a LaTeX tabular of numbers, rounded to a few digits.
 
     Raises
     ------
@@ -212,7 +212,7 @@ def latex_table(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Convert a NumPy scalar to Python; NaN becomes None."""
+    """Convert a NumPy scalar to a Python value; NaN becomes None."""
     plain = value.item() if isinstance(value, np.generic) else value
     return None if isinstance(plain, float) and math.isnan(plain) else plain
 
@@ -227,7 +227,7 @@ def write_result(result: xr.Dataset, out: str | Path, title: str = "Result") -> 
     out
         Path of the page.
     title
-        Title of the page; the estimator is appended.
+        Title of the page, to which the name of the estimator is added.
 
     Raises
     ------
@@ -279,7 +279,7 @@ def write_result(result: xr.Dataset, out: str | Path, title: str = "Result") -> 
 
 
 def _value(result: xr.Dataset, name: str) -> tuple[str, str]:
-    """Return a scalar and its interval as texts; a rate with a wide interval is "unresolved"."""
+    """Return a scalar and its interval as texts. A rate with a wide interval is "unresolved"."""
     value, ends = float(result[name]), f"{name}_ci"
     if ends not in result:
         return number(value), ""
@@ -289,7 +289,7 @@ def _value(result: xr.Dataset, name: str) -> tuple[str, str]:
 
 
 def _curves(result: xr.Dataset, dims: tuple[str, ...]) -> html.Table:
-    """Return a table of the first channel's values over `dims`, with the methods that gave them."""
+    """Return a table of values over `dims` in the first channel, with their methods."""
     first = result.isel(channel=0) if "channel" in result.dims else result
     names = [
         str(name)

@@ -72,7 +72,7 @@ _INTEGRANDS = {1: ("gaussian", "step(at=0.3)"), 2: ("gaussian", "disk")}
 @final
 @dataclass(frozen=True, kw_only=True)
 class CardEffort:
-    """Numbers of points and realizations that are drawn for a card.
+    """Numbers of points and realizations for a card.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class CardEffort:
     spectra, rates
         Number of realizations for the spectrum and for the variance at each count.
     counts
-        Numbers of points for the rates; empty for no rates.
+        Numbers of points for the rates. Without any, rates are not measured.
     slow_counts, slow_rates
         Same as `counts` and `rates`, for samplers that generate points slowly.
     """
@@ -110,16 +110,16 @@ class Card:
     spec
         Spec of the sampler that the images and the spectrum show.
     randomized
-        Spec of the sampler whose rates were measured: fixed sets are randomized for this.
+        Spec of the sampler whose rates were measured. Fixed sets are randomized for this purpose.
         Empty if no rates were measured.
     points
         One realization of the points, with shape (n, dims).
     projected
-        Axes 2 and 3 of a 4-D set, with shape (n, 2), or None if 4-D sets are impossible.
+        The third and fourth coordinates of a 4-D set, (n, 2), or None if 4-D sets are impossible.
     spectrum
         Result of `power_spectrum`.
     curves
-        Results of `convergence` by integrand; empty if fewer than two counts are possible.
+        Results of `convergence` by integrand. Empty if fewer than two counts are possible.
     quality
         Long name, mean and standard error of each quality figure.
     speed
@@ -140,7 +140,7 @@ class Card:
 
     @property
     def rates(self) -> dict[str, tuple[float, float, float]]:
-        """Rate of the variance and the ends of its interval, by integrand."""
+        """Rate of the variance by integrand, with the ends of its interval."""
         return {
             text: (float(curve["rate"]), *map(float, curve["rate_ci"].values))  # type: ignore[misc]
             for text, curve in self.curves.items()
@@ -148,7 +148,7 @@ class Card:
 
 
 def all_samplers(dims: Sequence[int] = (2, 1, 3)) -> list[str]:
-    """Return the specs of all samplers that need no parameters and can make one of `dims`."""
+    """Return the specs of all samplers without required parameters that support one of `dims`."""
     return sorted(spec for spec in (*SAMPLERS, *_ALSO) if _makeable(spec, dims))
 
 
@@ -180,7 +180,7 @@ def write_cards(
     Raises
     ------
     McspectraError
-        If a sampler cannot be made or measured; the message gives the reason.
+        If a sampler cannot be created or measured. The message gives the reason.
     StoreError
         If the folder cannot be written.
     """
@@ -193,7 +193,7 @@ def write_cards(
         cards.append(measure_card(spec, effort=effort, rng=rng))
     report("cards", 1.0)
     root = Path(folder)
-    # Write the numbers to a machine-readable file
+    # Write the numbers to a JSON file
     numbers = [
         {
             "name": card.name,
@@ -225,7 +225,7 @@ def write_cards(
 
 
 def measure_card(spec: str, *, effort: CardEffort = FULL, rng: int = 0) -> Card:
-    """Measure a sampler in 2-D, or else in the only number of dims that it can make.
+    """Measure a sampler in 2-D, or else in the number of dims that it supports.
 
     Raises
     ------
@@ -265,7 +265,7 @@ def measure_card(spec: str, *, effort: CardEffort = FULL, rng: int = 0) -> Card:
 
 
 def _in_two_dims(spec: str) -> Sampler:
-    """Create the sampler in 2-D, or else in 1-D or 3-D; raise the error of 2-D if all fail."""
+    """Create the sampler in 2-D, or else in 1-D or 3-D. If all fail, raise the error of 2-D."""
     reason: McspectraError | None = None
     for dims in (2, 1, 3):
         try:
@@ -280,7 +280,7 @@ def _projection(spec: str, n: int, rng: int) -> Array | None:
     try:
         source = shared_sets(sampler(spec, _PROJECTED_DIMS))
         points: Array = source.draw(source.nearest_count(n), rng=rng)[0, :, 2:]
-    except McspectraError:  # for instance, a program that prints too few coordinates
+    except McspectraError:  # for example, a program that prints too few coordinates
         return None
     return points
 
@@ -288,7 +288,7 @@ def _projection(spec: str, n: int, rng: int) -> Array | None:
 def _curves(
     dims: int, source: Sampler, effort: CardEffort, rng: int, *, slow: bool
 ) -> dict[str, xr.Dataset]:
-    """Measure convergence on some integrands; empty if fewer than two counts are possible."""
+    """Measure convergence on some integrands. Empty if fewer than two counts are possible."""
     wanted = effort.slow_counts if slow else effort.counts
     counts = sorted({source.nearest_count(n) for n in wanted})
     if len(counts) < 2:
@@ -301,7 +301,7 @@ def _curves(
 
 
 def _makeable(spec: str, dims: Sequence[int]) -> bool:
-    """Whether a sampler can make points in one of `dims` without a file or another package."""
+    """Whether a sampler supports one of the given `dims` without a file or another package."""
     if spec in ("points", "scipy", "qmcpy", "mitsuba"):
         return False
     for d in dims:

@@ -33,12 +33,12 @@ SCREEN_FILES = (".html", ".csv", *_PICTURES)
 """Extensions that `write_screen` accepts; a name without an extension is a folder."""
 
 _AFTER = {"none": "As it is", "gaussian": "After blur", "ema": "After EMA", "both": "After both"}
-_WIDE = 1.5  # ratio of the ends of an interval above which both ends are shown
+_WIDE = 1.5  # above this ratio of its ends, both ends of an interval are shown
 _CURVES = ["pixel_error", "pixel_error_ci", "low_share", "slow_share", "blocks"]
 
 
 def screen_summary(result: xr.Dataset) -> dict[str, Any]:
-    """Return the numbers of all samplers and the names of the best, for JSON."""
+    """Return the numbers of all samplers, and the names of the best ones, as data for JSON."""
     told = {
         key: json.loads(value) if isinstance(value, str) and value[:1] == "[" else value
         for key, value in result.attrs.items()
@@ -70,7 +70,7 @@ def _best(result: xr.Dataset, kind: str) -> str | None:
 
 
 def screen_table(result: xr.Dataset) -> html.Table:
-    """Return the variance, the low-frequency shares and the filtered errors of each sampler."""
+    """Return variance, low-frequency shares and filtered errors of each sampler, as table rows."""
     titles, frames = filter_names(result), result.sizes["frame"]
     names = list(labels([str(name) for name in result["sampler"].values], 60).values())
     columns = ["Sampler", "Variance", "Low", *(["Slow"] if frames > 1 else [])]
@@ -87,7 +87,7 @@ def screen_table(result: xr.Dataset) -> html.Table:
         for kind in titles:
             after = one.sel(filter=kind)
             value, (low, high) = float(after["filtered_ratio"]), after["filtered_ratio_ci"].values
-            # The intervals are symmetric on a logarithmic scale; wide ones need both ends
+            # The intervals are symmetric on a logarithmic scale, so show both ends of wide ones
             narrow = high < _WIDE * low
             text = with_error(value, (high - low) / 2) if narrow else number(value)
             text += "" if narrow else f" ({interval(low, high, 2)})"
@@ -150,7 +150,7 @@ def write_screen(result: xr.Dataset, file: str) -> Path:
         Result of `mcspectra.rendering.screen_spectrum`.
     file
         A folder gets ``index.html``, ``screen.json`` and ``screen.csv``. ``.html`` is one page.
-        ``.csv`` has one row per sampler and filter. Pictures show the spectra over space and time.
+        ``.csv`` has one row per sampler and filter. Images show the spectra over space and time.
 
     Raises
     ------

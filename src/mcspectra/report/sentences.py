@@ -1,4 +1,4 @@
-"""Sentences about a result, derived from its numbers and limited by their intervals."""
+"""Sentences about a result, derived from its numbers. Their intervals limit what is claimed."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ __all__ = [
     "headline",
 ]
 
-_DOMINANT = 0.9  # share of dc + power above which the dc term is named
+_DOMINANT = 0.9  # share of dc + power above which the dc term is mentioned
 _AWAY = 4.0  # two means differ if they are more than 4 standard errors apart
 _LENGTH = "|\u2060m|\u2060"  # word joiners prevent a line break after a bar
-_CLOSE = 0.1  # prediction and measurement agree up to this relative difference
-# Widens the 95 % interval of a rate to 3 standard errors, because a page makes dozens of statements
+_CLOSE = 0.1  # prediction and measurement are close up to this relative difference
+# Widens the 95 % interval of a rate to 3 standard errors: a page makes dozens of claims
 _RATE_MARGIN = 1.5
-_SURE = 0.2  # a rate may be called random if its interval has at most this half width
+_SURE = 0.2  # the interval of a rate must have at most this half width to call the rate random
 _REMEDY_WORDS = ("diagnosis", "answer")
 _TERMS = {
     "dc": "weights: p does not follow f",
@@ -46,7 +46,7 @@ _TERMS = {
 
 @dataclass(frozen=True)
 class Size:
-    """Variance of a set-up with the ends of its 95 % interval, rate (NaN if unknown) and mean."""
+    """Variance of a set-up, the ends of its 95 % interval, its rate (NaN if unknown) and mean."""
 
     variance: float
     low: float
@@ -57,17 +57,17 @@ class Size:
 
 
 def compared(sizes: Mapping[str, Size], given: str, evaluations: int, why: str = "") -> Answer:
-    """Recommend the set-up with the least variance that is significantly below the given one.
+    """Recommend the set-up with the least variance, if it is significantly below the given one.
 
     Parameters
     ----------
     sizes
-        Variance at equal evaluations, by the name of the set-up.
+        Variances at equal evaluations, by name of the set-up.
     given
         Set-up with which the others are compared.
         A set-up with a different mean or with zero variance is not recommended.
     evaluations
-        Number of evaluations of one estimate.
+        Number of function evaluations per estimate.
     why
         Sentences on the causes of the noise.
     """
@@ -84,7 +84,7 @@ def compared(sizes: Mapping[str, Size], given: str, evaluations: int, why: str =
         gain, least, most = (a / b if b > 0.0 else math.nan for a, b in ratios)
 
         def needed(gain: float) -> float:
-            """Return the number of evaluations that the given set-up needs for the same gain."""
+            """Return how many evaluations the given set-up needs for the same variance."""
             with_rate = start.rate < 0.0 and gain > 0.0
             return evaluations * gain ** (-1.0 / start.rate) if with_rate else math.nan
 
@@ -111,7 +111,7 @@ def compared(sizes: Mapping[str, Size], given: str, evaluations: int, why: str =
 
 
 def answer(curves: Mapping[str, xr.Dataset], given: str = "", why: str = "") -> Answer | None:
-    """Recommend a set-up at the largest number of points that all set-ups reach.
+    """Recommend a set-up, at the largest number of points that all set-ups reach.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def answer(curves: Mapping[str, xr.Dataset], given: str = "", why: str = "") -> 
     given
         Set-up with which the others are compared. Default: random points, or else the first.
     why
-        Sentences on the causes of the given set-up's noise.
+        Sentences on the causes of the noise of the given set-up.
 
     Returns
     -------
@@ -161,13 +161,13 @@ def explain(row: SummaryRow, terms: xr.Dataset | None = None) -> str:
     row
         Summary of the estimator and sampler.
     terms
-        Result of `variance_terms` (one channel), or None.
+        Result of `variance_terms` (with one channel), or None.
 
     Returns
     -------
     str
         Sentences about the rate, the prediction, the terms and the captured share.
-        The text is empty if nothing is known.
+        The text is empty if nothing is known about the pair.
 
     Raises
     ------
@@ -178,7 +178,7 @@ def explain(row: SummaryRow, terms: xr.Dataset | None = None) -> str:
     -----
     A term is said to add or remove variance only if its 95 % interval excludes 0.
     The intervals of prediction and measurement are treated as independent.
-    This assumption is conservative, since both come from the same realizations.
+    This is conservative, because both come from the same realizations.
     """
     as_instance("row", row, SummaryRow, "a row of mcspectra.studies.summarize")
     as_instance("terms", terms, xr.Dataset | None, "a dataset of mcspectra.variance_terms")
@@ -194,9 +194,9 @@ def explain(row: SummaryRow, terms: xr.Dataset | None = None) -> str:
 
 
 def headline(row: SummaryRow, terms: xr.Dataset | None = None, rows: int = 1) -> str:
-    """Return a sentence on the rate, and on a prediction that differs from the measurement.
+    """Return a sentence on the rate, and on a prediction that disagrees with the measurement.
 
-    Prediction and measurement differ if the interval of their ratio excludes 1.
+    They disagree if the interval of their ratio excludes 1.
     The intervals hold simultaneously for all `rows` rows of a table [Sidak1967]_.
     """
     if row.note:
@@ -232,7 +232,7 @@ def headline(row: SummaryRow, terms: xr.Dataset | None = None, rows: int = 1) ->
 
 
 def bottleneck(row: SummaryRow, terms: xr.Dataset | None = None, technique: str = "") -> str:
-    """Name the largest source of variance: a technique, weights, or frequencies of f."""
+    """Name the largest source of variance: a technique, the weights, or frequencies of f."""
     if technique:
         return technique
     sizes = {"dc": row.dc, "power": row.power, "cross": row.cross}
@@ -243,8 +243,8 @@ def bottleneck(row: SummaryRow, terms: xr.Dataset | None = None, technique: str 
     half = _median_frequency(row, terms) if largest == "power" and terms is not None else None
     if half is None or row.terms_n is None or terms is None:
         return _TERMS[largest]
-    # Strata of n points in d dims have width n^(-1/d), which is the frequency n^(1/d).
-    # Frequencies below a quarter of n^(1/d) are coarse for all samplers.
+    # Strata of n points in d dims have the width n^(-1/d), which is the frequency n^(1/d).
+    # Frequencies below a quarter of it are coarse for all samplers.
     dims = sum(str(dim).startswith("m") and str(dim)[1:].isdigit() for dim in terms.dims)
     if half <= 0.25 * row.terms_n ** (1.0 / max(dims, 1)):
         return f"coarse shape ({_LENGTH}\u00a0≤\u00a0{half:.2g})"
@@ -252,7 +252,7 @@ def bottleneck(row: SummaryRow, terms: xr.Dataset | None = None, technique: str 
 
 
 def further_sentences(analyses: Mapping[str, xr.Dataset]) -> str:
-    """Return stored sentences: notes, the best remedy, and why no exact variance is known."""
+    """Return stored sentences: notes, the best remedy, and why there is no exact variance."""
     curve, remedies, known = (analyses.get(k) for k in ("convergence", "remedies", "predict"))
     note = "" if curve is None else str(curve.attrs.get("note", ""))
     found: list[str | None] = [f"{note[:1].upper()}{note[1:]}." if note else None]
@@ -263,17 +263,17 @@ def further_sentences(analyses: Mapping[str, xr.Dataset]) -> str:
 
 
 def basis_name(basis: str | None) -> str:
-    """Return the name of a basis for sentences and tables; Fourier and Walsh are capitalized."""
+    """Return the name of a basis for sentences and tables. Fourier and Walsh are capitalized."""
     return {None: "Fourier", "fourier": "Fourier", "walsh": "Walsh"}.get(basis, str(basis))
 
 
 def _is_predicted(row: SummaryRow) -> bool:
-    """Whether the ratio comes from `predict`, not from the sum of the terms over frequencies."""
+    """Whether the ratio comes from `predict` rather than from the sum of terms over frequencies."""
     return row.ratio is not None and row.ratio != row.captured
 
 
 def _verdict(row: SummaryRow) -> str:
-    """Compare the rate with random sampling in a few words; empty without a rate."""
+    """Compare the rate with that of random sampling in a few words; empty without a rate."""
     if row.rate is None or row.rate_low is None or row.rate_high is None:
         return "" if row.variance != 0 else "no variance"
     if not is_resolved(row.rate_low, row.rate_high):
@@ -323,7 +323,7 @@ def _term_sentences(row: SummaryRow, terms: xr.Dataset) -> Iterator[str]:
     if row.dc is None or row.power is None or row.predicted is None or row.measured is None:
         return
     uniform = row.dc <= NEGLIGIBLE * row.power or terms.attrs.get("space") == "primary"
-    # Name the dc term if its share of dc + power is large, despite sampling errors
+    # Name the dc term if its share of dc + power is large beyond sampling errors
     if not uniform and row.dc > _DOMINANT * (row.dc + row.power):
         yield (
             f"Without the cross term, {percent(row.dc / (row.dc + row.power))} of the variance is "
@@ -336,7 +336,7 @@ def _term_sentences(row: SummaryRow, terms: xr.Dataset) -> Iterator[str]:
 
 
 def _cross_sentence(row: SummaryRow, diagonal: float, uniform: bool, shifted: bool) -> str:
-    """Describe how the cross term changes dc + power, and the effect of a random shift on it."""
+    """Describe how the cross term changes dc + power, and how a random shift would affect it."""
     if row.cross is None or row.cross_low is None or row.cross_high is None or diagonal <= 0:
         return ""
     if row.cross_low <= 0 <= row.cross_high:
@@ -381,7 +381,7 @@ def _captured_sentence(row: SummaryRow, terms: xr.Dataset) -> str:
             "measured variance: the sum over frequencies has not converged."
         )
     if found == "agrees":
-        if _is_predicted(row):  # another sentence compares both
+        if _is_predicted(row):  # another sentence compares them
             return ""
         share = f"{row.captured:.0%}".replace("%", " %")
         return f"Prediction and measurement agree ({share})."
@@ -394,9 +394,8 @@ def _captured_sentence(row: SummaryRow, terms: xr.Dataset) -> str:
 def _agreement(row: SummaryRow, terms: xr.Dataset) -> str:
     """Compare prediction and measurement: ``agrees``, ``less``, ``more``, ``open`` or empty.
 
-    ``agrees`` means that both are close.
-    ``less`` and ``more`` describe a prediction that is not close to the measurement.
-    For ``less`` and ``more``, the interval of their ratio also excludes 1.
+    ``agrees`` means that the two are close. ``less`` and ``more`` mean that the prediction
+    is not close, and that the interval of the ratio also excludes 1.
     Otherwise the comparison is ``open``, or empty if an interval is unknown.
     """
     low, high = row.captured_low, row.captured_high
@@ -419,7 +418,7 @@ def _cross_share(row: SummaryRow) -> str:
 
 
 def _median_frequency(row: SummaryRow, terms: xr.Dataset) -> float | None:
-    """Return the |m| below which half of the power term lies; None for a basis without lengths."""
+    """Return the |m| below which half of the power term lies; None if the basis has no |m|."""
     scale = {"fourier": 1.0, "cosine": 0.5}.get(row.basis or "fourier")
     if scale is None or "power_contribution" not in terms:
         return None

@@ -1,4 +1,4 @@
-"""The report of a study: summary, missing analyses, a section per estimator, provenance."""
+"""The report of a study: summary, missing analyses, one section per estimator, and provenance."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ __all__ = ["REPORT_NAME", "Estimates", "collect", "provenance", "study_toml", "w
 
 REPORT_NAME = "report.html"
 
-_FIRST = ("convergence", "terms", "spectrum", "points")  # analyses that are shown before all others
-_OF_SAMPLERS = ("spectrum", "points", "pcf")  # analyses of points, shared by estimators
-_WITHOUT_SETTINGS = ("points",)  # n is their only setting, and the caption has it
+_FIRST = ("convergence", "terms", "spectrum", "points")  # analyses that are shown first
+_OF_SAMPLERS = ("spectrum", "points", "pcf")  # analyses of points only, which estimators share
+_WITHOUT_SETTINGS = ("points",)  # n is the only setting of these analyses, and captions show it
 _FOLDED = ("predict",)  # analyses whose tables are collapsed
 _TITLES = {"pcf": "Pair correlation", "anova": "Axes"}
 _LIVE = frozenset(
@@ -64,9 +64,9 @@ _DETAILS: Mapping[str, tuple[str, ...]] = {
 }
 """Titles of collapsed blocks, and the kinds of figures in each of them."""
 
-_MOST_ROWS = 40  # largest number of estimators with a row of pictures, a page of about 10 MB
+_MOST_ROWS = 40  # largest number of estimators with rows of pictures (about 10 MB)
 _MOST_GAPS = 50  # largest number of rows in the table of missing analyses
-_LONGEST_KEY = 60  # largest number of characters of a group's name in the store
+_LONGEST_KEY = 60  # largest number of characters in a group's name in the store
 _NOT_DONE = "not computed yet"
 _FUNCTION = re.compile(r"""python\(\s*function\s*=\s*\\?['"]([A-Za-z_][\w.]*:[A-Za-z_]\w*)""")
 
@@ -117,7 +117,7 @@ class Estimates:
     rows: Mapping[str, Sequence[SummaryRow]]
 
     def of(self, sampler: str, channel: int | None = None) -> dict[str, xr.Dataset]:
-        """Return one sampler's results by analysis, for one channel, or for all if it is None."""
+        """Return the results of a sampler by analysis, for one channel (None: for all channels)."""
         found = {a: each[sampler] for a, each in self.analyses.items() if sampler in each}
         if channel is None:
             return found
@@ -127,9 +127,9 @@ class Estimates:
 def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
     """Write ``report.html`` and ``figures/*.png, *.pdf`` for the results of a study.
 
-    The page is self-contained: styles, scripts and images are embedded, and it loads nothing.
-    Images replace the interactive plots if scripts are off, and when the page is printed.
-    The same results give the same bytes.
+    The page is self-contained: styles, scripts and images are embedded.
+    Images replace interactive plots without scripts, and when the page is printed.
+    The same results always give the same bytes.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
         Folder of a study's results (with ``results.zarr``). An existing report is replaced.
     out
         Path of the page. Default: ``report.html`` in `folder`.
-        The folder ``figures`` next to the page gets the figures.
+        The figures are written to the folder ``figures`` next to the page.
 
     Returns
     -------
@@ -168,7 +168,7 @@ def _written(root: Path, file: Path) -> Path:
     asked = asked_of(study)
     styles, names = sampler_styles(samplers), html.anchors((each.key for each in estimates), "e-")
 
-    # Assemble summary, missing analyses, a section per estimator, and provenance
+    # Assemble summary, missing analyses, a section per estimator, and the provenance
     rows = [
         (row, each.of(sampler, channel), f"#{anchor}")
         for each, anchor in zip(estimates, names, strict=True)
@@ -183,7 +183,7 @@ def _written(root: Path, file: Path) -> Path:
         sections.append(html.Section(title=each.name, anchor=anchor, blocks=shown))
     gaps = tuple(_gaps(root, asked))
     blocks = (*_summary(rows, bool(estimates)), *gaps)
-    # The table follows the pictures. Without pictures, it comes first
+    # If there are pictures, the table follows them; otherwise it comes first
     place = len(sections) if len(estimates) <= _MOST_ROWS else 0
     sections.insert(place, html.Section(title="Summary", anchor="summary", blocks=blocks))
     text = study_toml(study)
@@ -221,7 +221,7 @@ def _written(root: Path, file: Path) -> Path:
         lead=(
             *(_answers(estimates) if len(estimates) > _MOST_ROWS else ()),
             html.Paragraph(text=lead, kind="soft"),
-            *gaps[1:2],  # the number of missing analyses; their table follows the summary
+            *gaps[1:2],  # number of missing analyses, whose table follows the summary
         ),
         sections=tuple(sections),
     )
@@ -235,7 +235,7 @@ def _written(root: Path, file: Path) -> Path:
 
 
 def collect(tree: xr.DataTree) -> list[Estimates]:
-    """Return all estimators of a result tree; estimators and samplers keep the study's order."""
+    """Return all estimators of a result tree, with estimators and samplers in the study's order."""
     groups: dict[tuple[str, str], dict[str, dict[str, xr.Dataset]]] = {}
     for key, name, sampler, analyses in pairs_of(tree):
         groups.setdefault((key, name), {})[sampler] = analyses
@@ -261,7 +261,7 @@ def collect(tree: xr.DataTree) -> list[Estimates]:
 
 
 def provenance(tree: xr.DataTree, root: Path) -> tuple[tuple[str, str | Markup], ...]:
-    """Return the provenance of the results in `root`: seed, study hash, machines and versions."""
+    """Return the provenance of the results in `root`: seed, study hash, machines, versions."""
     hosts: Sequence[str] = ()
     if (root / LEDGER_NAME).exists():
         with Ledger.read(root) as ledger:
@@ -278,14 +278,14 @@ def provenance(tree: xr.DataTree, root: Path) -> tuple[tuple[str, str | Markup],
 
 
 def study_toml(study: Mapping[str, Any]) -> str:
-    """Return a study (plain dicts and lists, as stored) as TOML that can be run again."""
+    """Return a study (plain dicts and lists, as stored) as TOML text that can be run again."""
 
     def pairs(table: Mapping[str, Any]) -> Iterator[str]:
         """Yield ``key = value`` for each entry that is not a table, with the value as JSON."""
         for key, value in table.items():
             if value is None or isinstance(value, dict) or key in ("estimators", "maps"):
                 continue
-            # TOML requires an escaped delete character, which JSON does not escape
+            # TOML requires that the delete character is escaped, but JSON does not
             yield f"{key} = {json.dumps(value, ensure_ascii=False)}".replace("\x7f", "\\u007f")
 
     lines = list(pairs(study))
@@ -302,14 +302,14 @@ def study_toml(study: Mapping[str, Any]) -> str:
 
 
 def _answers(estimates: Sequence[Estimates]) -> Iterator[html.Block]:
-    """Yield the recommendation for each estimator, collapsed."""
+    """Yield the recommendation for each estimator, as collapsed blocks."""
     rows = tuple((each.name, text) for each in estimates if (text := _advice(each)[0]))
     if rows:
         yield html.Collapsible(summary="What to do", blocks=(html.Sentences(rows=rows),))
 
 
 def _advice(each: Estimates) -> tuple[str, str]:
-    """Return the recommendation for an estimator, or "", and the sampler that pictures show."""
+    """Return the recommendation for an estimator, or "", and the sampler to show in pictures."""
     kept, tried = (each.analyses.get(name, {}) for name in ("profile", "remedies"))
     curves = {
         sampler: curve.mean("channel") if "channel" in curve.dims else curve
@@ -324,7 +324,7 @@ def _advice(each: Estimates) -> tuple[str, str]:
 
 
 def _allowed(study: str) -> str:
-    """Return the options that a study with Python functions needs, with a leading blank."""
+    """Return the command-line options that a study with Python functions needs, after a blank."""
     return "".join(f" --allow-code {name}" for name in dict.fromkeys(_FUNCTION.findall(study)))
 
 
@@ -362,7 +362,7 @@ def _summary(
 
 
 def _stored(names: Iterable[str]) -> dict[str, str]:
-    """Map names in the store to full names. If long names share a key, the first name wins."""
+    """Map names in the store to full names. If two long names share a key, the first name wins."""
     given = list(names)
     found: dict[str, str] = {}
     for key, name in zip(html.anchors(given), given, strict=True):
@@ -371,11 +371,11 @@ def _stored(names: Iterable[str]) -> dict[str, str]:
 
 
 def _gaps(root: Path, asked: Mapping[str, Sequence[str]]) -> Iterator[html.Block]:
-    """Yield the analyses that failed, with reasons, and the analyses not computed yet."""
+    """Yield the analyses that failed, with reasons, and those not computed yet."""
     heading = html.Paragraph(text="What is missing", kind="heading")
     try:
         status = study_status(root)
-    except StoreError as error:  # the store lacks its ledger, which records failures
+    except StoreError as error:  # the ledger, which records failures, is missing
         yield heading
         yield html.Paragraph(text=f"It is unknown whether analyses failed. {error}")
         return
@@ -390,7 +390,7 @@ def _gaps(root: Path, asked: Mapping[str, Sequence[str]]) -> Iterator[html.Block
         text=f"Of {len(status.done) + failed + missing} analyses, {' and '.join(counts)}. "
         f"mcspectra run with {again} them. All other analyses are in this report."
     )
-    # Collect one row per estimator, sampler and reason, with all analyses that have this reason
+    # Collect one row per estimator, sampler and reason, listing all analyses with this reason
     estimators = _stored(asked)
     found: dict[tuple[str, str, str], list[str]] = {}
     for path, reason in sorted(lacking.items()):
@@ -417,7 +417,7 @@ def _estimator(
     *,
     pictures: bool,
 ) -> Iterator[html.Block]:
-    """Yield the answer, a sentence and a row of pictures; everything else is collapsed."""
+    """Yield the answer, a sentence and a row of pictures. Everything else is collapsed."""
     advice, sampler = _advice(each)
     if advice:
         yield html.Paragraph(text=advice, kind="answer")
@@ -445,7 +445,7 @@ def _details(
         spec = html.markup("<code>{}</code>", each.spec)
         yield html.FactList(rows=(("Integrand / density", spec),))
 
-    # Sentences about each sampler, and notes on missing analyses
+    # Describe each sampler, and give notes on missing analyses
     sentences = []
     for sampler, rows in each.rows.items():
         for channel, row in enumerate(rows):
@@ -463,7 +463,7 @@ def _details(
                 text=f"No {analysis} results for {', '.join(lacking)}.", kind="soft"
             )
 
-    # Show figures, but link to figures of points that an earlier estimator already shows
+    # Show figures; if an earlier estimator shows the same points, only link to its figures
     shown: list[html.Figure] = []
     names: set[str] = set()  # file names in use: two analyses can have the same kind of figure
     details: dict[str, list[html.Figure]] = {summary: [] for summary in _DETAILS}
@@ -514,7 +514,7 @@ def _details(
 def _with_predictions(
     analyses: Mapping[str, Mapping[str, xr.Dataset]],
 ) -> dict[str, Mapping[str, xr.Dataset]]:
-    """Return the analyses for figures; predictions join the measured curves of all samplers."""
+    """Return the analyses to draw, with predictions and measured curves in one plot if possible."""
     measured, predicted = (analyses.get(name, {}) for name in ("convergence", "predict"))
     if not predicted or not set(predicted) <= set(measured):
         return dict(analyses)
@@ -525,12 +525,12 @@ def _with_predictions(
 def _shown_before(
     analysis: str, found: Mapping[str, xr.Dataset], before: Sequence[tuple[Estimates, str]]
 ) -> tuple[str, str] | None:
-    """Return anchor and name of the first estimator that has identical results, if any."""
+    """Return the anchor and name of the first estimator with identical results, if any."""
     if analysis not in _OF_SAMPLERS:
         return None
     for each, anchor in before:
         there = each.analyses.get(analysis, {})
-        # The values of f, which a result of points also has, may differ
+        # Compare points only: a result may also contain values of f, which may differ
         if all(
             s in there and _samples(there[s]).equals(_samples(data)) for s, data in found.items()
         ):
@@ -539,7 +539,7 @@ def _shown_before(
 
 
 def _samples(data: xr.Dataset) -> xr.Dataset:
-    """Return a result of points without values of f and p; other results are unchanged."""
+    """Return a result of points without values of f and p. Other results are unchanged."""
     return data[["points"]] if "integrand_value" in data else data
 
 
@@ -549,7 +549,7 @@ def _figures(
     anchor: str,
     styles: Mapping[str, LineStyle],
 ) -> Iterator[html.Figure]:
-    """Yield the figures of an analysis, without bands of a cross term that is only noise."""
+    """Yield the figures of an analysis. If the cross term is only noise, its bands are left out."""
     several = [found] if analysis != "map" else [{s: data} for s, data in found.items()]
     for place, data in enumerate(several):
         for kind in kinds.kinds_of(data):
@@ -568,7 +568,7 @@ def _figures(
 
 
 def _correlated(data: xr.Dataset) -> bool:
-    """Whether the cross term's interval excludes 0; True for older results without interval."""
+    """Whether the interval of the cross term excludes 0; also true if an older result has none."""
     if "cross_term_ci" not in data:
         return True
     ends = data["cross_term_ci"].values.reshape(-1, 2)
@@ -576,7 +576,7 @@ def _correlated(data: xr.Dataset) -> bool:
 
 
 def _settings(each: Estimates) -> Iterator[tuple[str, str]]:
-    """Yield the settings of each analysis, once for each distinct setting."""
+    """Yield the settings of each analysis, with each distinct setting only once."""
     for analysis, found in each.analyses.items():
         if analysis in _WITHOUT_SETTINGS:
             continue

@@ -1,4 +1,4 @@
-"""Tables of a report: the summary, the three terms, and a table for each other analysis."""
+"""Tables of a report: the summary, the three terms, and a table for each of the other analyses."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from mcspectra.studies import SummaryRow
 
 __all__ = ["analysis_table", "first_channel", "summary_of", "summary_table", "terms_table"]
 
-_CERTAIN = 2e-6  # relative width of an interval below which a value is shown with six digits
+_CERTAIN = 2e-6  # if an interval has a smaller relative width, its value is shown with six digits
 _NO_CURVE = "convergence was not analyzed"
 _NO_TERMS = "neither terms nor a prediction was analyzed"
 _NO_RATE = "fewer than two counts have a variance above rounding noise"
@@ -41,7 +41,7 @@ _DRAWN = (
     "spectrum",
     "points",
     "pcf",
-)  # analyses without a table of their own
+)  # these analyses have no table of their own
 
 Rows = Iterator[Sequence[str | TableCell]]
 Analyses = Mapping[str, Any]
@@ -60,14 +60,14 @@ def summary_table(
     rows
         Summary of each pair of estimator and sampler.
     analyses
-        Results by analysis, for each row's channel. The bottleneck is derived from these results.
+        Results by analysis for the channel of each row. The bottleneck is derived from them.
     links
-        Target of the hyperlink on each row's estimator. Default: no links.
+        Address of a hyperlink on the estimator in each row. Default: no links.
 
     Raises
     ------
     ParameterError
-        If an argument is not such a list, or if the lengths differ.
+        If an argument is not such a list, or the lengths differ.
     """
     cells, rows = [], as_instances("rows", rows, SummaryRow, _ROW)
     found = as_instances(
@@ -133,7 +133,7 @@ def summary_table(
 
 
 def terms_table(rows: Sequence[SummaryRow]) -> Table:
-    """Return a table of one estimator's three terms and its measured variance.
+    """Return a table of the three terms of one estimator and its measured variance.
 
     Raises
     ------
@@ -180,7 +180,7 @@ def terms_table(rows: Sequence[SummaryRow]) -> Table:
 
 
 def analysis_table(analysis: str, found: Mapping[str, xr.Dataset]) -> tuple[str, Table] | None:
-    """Return heading and table of an analysis by sampler, or None if it has only figures."""
+    """Return the heading and table of an analysis by sampler, or None if it has only figures."""
     if analysis in _DRAWN:
         return None
     made = _TABLES.get(analysis) or (summary_of(analysis).removesuffix("."), *_OF_ANYTHING)
@@ -193,7 +193,7 @@ def analysis_table(analysis: str, found: Mapping[str, xr.Dataset]) -> tuple[str,
 
 
 def summary_of(analysis: str) -> str:
-    """Return the summary of an analysis, or its name if its package is not installed."""
+    """Return the summary of an analysis, or its name if the package that defines it is missing."""
     try:
         return str(ANALYSES.load(analysis).summary())
     except McspectraError:
@@ -201,7 +201,7 @@ def summary_of(analysis: str) -> str:
 
 
 def first_channel(data: xr.Dataset) -> xr.Dataset:
-    """Return the first channel of a result with several channels, or else the result."""
+    """Return the first channel of a result if it has channels, or else the result."""
     return data.isel(channel=0) if "channel" in data.dims else data
 
 
@@ -240,7 +240,7 @@ def _anova(sampler: str, data: xr.Dataset) -> Rows:
     labels, shares = data.attrs["labels_subset_label"], data["anova_share"]
     mean = shares.mean("channel") if "channel" in shares.dims else shares
     for i in np.argsort(-mean.values)[:10]:
-        axes = labels[i].translate(SUBSCRIPTS)  # typeset the store's x0x1 as x₀x₁
+        axes = labels[i].translate(SUBSCRIPTS)  # show x0x1 in the store as x₀x₁
         yield sampler, axes, percent(float(mean.values[i]))
 
 
@@ -300,7 +300,7 @@ _OF_ANYTHING = (
 _TABLES: Mapping[
     str, tuple[str, str, tuple[str, ...], tuple[int, ...], Callable[[str, Any], Rows]]
 ] = {
-    # Heading, caption, columns, indices of columns with words, and function that yields the rows
+    # Heading, caption, columns, indices of columns with words, and the function that yields rows
     "remedies": (
         "Remedies",
         (
@@ -314,7 +314,7 @@ _TABLES: Mapping[
             "Ratio",
             "95 % interval",
             "Rate",
-            "Verdict",  # treated as a column of numbers, because text wraps in other columns
+            "Verdict",  # not a column of words, because these wrap
             "What to do",
         ),
         (0, 1, -1),

@@ -1,1 +1,1 @@
-"""Reproduction of the slides: one exhibit per module, with figures and claims with verdicts."""
+"""Reproduction of the slides: one exhibit per module, with figures, claims and their verdicts."""

@@ -1,4 +1,4 @@
-"""The bias of an estimate as a sum of the integrand's coefficients times the means of S_m."""
+"""The bias of an estimate: the sum of the integrand's coefficients times the means of S_m."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _COUNTS = (2, 4, 8, 16)
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Measure ⟨S_m⟩ of biased and unbiased sets, and the bias of the integral of x²."""
+    """Measure the means ⟨S_m⟩ of biased and unbiased sets, and the bias of the integral of x²."""
     realizations = 2000 if quick else 20_000
     weighted = {name: sums(name, realizations, seed, DENSITY) for name in _UNBIASED}
     boxes, bounded, disks = (sums(s, realizations, seed) for s in (BOXES, BOUNDED, "poisson-disk"))
@@ -43,16 +43,16 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     found = biases["middle halves of strata"][N]
 
     # Sum conj(f_m) ⟨S_m⟩ over m ≠ 0. Only multiples of N contribute.
-    # The imaginary parts of m and −m cancel
+    # The imaginary parts at m and −m cancel
     k = np.arange(1, 20_001)
     coefficients = 1 / (2 * (np.pi * k * N) ** 2)
     total = float((2 * coefficients * (-1.0) ** k * np.sinc(WIDTH * k)).sum())
 
-    # Compare with regular points at the centers of strata (w = 0)
+    # Compare with regular points at the centers of the strata (w = 0)
     middles = {n: mcs.sampler("regular", 1).draw(n)[0, :, 0] for n in _COUNTS}
     errors = [(v**2).mean() - 1 / 3 - box_bias(n, 0.0) for n, v in middles.items()]
 
-    # Draw the means of S, and the bias times N²
+    # Draw the means of S_m, and the bias times N²
     zero, panels = ReferenceLine(at=0.0, color=PALETTE[6]), list[Panel]()
     for title, each in {
         "jittered, p = ½ + x": weighted["jittered"],
@@ -139,7 +139,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def sums(name: str, realizations: int, seed: int, density: str = "uniform") -> Array:
-    """Return S_m of 1-D points at m = 0 … 32: complex, with shape (realizations, 33)."""
+    """Return S_m of 1-D points at m = 0 … 32: complex, (realizations, 33)."""
     p = mcs.density(density, 1)
     x = p.sample(mcs.sampler(name, 1).draw(N, realizations=realizations, rng=seed))
     weights = 1.0 / p.pdf(x)
@@ -147,7 +147,7 @@ def sums(name: str, realizations: int, seed: int, density: str = "uniform") -> A
 
 
 def _bias(name: str, n: int, realizations: int, seed: int) -> tuple[float, float]:
-    """Return mean and standard error of I_N − 1/3 for f = x²."""
+    """Return the mean and the standard error of I_N − 1/3 for f = x²."""
     x = mcs.sampler(name, 1).draw(n, realizations=realizations, rng=seed)[..., 0]
     mean, se = mean_and_error((x**2).mean(axis=1) - 1 / 3)
     return float(mean), float(se)
@@ -156,11 +156,11 @@ def _bias(name: str, n: int, realizations: int, seed: int) -> tuple[float, float
 def _with_errors(
     x: Array, found: Sequence[Array] | Array, k: int, label: str, size: float = 4.0
 ) -> Dots:
-    """Return dots of means with 95 % intervals from their standard errors."""
+    """Return means as dots, with 95 % intervals from their standard errors."""
     y, se = found
     return whiskers(x, y, np.stack([y - 1.96 * se, y + 1.96 * se], axis=-1), k, label, size)
 
 
 def box_bias(n: int, width: float = WIDTH) -> float:
-    """Return the bias of ∫x² for points in boxes of width w/n about the centers of n strata."""
+    """Return the bias of ∫x² for points in boxes of width w/n around the centers of n strata."""
     return -(1 - width**2) / (12 * n**2)

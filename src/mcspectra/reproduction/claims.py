@@ -1,7 +1,7 @@
-"""Exhibits: plots, sliders and claims, each with a computed verdict.
+"""Exhibits: plots, sliders and claims. Each claim has a computed verdict.
 
-The interval of a finding decides its verdict. The gallery has up to `GALLERY_FINDINGS` findings.
-With 95 % intervals, a dozen true statements would be rejected by chance.
+The interval of a finding decides its verdict. The gallery has at most `GALLERY_FINDINGS` findings.
+With 95 % intervals, chance would reject a dozen true statements.
 The interval therefore has the Šidák level [Sidak1967]_, which is 0.95^(1/300) = 99.98 %.
 At this level, all intervals hold simultaneously with 95 % probability.
 """
@@ -48,12 +48,12 @@ __all__ = [
 GALLERY_FINDINGS = 300
 """Number of findings whose verdicts hold simultaneously with 95 % probability."""
 
-_VERDICT_Z = 3.7584590197611987  # normal quantile of (1 + 0.95^(1/300)) / 2
+_VERDICT_Z = 3.7584590197611987  # (1 + 0.95^(1/300)) / 2 quantile of the normal distribution
 
 VERDICT_WIDENING = _VERDICT_Z / CONFIDENCE_Z
-"""Factor by which the half widths of 95 % intervals are multiplied for verdicts."""
+"""Factor from the half width of a 95 % interval to the half width that verdicts use."""
 
-_VISIBLE = 5e-4  # smallest tolerance that a claim on a rate shows
+_VISIBLE = 5e-4  # smallest tolerance that is shown in a claim about a rate
 _PIXEL_TOLERANCE = 0.125
 _PIXEL_NOTE = (
     "Tolerance: a quarter of the distance between −1.5 (edges) and −2 (smooth). The curves have "
@@ -67,11 +67,11 @@ Interval: TypeAlias = tuple[float, float]
 @final
 @dataclass(frozen=True)
 class Claim:
-    """A statement with its expected and its measured value; `judge` computes the verdict.
+    """A statement with its expected and its measured value. `judge` computes the verdict.
 
-    The expectation is a number (`expected`), a bound (`above`, `below`), or a limit of an error.
-    The limit `at_most` is for errors of rounding or quadrature.
-    Otherwise the exhibit itself gives the verdict (`holds`).
+    The expectation is a number (`expected`), a bound (`above`, `below`) or a limit (`at_most`).
+    Limits are for errors of rounding or quadrature.
+    If there is no expectation, the exhibit itself gives the verdict (`holds`).
 
     Attributes
     ----------
@@ -83,24 +83,24 @@ class Claim:
     expected
         Expected value. The claim agrees if this value is at most `tolerance` outside the interval.
     tolerance
-        Allowed error of the theory, for example if n is too small for it. `note` gives the reason.
+        Allowed error of the theory, for example if n is too small for it; `note` has the reason.
     digits
         Number of digits of the expected value that are shown.
     above, below
-        Bounds. The claim agrees if the whole interval of the measured value satisfies them.
-        The claim disagrees if the whole interval violates a bound. Otherwise there is no verdict.
+        Bounds. The claim agrees if the whole interval of the measured value is within the bounds.
+        It disagrees if the whole interval is beyond a bound. Otherwise there is no verdict.
     at_most
         Largest allowed magnitude of an error.
     holds
         The verdict, or None for no verdict.
     shown
-        Text that replaces the number, bound or limit as the expectation.
+        Text that is shown as the expectation, instead of the number, bound or limit.
     note
         Explanation of the verdict.
     about
-        Kind of the plot whose slide has the claim. Default: the first slide of the exhibit.
+        Kind of the plot on the slide that shows the claim. Default: the first slide of the exhibit.
     corrects
-        Whether a claim that agrees limits or contradicts the slide, such as a counterexample.
+        Whether the claim, if it agrees, limits or contradicts the slide, as a counterexample does.
     """
 
     statement: str
@@ -128,12 +128,12 @@ class Claim:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """A claim with its verdict, as shown on the page and written to ``findings.json``.
+    """A claim with its verdict, as the page shows it and as it is written to ``findings.json``.
 
     Attributes
     ----------
     statement, note
-        Statement and note of the claim.
+        Statement and note, from the claim.
     expected
         Expectation as text, such as ``"−3"`` or ``"≤ 10⁻¹²"``.
     measured
@@ -141,9 +141,9 @@ class Finding:
     interval
         Interval that decides the verdict, or None if the number has no sampling error.
     agrees
-        The verdict. None if the claim asks for no verdict, or if its bound lies in the interval.
+        The verdict. None if the claim has no verdict, or if its bound lies inside the interval.
     corrects
-        Whether a claim that agrees limits or contradicts the slide.
+        Whether the claim, if it agrees, limits or contradicts the slide.
     """
 
     statement: str
@@ -158,18 +158,18 @@ class Finding:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Exhibit:
-    """Reproduced figures and statements of slides; ``slides.toml`` has texts and layouts.
+    """Reproduced figures and statements of slides. Texts and layouts are in ``slides.toml``.
 
     Attributes
     ----------
     numbers
-        Values for the names in braces in the texts.
+        Values that replace the names in braces in the texts.
     plots
-        Plots in the order of the page. Their kinds select texts and layouts.
+        Plots in the order of the page. Texts and layouts belong to the kinds of plots.
     claims
-        Claims in the order of the page.
+        Claims in the order in which the page shows them.
     sliders
-        Sliders by kind of plot. The plot shows the slider's start.
+        Sliders by kind of plot. The plot shows the value at which the slider starts.
     """
 
     plots: tuple[Plot, ...]
@@ -184,17 +184,17 @@ class Exhibit:
 
 
 class ExhibitFunction(Protocol):
-    """A function that makes an exhibit, in seconds (`quick`) or at full quality.
+    """A function that creates an exhibit: in seconds (`quick`) or at full quality.
 
     The same seed gives the same exhibit.
     """
 
     def __call__(self, *, quick: bool, seed: int) -> Exhibit:
-        """Compute and describe the exhibit."""
+        """Compute the exhibit, and describe its figures and claims."""
 
 
 def judge(claim: Claim) -> Finding:
-    """Compare the measured with the expected value of a claim."""
+    """Compare the measured value of a claim with the expected value."""
     measured, shown, agrees, interval = claim.measured, claim.shown, claim.holds, None
     note = claim.note
     low = high = claim.value
@@ -228,12 +228,12 @@ def judge(claim: Claim) -> Finding:
 
 
 def about(plot: str, *claims: Claim) -> tuple[Claim, ...]:
-    """Assign claims to the slide whose figure is the plot of this kind."""
+    """Assign claims to the slide that shows this kind of plot."""
     return tuple(replace(claim, about=plot) for claim in claims)
 
 
 def correction(claim: Claim) -> Claim:
-    """Mark a claim that limits or contradicts the slide if it agrees."""
+    """Mark a claim as one that limits or contradicts the slide if it agrees."""
     return replace(claim, corrects=True)
 
 
@@ -246,7 +246,7 @@ def _limit(at_most: float) -> str:
 
 
 def mean_and_error(values: Array) -> tuple[Array, Array]:
-    """Return the mean and its standard error over the first axis."""
+    """Return the mean over the first axis, and its standard error."""
     return values.mean(axis=0), values.std(axis=0, ddof=1) / len(values) ** 0.5
 
 
@@ -276,14 +276,14 @@ def rate_claim(
 
 
 def known_rate(statement: str, curve: xr.Dataset, expected: float, exact: Array) -> Claim:
-    """Return a claim on a rate with a known limit; the tolerance is the limit's error here."""
+    """Return a claim about a rate with a known limit; the tolerance is the error of the limit."""
     here = slope(curve["n"].values.tolist(), exact)
     note = f"Tolerance: the exact variances at these N have the slope {number(here, 5)}."
     return rate_claim(statement, curve, expected, abs(here - expected), note)
 
 
 def pixel_rate(statement: str, curve: xr.Dataset, expected: float) -> Claim:
-    """Return a claim on a rate of −1.5 or −2; the note says if the other rate also agrees."""
+    """Return a claim that a rate is −1.5 or −2. A note says if the other rate also agrees."""
     claim, rival = (
         rate_claim(statement, curve, limit, _PIXEL_TOLERANCE, _PIXEL_NOTE)
         for limit in (expected, -3.5 - expected)
@@ -295,9 +295,9 @@ def pixel_rate(statement: str, curve: xr.Dataset, expected: float) -> Claim:
 
 
 def normal_limit(count: int, freedom: int = 0) -> float:
-    """Return a bound for the largest of `count` normal errors, at the confidence of one finding.
+    """Return a limit for the largest of `count` normal errors, at the level of a single finding.
 
-    If the degrees of freedom are given, the errors follow Student's t distribution.
+    If `freedom` is given, the errors follow Student's t distribution.
     """
     from scipy.special import ndtri, stdtrit
 
@@ -306,16 +306,16 @@ def normal_limit(count: int, freedom: int = 0) -> float:
 
 
 def largest_distance(statement: str, away: Array, se: Array, freedom: int = 0) -> Claim:
-    """Return a claim that several differences are all zero.
+    """Return the claim that several differences are all zero.
 
     Parameters
     ----------
     statement
-        Statement without a full stop; a description of the measured value is appended.
+        Statement without a full stop. A description of the measured value is added.
     away, se
-        Differences (measured minus expected) and their positive standard errors, of equal shape.
+        Differences (measured minus expected) and their standard errors, which are positive.
     freedom
-        Degrees of freedom of standard errors that come from a few batches.
+        Degrees of freedom, for standard errors from a few batches.
     """
     limit = normal_limit(away.size, freedom)
     batches = "the same number of Student variables (batches)"

@@ -1,4 +1,4 @@
-"""Expected power of random and jittered points: closed forms, slides and simulation."""
+"""Expected power of random and jittered points: closed forms, formulas on slides and simulation."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _REALS = np.arange(1.0, 65.0) * 0.37 + 0.05
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Compare the closed forms with the slides' formulas, with simulation and with limits."""
+    """Compare the closed forms with the slides' formulas, with simulations, and with limits."""
     realizations = 4000 if quick else 40_000
     nu = np.concatenate([_INTEGERS, _REALS])
     known = np.concatenate([[0.0], nu])
@@ -39,7 +39,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     ]
     random, jittered = (number(claim.value) for claim in as_simulated)
 
-    # Simulate at integer frequencies in two dims, and with importance sampling
+    # Simulate at integer frequencies: in two dims, and with importance sampling
     modes = np.array([[i, j] for i in range(9) for j in range(-8, 9) if (i, j) > (0, 0)], float)
     few = realizations // 4
     plane = mcs.spectra.power_at(mcs.sampler("jittered", 2), 64, modes, realizations=few, rng=seed)
@@ -85,8 +85,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 "N³ times the power of jittered points at m = 1 tends to π²/3, so the variance "
                 "falls as N⁻³: relative difference at N = 1024.",
                 low / (np.pi**2 / 3) - 1.0,
-                # The relative error is 2 (π/N)²/15 = 1.3e-6,
-                # because the series of 1 − sinc²(x) is x²/3 − 2x⁴/45 …
+                # The relative error is 2 (π/N)²/15 = 1.3e-6:
+                # the series of 1 − sinc²(x) is x²/3 − 2x⁴/45 …
                 at_most=1e-5,
             ),
             Claim(
@@ -107,7 +107,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def _compared(n: int, nu: Array, simulated: dict[str, xr.Dataset]) -> Plot:
-    """Return closed forms and simulated spectra at integer and at real frequencies."""
+    """Return closed forms and simulated spectra, at integer and at real frequencies."""
     panels = []
     for line, at, title in (
         (np.arange(1.0, 25.0), _INTEGERS, "integer frequencies"),
@@ -138,14 +138,14 @@ def _closed(name: str, nu: Array, n: int = N) -> Array:
 
 
 def printed(name: str, m: Array) -> Array:
-    """Return the formula of the slides. Their Sinc(πx) is NumPy's sinc(x)."""
+    """Return the formula of the slides. The Sinc(πx) of the slides is NumPy's sinc(x)."""
     if name == "random":
         return np.where(m == 0, 1.0, 1 / N + (N - 1) / N * np.sinc(m) ** 2)
     return np.asarray((1 - np.sinc(m / N) ** 2) / N + np.sinc(m) ** 2)
 
 
 def simulate(name: str, nu: Array, realizations: int, seed: int, n: int = N) -> xr.Dataset:
-    """Simulate the power of 1-D points at the frequencies `nu`."""
+    """Simulate the power of 1-D points at the given frequencies."""
     return mcs.spectra.power_at(
         mcs.sampler(name, 1), n, nu[:, None], realizations=realizations, rng=seed
     )

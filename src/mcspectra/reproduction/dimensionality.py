@@ -1,4 +1,4 @@
-"""The third term's matrix grows with the number of dims; maps and bands are alternatives."""
+"""The matrix of the third term grows with the number of dims. Maps and bands are alternatives."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ __all__ = ["exhibit"]
 
 SAMPLERS = ("random", "jittered", "latin-hypercube")
 BELL = "gaussian(center=0.35, width=0.25)"
-# Numbers of points and half widths by dims, for matrices that fit in memory
+# Number of points and half width for each number of dims, for matrices that fit in memory
 SMALL = {1: (64, 24), 2: (64, 7)}
-# Numbers of points and half widths by dims, for maps and bands
+# Number of points and half width for each number of dims, for maps and bands
 RUNS = {1: (64, 256), 2: (64, 48), 3: (64, 8), 4: (81, 4)}
 _WORDS = {1: "one dim", 2: "two dims", 3: "three dims", 4: "four dims"}
 _BYTES = 16  # bytes per complex number
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Compare maps and bands with small matrices, and use them alone for more dims."""
+    """Compare maps and bands with small matrices, and use them without matrices for more dims."""
     realizations = 200 if quick else 4000
     whole = {d: bell_terms("jittered", d, SMALL[d], realizations, seed, matrix=True) for d in SMALL}
     runs = {d: bell_terms("jittered", d, RUNS[d], realizations, seed) for d in RUNS}
@@ -42,7 +42,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         for name in ("jittered", "jittered | shift")
     }
 
-    # Check the formula for the size of matrices, and request a matrix that is too large
+    # Check the formula for the size of a matrix, and request a matrix that is too large
     wrong = [d for d, x in whole.items() if x["cross_matrix"].size != entries(d, SMALL[d][1])]
     times = entries(2, 64) / entries(1, 64)
     answer = "a matrix"
@@ -51,14 +51,14 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     except mcs.McspectraError as refusal:
         answer = str(refusal)
 
-    # Contributions minus |f_m|² C_mm must sum to the third term; errors are relative to the second
+    # The sum of contributions minus |f_m|² C_mm must be the third term
     errors = [
         abs(float((data["contribution"] - data["power_contribution"]).sum() - data["cross_term"]))
         / float(data["power_term"])
         for data in runs.values()
     ]
 
-    # Compare each band of random points with its ANOVA component divided by N
+    # Compare each band of random points with the ANOVA component of its axes, divided by N
     random, (n, half_width) = bands["random"], RUNS[3]
     known, order = components(3, half_width), labelled_subsets(random)
     kept = [k for k, subset in enumerate(order) if subset]
@@ -67,7 +67,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     )
     expected = np.array([known[order[k]] / n for k in kept])
 
-    # A Latin hypercube integrates additive functions with variance o(1/N), Stein (1987)
+    # A Latin hypercube integrates additive functions with the variance o(1/N) (Stein 1987)
     tenth = main_share(random) / 10
     return Exhibit(
         numbers={
@@ -148,7 +148,7 @@ def bell_terms(
     *,
     matrix: bool = False,
 ) -> xr.Dataset:
-    """Return the variance terms of the Gaussian `BELL` for one sampler, with ANOVA bands.
+    """Return the variance terms of the Gaussian `BELL` for one sampler, by ANOVA bands.
 
     `size` is (number of points, half width).
     """
@@ -166,32 +166,32 @@ def bell_terms(
 
 
 def entries(dims: int, half_width: int) -> int:
-    """Return the number of entries of the matrix; a map has the square root of this number."""
+    """Return the number of entries of the matrix. A map has the square root of this number."""
     return int((2 * half_width + 1) ** (2 * dims))
 
 
 def subsets(dims: int, half_width: int) -> Array:
-    """Return for each frequency the set of axes along which it is not 0, as a bit mask."""
+    """Return as a bit mask, for each frequency, on which axes it is not 0."""
     side = np.arange(-half_width, half_width + 1)
     grids = np.meshgrid(*[side] * dims, indexing="ij")
     return np.asarray(sum(2**i * (m != 0) for i, m in enumerate(grids))).ravel()
 
 
 def components(dims: int, half_width: int) -> dict[int, float]:
-    """Return the truncated ANOVA components: Σ |f_m|² over the frequencies of each axis subset."""
+    """Return truncated ANOVA components: Σ |f_m|² over all frequencies of each subset of axes."""
     power = np.abs(mcs.integrand(BELL, dims).fourier_grid(half_width)).ravel() ** 2
     of = subsets(dims, half_width)
     return {int(a): float(power[of == a].sum()) for a in set(of.tolist()) if a}
 
 
 def labelled_subsets(data: xr.Dataset) -> list[int]:
-    """Return each band's subset of axes from labels such as ``constant`` and ``x0x2``."""
+    """Return the subset of axes of each band, from labels such as ``constant`` and ``x0x2``."""
     names = str(data["band"].attrs["labels"]).split(", ")
     return [sum(2 ** int(axis) for axis in name.split("x")[1:]) for name in names]
 
 
 def main_share(data: xr.Dataset) -> float:
-    """Return the share of the variance due to functions of one coordinate, with covariances."""
+    """Return the share of the variance from functions of one coordinate, including covariances."""
     alone = [k for k, subset in enumerate(labelled_subsets(data)) if subset in (1, 2, 4)]
     matrix = data["band_covariance"].values
     return float(matrix[alone].sum() / matrix.sum())
@@ -209,7 +209,7 @@ def _map_is_row_sums(dims: int, data: xr.Dataset) -> Claim:
 
 
 def _bands_are_blocks(dims: int, data: xr.Dataset) -> Claim:
-    """Compare sorted entries, since bands are in the order of labels, not of bit masks."""
+    """Sort the entries before comparing: bands follow their labels, not the order of bit masks."""
     of = subsets(dims, SMALL[dims][1])
     matrix = data["cross_matrix"].values
     blocks = [matrix[np.ix_(of == a, of == b)].sum().real for a in set(of) for b in set(of)]

@@ -1,4 +1,4 @@
-"""Direct illumination of two points by light and by BSDF sampling: the paper's Figure 1."""
+"""Direct illumination of two points by light and BSDF sampling: Figure 1 of the paper."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Case: TypeAlias = tuple[str, str]
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Draw the integrands of two pixels on the unit square, and measure their eight rates."""
+    """Draw the integrands of two pixels on the unit square, and measure eight rates."""
     f, spp = integrands(), 16 if quick else 64
     options: dict[str, Any] = {"realizations": 80 if quick else 800, "rng": seed}
     found = mcs.convergence(list(f.values()), list(SAMPLERS), _COUNTS, **options)
@@ -91,12 +91,12 @@ def integrands() -> dict[Case, Any]:
 
 
 def _expected(case: Case, sampler: str) -> float:
-    """Return the expected rate: −2 only if the light is fully visible and points do not wrap."""
+    """Return the expected rate: −2 if the light is fully visible and points do not wrap."""
     return -2.0 if (case, sampler) == (("P", "light"), "jittered") else -1.5
 
 
 def _same_integral(curves: Mapping[tuple[Case, str], xr.Dataset]) -> Claim:
-    """Compare the means of light and BSDF sampling at the largest N."""
+    """Compare the mean of light sampling with the mean of BSDF sampling, at the largest N."""
     differences, errors = [], []
     for point, sampler in itertools.product("PQ", SAMPLERS):
         light, bsdf = (curves[(point, s), sampler].isel(n=-1) for s in _NAMES)
@@ -107,13 +107,13 @@ def _same_integral(curves: Mapping[tuple[Case, str], xr.Dataset]) -> Claim:
 
 
 def _sketch(f: Mapping[Case, Any], seed: int) -> Plot:
-    """Return a sketch of sensor, light and lobe for each strategy, above f/p on the unit square."""
+    """Return sketches of sensor, light and lobe for each strategy, above f/p on the unit square."""
     place, eye, light = np.array([0.45, 0.0]), np.array([0.05, 0.62]), (0.62, 0.88, 0.85)
     u = mcs.sampler("jittered", 1).draw(6, rng=seed)[0, :, 0]
     lobe_axis, half = math.atan2(1.0, 0.75), 0.62
 
     def arrow(angle: Array | float) -> Array:
-        """Return points of the lobe, a lobe of cosines about its axis."""
+        """Return points on the outline of a cosine lobe about its axis."""
         away = np.asarray(angle, float)
         size = 0.5 * np.cos(np.pi / 2 * (away - lobe_axis) / half) ** 0.7
         return np.asarray(place + size[..., None] * np.stack([np.cos(away), np.sin(away)], axis=-1))

@@ -1,4 +1,4 @@
-"""Environment maps: sampling by luminance leaves jumps; a density per channel leaves none."""
+"""Environment maps: sampling by luminance leaves jumps, but a density per channel leaves none."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from mcspectra.reproduction.panels import plot_of, variance_panel
 
 __all__ = ["exhibit"]
 
-# An RGB map of eight pixels that show a sun, a sky and a ground
+# An RGB map of eight pixels with a sun, a sky and a ground
 PIXELS = np.array(
     [[0.3, 0.4, 0.9], [0.2, 0.5, 1.0], [6.0, 1.0, 0.4], [14.0, 12.0, 7.0],
      [0.6, 5.0, 0.8], [0.4, 0.7, 4.0], [0.1, 0.9, 0.3], [1.2, 0.3, 0.2]]
@@ -42,7 +42,7 @@ COUNTS = {
     "own": (64, 128, 256, 512, 1024),
     "mis": (64, 128, 256, 512, 1024),
 }
-# A dome of the sky, by zenith angle (rows) and azimuth (columns): sun, clouds, leaves and a wall
+# The sky as a dome: sun, clouds, leaves and walls by zenith angle (rows) and azimuth (columns)
 _KINDS = {
     "sky": (0.3, 0.5, 1.0),
     "cloud": (1.0, 1.0, 1.0),
@@ -61,14 +61,14 @@ DOME = np.array(
 DOME_COUNTS = tuple(side**2 for side in (16, 23, 32, 45, 64))
 DOME_RATES = {"one": -1.5, "own": -2.0}
 _SIDE = 256
-_COSTS = {"one": 1, "own": 3, "mis": 3}  # evaluations of f per point
+_COSTS = {"one": 1, "own": 3, "mis": 3}  # number of evaluations of f per point
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
     """Measure rates of three color channels, each sampled by three densities.
 
-    The densities follow the gray channel, the color channel itself, or all channels by MIS.
-    A 2-D map of the sky is sampled by the first two densities.
+    The densities follow the gray channel, the color channel itself, or all channels (by MIS).
+    A 2-D map of the sky is sampled by the gray channel and by the color channel.
     """
     by = ways()
     options: dict[str, Any] = {"realizations": 400 if quick else 4000, "rng": seed}
@@ -83,7 +83,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     }
     gains = [_gain(c, curves) for c in range(3)]
 
-    # Sample the dome by the gray channel and by its own channels
+    # Sample the dome by the gray channel and by each color channel
     by = dome_ways()
     options["realizations"] = 100 if quick else 600
     planes = {
@@ -94,14 +94,14 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         for way, curve in planes.items()
     }
 
-    # Sample the red channel of the built-in sky by bilinear densities of luminance and of red
+    # Sample red in the built-in sky, by bilinear densities of luminance and of red
     sky = "environment(channel={!r}, interpolation='bilinear')"
     estimators = [mcs.Estimator(sky.format(0), sky.format(c)) for c in ("luminance", 0)]
     options["realizations"] = 60 if quick else 600
     plane = mcs.convergence(estimators, "jittered", [1024], **options)
     by_gray, by_red = (Measured.of(plane.isel(n=0, estimator=i), "variance") for i in (0, 1))
 
-    # Draw variances at equal numbers of evaluations
+    # Draw the variances at equal numbers of evaluations
     panels = [
         variance_panel(
             {
@@ -139,7 +139,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 )
                 for way, curve in planes.items()
                 for c, color in enumerate(_COLORS)
-                # Luminance is mostly green, so green has small jumps and reaches its limit late
+                # Luminance is mostly green: green has small jumps, and reaches its limit late
                 if (way, color) != ("one", "green")
             ),
             *(
@@ -160,7 +160,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def ways() -> dict[str, Any]:
-    """Return the estimators of the map times cos(π(x − ½)) by name."""
+    """Return the estimators of the map times cos(π(x − ½)), by name."""
     constant = mcs.densities.PiecewiseConstant
     own = [constant(values=PIXELS[:, c]) for c in range(3)]
     parts = np.diff(np.sin(np.pi * (np.arange(9) / 8 - 0.5)) / np.pi)
@@ -175,7 +175,7 @@ def radiance(x: Array) -> Array:
 
 
 def dome_ways() -> dict[str, Any]:
-    """Return the estimators of the irradiance by the dome, by name."""
+    """Return the estimators of the irradiance from the dome, by name."""
     constant = mcs.densities.PiecewiseConstant
     own = [constant(values=DOME[..., c]) for c in range(3)]
     rows, columns = DOME.shape[:2]
@@ -187,7 +187,7 @@ def dome_ways() -> dict[str, Any]:
 
 
 def dome_radiance(x: Array) -> Array:
-    """Return the radiance of the dome at (azimuth, zenith angle) times sin(πy) = sin 2θ."""
+    """Return the radiance of the dome at (azimuth, zenith angle), times sin(πy) = sin 2θ."""
     x = np.asarray(x)
     rows, columns = DOME.shape[:2]
     row, column = (
@@ -198,7 +198,7 @@ def dome_radiance(x: Array) -> Array:
 
 
 def _sky(planes: Mapping[str, xr.Dataset]) -> Plot:
-    """Return the map, its convergence, and f/p of red on the unit square for both densities."""
+    """Return the map, its convergence, and f/p of red on the unit square, for both densities."""
     u = (np.arange(_SIDE) + 0.5) / _SIDE
     grid = np.stack(np.meshgrid(u, u), axis=-1)
     constant = mcs.densities.PiecewiseConstant
@@ -263,7 +263,7 @@ def _gain(channel: int, curves: Mapping[str, xr.Dataset]) -> Claim:
 
 
 def weighted(table: Array, channel: int, t: Array) -> Array:
-    """Return f/p at positions t in each of 8 pixels, (8, len(t)), for the density of `table`."""
+    """Return f/p, with a density from `table`, at positions t in each of 8 pixels, (8, len(t))."""
     x = (np.arange(8)[:, None] + t) / 8
     times = PIXELS[:, channel] / (table / table.mean())
     return np.asarray(times[:, None] * np.cos(np.pi * (x - 0.5)))
@@ -295,7 +295,7 @@ def _toy() -> Plot:
     )
     for title, own in zip(list(marks)[1:], (False, True), strict=True):
         for c, color in enumerate(_COLORS.values()):
-            # Map each pixel's piece of f/p from x to primary space
+            # Map the part of f/p in each pixel from x to primary space
             table = PIXELS[:, c] if own else gray
             borders = np.concatenate([[0.0], np.cumsum(table) / table.sum()])
             values = weighted(table, c, t)

@@ -1,4 +1,4 @@
-"""The estimator I_N and its sampling function S(x) for random, jittered, Poisson-disk points."""
+"""The estimator I_N and its sampling function S(x): random, jittered and Poisson-disk points."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ N = 64
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Show the estimator and its weighted peaks, and compare its mean with the integral."""
+    """Show the estimator and its weighted peaks, and compare its mean value with the integral."""
     realizations = 1000 if quick else 10_000
     curves = mcs.convergence(SQUARE, list(SAMPLERS), [N], realizations=realizations, rng=seed)
     one = {name: curves.sel(sampler=name).isel(n=0) for name in SAMPLERS}
@@ -40,7 +40,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         ", ".join(f"{number(float(d[key]), digits)} ({name})" for name, d in one.items())
         for key, digits in (("mean", 4), ("variance", 3))
     )
-    # Sum conj(f_m) S_m of an integrand with two frequencies m = ±3
+    # Sum conj(f_m) S_m for an integrand that has only the frequencies m = ±3
     at = _warped("jittered", N, seed, 1)[0]
     direct = float((np.cos(6 * np.pi * at) / pdf(at)).mean())
     sums = {m: (np.exp(-2j * np.pi * m * at) / pdf(at)).mean() for m in (-3, 3)}
@@ -128,7 +128,7 @@ def _exact(name: str) -> float:
 
 
 def _warped(name: str, n: int, seed: int, realizations: int) -> Array:
-    """Return points with density p, in an array of shape (realizations, n)."""
+    """Return points with density p, (realizations, n)."""
     u = mcs.sampler(name, 1).draw(n, realizations=realizations, rng=seed)
     return np.asarray(mcs.density(DENSITY, 1).sample(u)[..., 0])
 

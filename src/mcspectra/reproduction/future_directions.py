@@ -1,4 +1,4 @@
-"""Answers to the talk's future directions: insights, and better than importance sampling."""
+"""Answers to the talk's future directions: insights, and methods beyond importance sampling."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from mcspectra.reproduction.strata_alignment import edge
 
 __all__ = ["exhibit"]
 
-COUNTS = (36, 144, 576, 2304)  # squares of multiples of 6, whose strata the edge at 1/3.5 cuts
+COUNTS = (36, 144, 576, 2304)  # squares of multiples of 6; the edge at 1/3.5 cuts their strata
 AT = 2 / 7
 BUDGET = 256
-_TABLE = 8  # cells per side of the density that is tabulated for importance sampling
-_LATTICE = 64  # points of the designed lattice
+_TABLE = 8  # cells along each side of the tabulated density for importance sampling
+_LATTICE = 64  # number of points of the designed lattice
 _TESTED = ((0.3, 0.6), (0.7, 0.8), (1.0, 0.7), (1.3, 0.5), (0.1, 0.31), (1.45, 0.62))
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Diagnose an integrand with an edge, and compare remedies with importance sampling."""
+    """Diagnose an integrand that has an edge, and compare remedies with importance sampling."""
     found = mcs.remedies(
         edge(AT), "jittered", BUDGET, realizations=150 if quick else 1000, rng=seed
     )
@@ -98,7 +98,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                     "Strata aligned with the edge: the exact variances have the rate −2.",
                     slope(COUNTS, exact["aligned strata"]),
                     expected=-2.0,
-                    # Rounding the edge to whole strata changes the variance by a part of 1/s²
+                    # Rounding the edge to whole strata changes the variance by a fraction 1/s²
                     tolerance=0.05,
                     shown="−2 ± 0.05",
                 ),
@@ -139,7 +139,7 @@ def _aligned(n: int) -> mcs.Estimator:
 
 
 def _measured_aligned(realizations: int, seed: int) -> xr.Dataset:
-    """Measure aligned strata, whose estimator depends on the number of points."""
+    """Measure aligned strata. Their estimator depends on the number of points."""
     options: dict[str, Any] = {"realizations": realizations, "rng": seed}
     curves = [mcs.convergence(_aligned(n), "jittered", [n], **options) for n in COUNTS]
     return xr.concat([c[["mean", "variance", "variance_ci"]] for c in curves], dim="n")
@@ -159,7 +159,7 @@ def _exact() -> Array:
 
 
 def _designed(lattice: mcs.Sampler, realizations: int, seed: int) -> Measured:
-    """Return the mean variance of the lattice on half-spaces, relative to jittered points."""
+    """Return the mean variance of the lattice over half-spaces, relative to jittered points."""
     options: dict[str, Any] = {"realizations": realizations, "rng": seed}
     tested = [
         f"half-space(normal=[{np.cos(a)}, {np.sin(a)}], offset={offset})" for a, offset in _TESTED

@@ -1,7 +1,7 @@
-"""Make exhibits and write the lecture: a deck of slides, images and findings.
+"""Create exhibits and write the lecture: a deck of slides, with images and findings.
 
 An exhibit is computed once and appears on one or more slides.
-The verdict on a slide is computed from the findings of the slide.
+The verdict on a slide is computed from the findings about it.
 """
 
 from __future__ import annotations
@@ -75,27 +75,27 @@ class Slide:
     Attributes
     ----------
     number
-        Place in the talk. Slides are counted by their titles; steps of an animation count once.
+        Place in the talk. Slides are counted by title; the steps of an animation count once.
     title
         Title of the slide.
     statement
-        Quotation of the slide's statement or description of its figure.
+        Quotation of the slide's statement, or a description of its figure.
     reason
-        Reason for the verdict; names in braces are numbers of the exhibit.
+        Reason for the verdict. Names in braces stand for numbers of the exhibit.
     figure
         Kind of the plot that fills the screen.
     more
-        Kinds of further plots, which are folded.
+        Kinds of further plots, which are collapsed on the slide.
     formula
         LaTeX formula shown with the quotation, or empty.
     holds_if
         Condition under which the statement holds, or empty if it always holds.
     corrected
-        The corrected statement in a few words, if some findings correct the slide.
+        The corrected statement in a few words, if findings correct the slide.
     answer
-        Answer to a question of the slide, or empty.
+        Answer to a question on the slide, or empty.
     explorer
-        Query of the explorer's state (`mcspectra.app.state`) before its encoding, or empty.
+        Query string of the explorer's state (`mcspectra.app.state`), not yet encoded, or empty.
     """
 
     number: int
@@ -119,11 +119,11 @@ class ExhibitTexts:
     Attributes
     ----------
     summary
-        A description in one line for lists.
+        A description for lists, in one line.
     slides
         The slides that the exhibit reproduces.
     plots
-        Caption, words and optional layout (fields of `Plot`) by kind of plot.
+        By kind of plot: caption, words and optional layout (attributes of `Plot`).
     """
 
     summary: str
@@ -141,7 +141,7 @@ class Entry:
     slides
         The slides with their texts filled in.
     findings
-        Findings of the exhibit. A failed exhibit has one finding that reports the failure.
+        Findings of the exhibit. If it failed, the only finding reports the failure.
     problem
         Error message of a failed exhibit, else empty.
     """
@@ -155,7 +155,7 @@ class Entry:
 
     @property
     def tally(self) -> str:
-        """Number of findings that agree with the slides or correct them, in words."""
+        """In words: how many findings agree with the slides, and how many correct them."""
         return "failed" if self.problem else _counted(self.findings)
 
 
@@ -273,14 +273,14 @@ def reproduce(
     seed
         Seed of all exhibits, an integer ≥ 0.
     command
-        Command that the page shows.
+        Command that the page shows for repeating the run.
     done
-        Function called with each entry after it is made.
+        Function that is called with each entry once it is finished.
 
     Returns
     -------
     Reproduction
-        The entries. A failed exhibit is listed in `failed` and does not stop the others.
+        The entries. A failed exhibit is listed in `failed`, and does not stop the others.
 
     Raises
     ------
@@ -324,7 +324,7 @@ def reproduce(
 
 
 def _entry(name: str, quick: bool, seed: int) -> Entry:
-    """Make an exhibit; any exception becomes the entry's problem."""
+    """Make an exhibit. If it raises an exception, the entry gets the error message."""
     start = time.perf_counter()
     try:
         made, slides = make_exhibit(name, quick=quick, seed=seed)
@@ -357,7 +357,7 @@ def _entry(name: str, quick: bool, seed: int) -> Entry:
 
 
 def _findings_of(slide: Slide, entry: Entry) -> tuple[Finding, ...]:
-    """Return the findings of a slide. The first slide also has those about no other slide."""
+    """Return the findings about a slide. The first slide also gets those about no other slide."""
     if entry.exhibit is None:
         return entry.findings
     figures = {each.figure for each in entry.slides}
@@ -370,7 +370,7 @@ def _findings_of(slide: Slide, entry: Entry) -> tuple[Finding, ...]:
 
 
 def _counted(findings: Sequence[Finding]) -> str:
-    """Count the findings that agree with slides, correct them, or contradict our theory."""
+    """Count the findings that agree with slides, that correct them, and that do not agree."""
     judged = [finding for finding in findings if finding.agrees is not None]
     agree, correct = (
         sum(f.agrees is True and f.corrects is kind for f in judged) for kind in (False, True)
@@ -384,7 +384,7 @@ def _counted(findings: Sequence[Finding]) -> str:
 
 
 def tally(entries: Sequence[Entry]) -> str:
-    """Return the number of slides and findings by verdict, in words."""
+    """Return in words the numbers of slides, and of findings by verdict."""
     made = [entry for entry in entries if not entry.problem]
     count = sum(len(entry.slides) for entry in made)
     text = f"{count} slide{'' if count == 1 else 's'}; findings: "
@@ -394,14 +394,14 @@ def tally(entries: Sequence[Entry]) -> str:
 
 
 Mark: TypeAlias = Literal["yes", "some", "no", "none"]
-"""Color class of a verdict."""
+"""CSS class for the color of a verdict."""
 
 
 def verdict(slide: Slide, findings: Sequence[Finding]) -> tuple[str, str, Mark]:
-    """Return the verdict on a slide in one or two words, its condition, and its color class.
+    """Return the verdict on a slide in one or two words, its condition, and its CSS class.
 
     A finding that does not agree overrides the texts of the slide.
-    The verdict is "Corrected" only if a finding that limits or contradicts the slide agrees.
+    The verdict is "Corrected" only if a correcting finding agrees.
     """
     if any(finding.agrees is False for finding in findings):
         return "Not reproduced", "a finding does not agree", "no"
@@ -417,13 +417,13 @@ def verdict(slide: Slide, findings: Sequence[Finding]) -> tuple[str, str, Mark]:
 
 
 def measured_text(finding: Finding) -> tuple[str, str]:
-    """Format the measured value and its interval with the digits that the interval justifies."""
+    """Format the measured value and its interval, with as many digits as the interval justifies."""
     value = finding.measured
     if value is None or isinstance(value, str):
         return value or number(None), ""
     if finding.interval is None:
         return number(value), ""
-    # Choose 3 to 8 digits, so that half the interval has two digits
+    # Choose 3 to 8 digits, so that the half width of the interval has two digits
     low, high = finding.interval
     half, largest = (high - low) / 2, max(abs(value), abs(low), abs(high))
     digits = 3

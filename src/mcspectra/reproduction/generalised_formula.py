@@ -1,4 +1,4 @@
-"""The variance as three terms: dc, power and correlation between frequencies."""
+"""The variance as three terms: dc, power, and correlation between frequencies."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ __all__ = ["exhibit"]
 
 SAMPLERS = ("random", "jittered", "sobol | owen")
 LINE, BELL = "linear", "gaussian(center=0.35, width=0.12)"
-DENSITY = "linear(slope=1)"  # p = ½ + x, with ∫1/p = ln 3
+DENSITY = "linear(slope=1)"  # p = ½ + x, for which ∫1/p = ln 3
 N = 16
 HALF_WIDTH = 40
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Estimate terms and matrices of all samplers and integrands; compare with closed forms."""
+    """Estimate terms and matrices of all samplers and integrands, and compare with closed forms."""
     realizations = 500 if quick else 10_000
     line, bell = (
         {name: terms(mcs.integrand(spec, 1), name, realizations, seed) for name in SAMPLERS}
@@ -40,10 +40,10 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     variances = {name: float(mcs.exact_variance(by_density, name, N)) for name in weighted}
     integral = float(np.squeeze(mcs.integrand(BELL, 1).integral))
 
-    # Compute the exact second and third terms of jittered points for f(x) = x, up to the half width
+    # Compute the exact second and third terms of jittered points for f(x) = x, to the half width
     _, *exact = split(exact_matrix(mcs.integrand(LINE, 1), "jittered", None, HALF_WIDTH))
 
-    # Extrapolate the terms to all frequencies; the tails are proportional to 1/K
+    # Extrapolate the terms to all frequencies. The remainders are proportional to 1/K
     near, far = (
         np.array(split(exact_matrix(mcs.integrand(LINE, 1), "jittered", None, k)))
         for k in (256, 512)
@@ -53,7 +53,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         "third term is 1/(6N³) − 1/(6N²)": 1 / (6 * N**3) - 1 / (6 * N**2),
     }
 
-    # Sum the third term twice, with either factor S conjugated, for random importance samples
+    # Compute the third term with either factor S conjugated, for random importance samples
     f = mcs.integrand(BELL, 1)
     mirrored = mcs.Integrand.from_function(lambda x: f(1.0 - x), dims=1, integral=f.integral)
     matrix = exact_matrix(f, "random", DENSITY, 128)
@@ -197,7 +197,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 def terms(
     f: mcs.Integrand | mcs.Estimator, sampler: str, realizations: int, seed: int
 ) -> xr.Dataset:
-    """Return the variance terms with the matrix of the cross term."""
+    """Return the variance terms, including the matrix of the cross term."""
     return mcs.variance_terms(
         f, sampler, N, half_width=HALF_WIDTH, realizations=realizations, rng=seed, cross_matrix=True
     )
@@ -212,7 +212,7 @@ def exact_matrix(f: mcs.Integrand, sampler: str, density: str | None, half_width
 
 
 def split(matrix: Array) -> tuple[float, float, float]:
-    """Return the first, second and third terms of a matrix."""
+    """Return the first, second and third terms from a matrix."""
     diagonal = np.diag(matrix).real
     first = float(diagonal[len(diagonal) // 2])
     power = float(diagonal.sum()) - first

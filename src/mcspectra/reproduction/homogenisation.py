@@ -20,7 +20,7 @@ __all__ = ["exhibit"]
 
 N = 64
 SAMPLERS = ("jittered", "latin-hypercube", "poisson-disk", "sobol | owen")
-# The differences m − l are multiples of the frequency of the strata (8 for 64 points).
+# Each difference m − l is a multiple of the frequency of the strata (8 for 64 points).
 # At these pairs of frequencies, jittered points have correlated coefficients.
 PAIRS = (
     ((3, 0), (-5, 0)),
@@ -52,7 +52,7 @@ class Coefficients:
         return np.asarray(self.products.sum(axis=0) / (len(self.values) - 1))
 
     def farthest(self) -> tuple[float, float]:
-        """Return the largest covariance in standard errors, and the limit for normal errors."""
+        """Return the largest covariance in standard errors, and its limit for normal errors."""
         products, value = self.products, self.covariance
         parts = [
             np.abs(value.real) / mean_and_error(products.real)[1],
@@ -62,19 +62,19 @@ class Coefficients:
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Show the steps of a shift, and its effect on the coefficients of several samplers."""
+    """Show how points are shifted, and how the shift changes coefficients of several samplers."""
     realizations = 2000 if quick else 20_000
     pairs = {name: before_and_after(name, realizations, seed) for name in SAMPLERS}
     before, after = pairs["jittered"]
     powers = [[np.abs(each.values) ** 2 for each in pair] for pair in pairs.values()]
     c0, c1 = (number(N * float(each.covariance[0].real)) for each in (before, after))
 
-    # On the torus, all points must move by the same shift as the first point
+    # On the torus, all points must have moved by the same shift as the first
     plain, moved = _drawn("jittered", 100, seed)
     moves = (moved - plain) % 1.0
     apart = (moves - moves[:, :1] + 0.5) % 1.0 - 0.5
 
-    # Multiply S_m by the phase of the shift
+    # Multiply S_m by the phase of the shift, and compare
     plain, moved = _drawn("jittered", 1, seed)
     s0, s1 = _sums(np.concatenate([plain, moved]), np.array([3, -2]))
     turned = s0 * np.exp(-2j * np.pi * (((moved - plain) % 1.0)[0, 0] @ np.array([3, -2])))
@@ -154,7 +154,7 @@ def before_and_after(name: str, realizations: int, seed: int) -> tuple[Coefficie
 
 
 def _drawn(name: str, realizations: int, seed: int) -> tuple[Array, Array]:
-    """Return points before and after the shift, (realizations, n, 2), from equal random numbers."""
+    """Return points before and after a shift, (realizations, n, 2), from equal random numbers."""
     plain, shifted = (
         mcs.sampler(spec, 2).draw(N, realizations=realizations, rng=seed)
         for spec in (name, f"{name} | shift")
@@ -163,7 +163,7 @@ def _drawn(name: str, realizations: int, seed: int) -> tuple[Array, Array]:
 
 
 def _sums(x: Array, m: Array) -> Array:
-    """Return S_m of shape (..., R) for points (R, n, 2) and frequencies m of shape (..., 2)."""
+    """Return S_m, (..., R), for points (R, n, 2) and frequencies m, (..., 2)."""
     found = [np.exp(-2j * np.pi * (x @ each)).mean(axis=1) for each in m.reshape(-1, 2)]
     return np.stack(found).reshape(*m.shape[:-1], len(x))
 
@@ -184,7 +184,7 @@ def _steps(seed: int, share: float) -> Plot:
         (x + move, move, "2: shifted by Δ"),
         ((x + move) % 1.0, move, "3: wrapped around"),
     ):
-        # Draw borders of strata as (start, end), inside the unit square if they are wrapped
+        # Draw borders of strata as pairs (start, end). Wrapped borders stay in the unit square
         wrapped = bool((at < 1.0).all())
         lines = []
         for k in range(5):

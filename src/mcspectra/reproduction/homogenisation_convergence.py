@@ -1,4 +1,4 @@
-"""Effect of homogenization on convergence: integrands with and without a loss of rate."""
+"""How homogenization affects convergence: integrands that lose their rate, and others."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ __all__ = ["exhibit"]
 COUNTS = (16, 64, 256, 1024)
 SAMPLERS = ("jittered", "jittered | shift")
 _NETS = ("sobol | owen", "sobol | owen | shift")
-_HALF_WIDTH = 384  # higher frequencies of the disk add 2e-7 to N · variance = 1e-2
+_HALF_WIDTH = 384  # higher frequencies of the disk would add 2e-7 to N · variance = 1e-2
 
 
 @final
 @dataclass(frozen=True)
 class ConvergenceCase:
-    """An integrand with the rates of plain and of shifted jittered points."""
+    """An integrand with its rates for plain and for shifted jittered points."""
 
     title: str
     spec: str
@@ -54,7 +54,7 @@ COSINE = ConvergenceCase("cos(2π(x + y)), two dims", "cosine(frequency=[1, 1])"
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Compare measured variances with exact variances, with and without a shift."""
+    """Compare measured with exact variances, with and without a shift."""
     realizations = 1000 if quick else 10_000
     cases = (LINE, BELL, DISK, COSINE)
     curves = {case: measured(case, realizations, seed) for case in cases}
@@ -131,7 +131,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 def measured(
     case: ConvergenceCase, realizations: int, seed: int, samplers: tuple[str, ...] = SAMPLERS
 ) -> dict[str, xr.Dataset]:
-    """Measure the convergence of the samplers."""
+    """Measure the convergence of all samplers."""
     data = mcs.convergence(
         case.integrand, list(samplers), list(COUNTS), realizations=realizations, rng=seed
     )
@@ -139,7 +139,7 @@ def measured(
 
 
 def exact(case: ConvergenceCase, sampler: str) -> Array:
-    """Return the exact variances at the counts."""
+    """Return the exact variances at all counts."""
     f = case.integrand
     if case != DISK or sampler == "jittered":
         return np.array([float(mcs.exact_variance(f, sampler, n)) for n in COUNTS])

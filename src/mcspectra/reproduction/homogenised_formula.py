@@ -1,4 +1,4 @@
-"""The variance of homogenized samples equals the power term."""
+"""For homogenized samples, the variance equals the power term."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         name: beyond() / N / float(data["measured_variance"]) for name, data in shifted.items()
     }
 
-    # For f(x) = x, check by quadrature that the ratio (1/(6N²) − 1/(12N³)) / (1/(12N³)) is 2N − 1
+    # For f(x) = x, check by quadrature that (1/(6N²) − 1/(12N³)) / (1/(12N³)) is 2N − 1
     line = mcs.integrand("linear", 1)
     power = 1 / (6 * N**2) - 1 / (12 * N**3)
     times = power / float(mcs.exact_variance(line, "jittered", N))
@@ -121,7 +121,7 @@ def terms(name: str, realizations: int, seed: int) -> xr.Dataset:
 
 
 def share(data: xr.Dataset) -> Measured:
-    """Return the power term over the measured variance; the interval includes both errors."""
+    """Return the power term divided by the measured variance. The interval includes both errors."""
     variance = Measured.of(data, "measured_variance")
     power = Measured.of(data, "power_term") / variance.value
     half = math.hypot(
@@ -132,7 +132,7 @@ def share(data: xr.Dataset) -> Measured:
 
 
 def _closed_sum(n: int) -> Claim:
-    """Compare closed forms for f = x with |f_m|² = 1/(4π²m²); bound the tail of the sum."""
+    """Compare closed forms for f = x, with |f_m|² = 1/(4π²m²), and bound the rest of the sum."""
     m = np.arange(1.0, 2**16 + 1)
     power = mcs.closed_form_power("jittered", n, m[:, None])
     total = 2 * float((power / (4 * np.pi**2 * m**2)).sum())
@@ -141,7 +141,7 @@ def _closed_sum(n: int) -> Claim:
         f"f(x) = x and {n} jittered points, shifted: the sum is 1/(6N²) − 1/(12N³): relative "
         "difference.",
         total / expected - 1.0,
-        # Bound the tail relative to the sum: its power is at most 1/n, and Σ 1/m² < 1/2^16
+        # Bound the rest relative to the sum: the power is at most 1/n, and Σ 1/m² < 1/2^16
         at_most=float(2 / (4 * np.pi**2 * n * m[-1]) / expected),
         note=f"Limit: bound of the sum over frequencies beyond {int(m[-1])}.",
     )
@@ -149,7 +149,7 @@ def _closed_sum(n: int) -> Claim:
 
 @cache
 def beyond() -> float:
-    """Return ∫f² − Σ |f_m|² up to the half width; f² is a Gaussian narrower by the factor √2."""
+    """Return ∫f² − Σ |f_m|² up to the half width. f² is a Gaussian that is narrower by √2."""
     square = BELL.replace("width=0.2", f"width={0.2 / math.sqrt(2)}")
     power = np.abs(mcs.integrand(BELL, 2).fourier_grid(HALF_WIDTH)) ** 2
     return float(np.squeeze(mcs.integrand(square, 2).integral)) - float(power.sum())

@@ -48,7 +48,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         for ring in (1, HALF_WIDTH)
     ]
 
-    # S_0 is the mean of 1/p; compare its variance with the closed form
+    # S_0 is the mean of 1/p. Compare its variance with the closed form
     zero, many = np.zeros((1, 2)), 4 * realizations
     dc = [
         Claim(
@@ -63,7 +63,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     ]
     low, high, dc_random, dc_jittered = (number(claim.value) for claim in (*rings[2:], *dc))
 
-    # Draw points above their spectra, and spectra against |m|
+    # Draw points above their spectra, and draw the spectra against |m|
     few = realizations // 3
     frames = {
         f"{slope:g}": _maps(
@@ -132,7 +132,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def _maps(slope: float, spectra: dict[str, xr.Dataset], seed: int) -> Plot:
-    """Return points of a linear density above the spectra of their weighted sums."""
+    """Return points of a linear density, above the spectra of their weighted sums."""
     scale = Scale(label="N · ⟨|S|²⟩", high=1.5 * LEVEL, beyond=True)
     p, points = mcs.density(f"linear(slope={slope})", 2), []
     for name in SAMPLERS:
@@ -149,7 +149,7 @@ def _maps(slope: float, spectra: dict[str, xr.Dataset], seed: int) -> Plot:
 
 
 def spectrum(name: str, realizations: int, seed: int, slope: float = SLOPE) -> xr.Dataset:
-    """Return the expected power of weighted points in two dims."""
+    """Return the expected power of weighted points, in two dims."""
     options: dict[str, Any] = {"half_width": HALF_WIDTH, "realizations": realizations, "rng": seed}
     density = f"linear(slope={slope})"
     return mcs.power_spectrum(mcs.sampler(name, 2), N, density=density, **options)
@@ -160,7 +160,7 @@ def _closed_ring(name: str, ring: int) -> float:
 
 
 def sums(name: str, realizations: int, seed: int, *, weighted: bool) -> Array:
-    """Return S at m = (0, 0) and (1, 0) as complex numbers of shape (realizations, 2)."""
+    """Return S at m = (0, 0) and (1, 0): complex, (realizations, 2)."""
     p = mcs.density(DENSITY, 2)
     x = p.sample(mcs.sampler(name, 2).draw(N, realizations=realizations, rng=seed))
     w = 1.0 / p.pdf(x) if weighted else np.ones(x.shape[:-1])
@@ -168,7 +168,7 @@ def sums(name: str, realizations: int, seed: int, *, weighted: bool) -> Array:
 
 
 def _rate(m: int) -> Claim:
-    """Compare exact variances of S_m in 1-D: the weighted wave changes by O(1/N) in a stratum."""
+    """Compare exact variances of S_m in 1-D. In a stratum, the weighted wave changes by O(1/N)."""
     low, high = (
         float(mcs.spectra.closed_form_covariance("jittered", n, [[m]], [[m]], DENSITY).real[0])
         for n in (512, 1024)

@@ -1,4 +1,4 @@
-"""Signs of the three terms for constant densities and importance sampling."""
+"""Signs of the three terms of the variance, for constant densities and importance sampling."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from mcspectra.reproduction.panels import plot_of, term_panel
 __all__ = ["exhibit"]
 
 N = 16
-_FEW, _MANY = 4, 64  # half widths; an integrand with one cycle needs only 1
+_FEW, _MANY = 4, 64  # half widths; an integrand with a single frequency needs only 1
 
 
 @final
 @dataclass(frozen=True)
 class TermsCase:
-    """An estimator and a sampler.
+    """An estimator with a sampler.
 
     Attributes
     ----------
     function
         Name of the integrand: ``line``, ``bar``, ``one``, or ``cosine`` for 1 − cos 2πx.
     amplitude
-        Amplitude a of the density 1 + a cos(2πx); 0 for a constant density.
+        Amplitude a of the density 1 + a cos(2πx), or 0 for a constant density.
     """
 
     title: str
@@ -52,11 +52,11 @@ class TermsCase:
 
     @property
     def estimator(self) -> mcs.Estimator:
-        """The integrand with its density."""
+        """The integrand and its density, as an estimator."""
         return mcs.Estimator(self.integrand, _density(self.amplitude) if self.amplitude else None)
 
     def terms(self, realizations: int, seed: int) -> xr.Dataset:
-        """Estimate the variance terms; discontinuous integrands get more frequencies."""
+        """Estimate the variance terms. Integrands with jumps get more frequencies."""
         wide = _MANY if self.function in ("line", "bar") else _FEW
         return mcs.variance_terms(
             self.estimator, self.sampler, N, half_width=wide, realizations=realizations, rng=seed
@@ -65,9 +65,9 @@ class TermsCase:
     def exact_random(self) -> tuple[float, float, float]:
         """Return the exact variance terms for random points.
 
-        The integrals are midpoint sums of periodic functions.
+        The integrals are midpoint sums, which are accurate for periodic functions.
 
-        N times the terms are I² (∫1/p − 1), ∫1/p (∫f² − I²), and Cov(f², 1/p) for uniform x.
+        N times the terms: I² (∫1/p − 1), ∫1/p (∫f² − I²) and Cov(f², 1/p), with x uniform.
         """
         x = (np.arange(4096) + 0.5)[:, None] / 4096
         f, p = self.integrand(x), 1.0 + self.amplitude * np.cos(2 * np.pi * x[:, 0])
@@ -101,13 +101,13 @@ def _density(amplitude: float) -> mcs.Density:
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Measure the terms in cases that confirm the slides' statements, and in counterexamples."""
+    """Measure the terms in cases that confirm statements of the slides, and in counterexamples."""
     realizations = 1000 if quick else 20_000
     of = {case: case.terms(realizations, seed) for case in (LINE, BAR, GOOD, STRATIFIED, BAD, FLAT)}
     shifted = TermsCase("", "line", 0.0, "jittered | shift").terms(realizations, seed)
     third = {case: number(float(data["cross_term"])) for case, data in of.items()}
     with_f = "With importance sampling that follows f, {} points, the third term is negative."
-    # With p = f every estimate is I, so the third term is minus the sum of the other two
+    # If p = f, every estimate is I, so the third term is minus the sum of the other two
     estimator = mcs.Estimator(_wave(0.8), _density(-0.8))
     perfect = mcs.variance_terms(
         estimator, "jittered", N, half_width=_FEW, realizations=100, rng=seed
@@ -160,7 +160,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                     "For constant PDF the third term is negative on f(x) = x, jittered points.",
                     of[LINE],
                 ),
-                # Up to the third term the variance is 2 · ¼/N², or 2 · 1/(6N²) with a shift
+                # The first two terms are together 2 · ¼/N², or 2 · 1/(6N²) with a shift
                 correction(
                     Claim(
                         "Counterexample: for constant PDF and a bar whose edges halve strata, "
@@ -232,7 +232,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def _scanned(slope: float) -> Plot:
-    """Return f and p = 1 − a cos(2πx), and the exact terms of random points against a."""
+    """Plot f and p = 1 − a cos(2πx), and the exact terms for random points against a."""
     x = np.linspace(0.0, 1.0, 200)
     wave = np.cos(2 * np.pi * x)
     pair = Panel(
@@ -275,7 +275,7 @@ def _negative(statement: str, data: xr.Dataset) -> Claim:
 
 
 def exact_bar(half_width: int) -> float:
-    """Return the third term of `BAR` up to a half width, in closed form; its limit is 1/(6N²)."""
+    """Return the third term for `BAR` up to a half width, in closed form. Its limit is 1/(6N²)."""
     m = np.arange(-half_width, half_width + 1)[:, None]
     f = BAR.integrand.fourier(m)
     c = mcs.spectra.closed_form_covariance("jittered", N, m[:, None], m[None])
@@ -284,7 +284,7 @@ def exact_bar(half_width: int) -> float:
 
 
 def _crucial(case: TermsCase, data: xr.Dataset) -> Claim:
-    """Compare the first two terms with the measured variance and its interval."""
+    """Compare the sum of the first two terms with the measured variance and its interval."""
     both = float(data["dc_term"] + data["power_term"])
     variance = Measured.of(data, "measured_variance")
     ends = both / variance.high, both / variance.low

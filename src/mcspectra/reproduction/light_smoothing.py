@@ -1,4 +1,4 @@
-"""Smoothed lights restore the rate of smooth integrands, at the cost of a bias."""
+"""Smoothed lights restore the convergence rate of smooth integrands, at the cost of a bias."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         f"{number(float(width), 2)} (N = {n})"
         for width, n in zip(scan["best_width"], BUDGETS, strict=True)
     )
-    # Draw variances of the pixel, and errors of the disk against the width
+    # Draw the variances of the pixel, and the errors of the disk against the width of the ramp
     panel = variance_panel(
         {f"{name} edge": curve for name, curve in curves.items()},
         rates={f"{name} edge": rate for name, rate in _RATES.items()},
@@ -95,7 +95,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def _pixel(edge: float) -> Any:
-    """Return BSDF sampling at P of Figure 1. The light's edge is a ramp of `edge` half sides."""
+    """Return BSDF sampling at P in Figure 1, where the light falls off over `edge` half sides."""
     scene = f"smooth-light(edge={edge})"
     x, y = mcs.rendering.named_pixels(scene)["P"]
     return mcs.rendering.Pixel(scene=scene, x=x, y=y, strategy="bsdf")
@@ -108,10 +108,10 @@ def _relative(curve: xr.Dataset) -> Measured:
 
 
 def _ramp(width: float) -> Claim:
-    """Compare the exact variance with 1/(12 δ n³), the sum over strata on a ramp of slope 1/δ."""
+    """Compare the exact variance with 1/(12 δ n³), a sum over the strata on a ramp of slope 1/δ."""
     n = 1024
     smoothed = mcs.smoothed(mcs.integrand("step(at=0.47)", dims=1), width)
-    # The ramp covers its two end strata only in part, so at most two of δn strata differ
+    # The ramp covers only a part of the strata at its ends, so at most two of δn strata differ
     bound = 2 / (width * n)
     return Claim(
         f"In one dim a step smoothed over δ = {width} has the variance 1/(12 δ N³) with jittered "
@@ -125,7 +125,7 @@ def _ramp(width: float) -> Claim:
 
 
 def _bias(scan: xr.Dataset) -> Claim:
-    """Compare the bias with πδ²/12: a ramp of width δ about radius R has area π(R² + δ²/12)."""
+    """Compare the bias with πδ²/12: a ramp of width δ at radius R has the area π(R² + δ²/12)."""
     width = scan["width"].values[1:]
     error = scan["smoothing_bias"].values[1:] / (np.pi * width**2 / 12) - 1.0
     return Claim(
@@ -137,7 +137,7 @@ def _bias(scan: xr.Dataset) -> Claim:
 
 
 def _best_pays(scan: xr.Dataset, n: int) -> Claim:
-    """Compare the mean squared errors of the sharp edge and of the best width."""
+    """Compare the mean squared errors for the sharp edge and for the best width of the ramp."""
     cell = scan.sel(n=n)
     best = int(np.argmin(cell["mse"].values))
     edge, least = (Measured.of(cell.isel(width=k), "mse") for k in (0, best))

@@ -1,12 +1,12 @@
-"""Mirroring of the integrand or the samples, which prevents the loss of rate by homogenization.
+"""Mirroring of integrands or samples. With it, homogenization does not reduce the rate.
 
-Mirror-uniform evaluates f at four mirror images of each of n/4 points.
-Mirror-uniform thus samples h, the mean of f over the four images, at n/4 points.
-Mirror-random chooses one image at random, which adds 1/n of the variance of f among the images.
+Mirror-uniform evaluates f at n/4 points and at their mirror images, four per point.
+Therefore it samples h, the mean of f over the four images, at n/4 points.
+Mirror-random chooses one image at random. This adds 1/n of the variance of f between images.
 
-The mean h = q(x) q(y) over the mirror images is continuous on the torus.
+The mean over the images, h = q(x) q(y), is continuous on the torus.
 With shifted strata of side 1/s, the variance is Σ |h_m|² (1 − Π_i sinc²(πm_i/s)) / n.
-The sum is over integers m ≠ 0. It is computed from products over axes.
+The sum is over integers m ≠ 0, and is computed from products over the axes.
 """
 
 from __future__ import annotations
@@ -61,11 +61,11 @@ RATES = {
     ("random", False): -1.0, ("random", True): -1.0,
     ("uniform", False): -2.0, ("uniform", True): -2.0,
 }  # fmt: skip
-"""Expected rates by kind of mirroring, with and without homogenization."""
+"""Expected rates for each kind of mirroring, with and without homogenization."""
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Draw integrand and samples, and measure six convergence curves."""
+    """Draw integrand and samples, and measure the convergence of six estimators."""
     options: dict[str, Any] = {"realizations": 250 if quick else 2500, "rng": seed}
     study = mcs.improve.mirror_study(
         INTEGRAND, "jittered", _COUNTS, mirrorings=list(_TITLES), **options
@@ -85,7 +85,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     ends = (g(np.stack([np.full_like(y, u), y], axis=-1)) for u in (0.0, BELOW_ONE))
     mirrored = np.subtract(*ends)
 
-    # Draw samples with strata, and curves with slopes
+    # Draw the samples, and the curves with their slopes
     own = mcs.sampler("jittered", 2).draw(16, rng=seed)[0]
     panels = []
     for mirroring, side in (("original", 8), ("random", 8), ("uniform", 4)):
@@ -171,7 +171,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             _take_away(last, seed),
         ),
         claims=(
-            # The integrand that is wrapped around, and mirrored
+            # Draw the integrand twice: wrapped around, and mirrored
             Claim(
                 "The original jumps by up to 1 − 1/e where it wraps around.",
                 float(np.abs(original).max()),
@@ -194,12 +194,12 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def symmetrized(x: Array) -> Array:
-    """Return q(x), the mean of exp(−y²) over the two images y = x and y = 1 − x."""
+    """Return q(x), the mean of exp(−y²) over the two mirror images y = x and y = 1 − x."""
     return np.asarray((np.exp(-(x**2)) + np.exp(-((1 - x) ** 2))) / 2)
 
 
 def exact_mirrored(mirroring: str, n: int, *, homogenized: bool) -> float:
-    """Return the variance of I_n with n evaluations of f; n = s², or 4s² for ``uniform``."""
+    """Return the variance of I_n with n evaluations of f. Here n is s², or 4s² for ``uniform``."""
     if mirroring == "original":
         sampler = "jittered | shift" if homogenized else "jittered"
         return float(mcs.exact_variance(INTEGRAND, sampler, n))
@@ -216,7 +216,7 @@ def _of_the_mean(n: int, homogenized: bool) -> float:
         m = np.arange(len(power))
         seen = power[0] + 2.0 * (power[1:] * np.sinc(m[1:] / s) ** 2).sum()
         return float((whole**2 - seen**2) / n)
-    # Sum n⁻² (∫∫ h² n − (∫∫ h n)²) over strata; both integrals are products over axes
+    # Sum n⁻² (∫∫ h² n − (∫∫ h n)²) over the strata; both integrals are products over axes
     nodes, weights = np.polynomial.legendre.leggauss(24)
     q = symmetrized((np.arange(s)[:, None] + (nodes + 1) / 2) / s)
     means, squares = q @ weights / 2, q**2 @ weights / 2
@@ -225,7 +225,7 @@ def _of_the_mean(n: int, homogenized: bool) -> float:
 
 @cache
 def _axis() -> tuple[float, Array]:
-    """Return ∫q², and |q_m|² for m = 0 … 4096, which fall as m⁻⁴."""
+    """Return ∫q², and |q_m|² for m = 0 … 4096, which falls as m⁻⁴."""
     samples = 2**16
     x = (np.arange(samples) + 0.5) / samples
     power = np.abs(np.fft.rfft(symmetrized(x)) / samples)[:4097] ** 2
@@ -234,13 +234,13 @@ def _axis() -> tuple[float, Array]:
 
 
 def among_images() -> float:
-    """Return ∫f² − ∫h², the variance among images."""
+    """Return ∫f² − ∫h², the variance of f between mirror images."""
     square = float(np.pi / 8 * math.erf(math.sqrt(2.0)) ** 2)  # (∫ exp(−2x²) dx)²
     return square - _axis()[0] ** 2
 
 
 def _unbiased(seed: int) -> Claim:
-    """Check that a mirror-uniform set consists of the images of a quarter of its points."""
+    """Check that a mirror-uniform set consists of a quarter of its points and their images."""
     points = mcs.sampler("jittered | mirror(mode='uniform')", 2).draw(64, rng=seed)[0]
     folded = np.minimum(points, 1.0 - points)
     distinct = np.unique(np.round(folded, 12), axis=0)
@@ -253,7 +253,7 @@ def _unbiased(seed: int) -> Claim:
 
 
 def _domain(dims: int) -> Claim:
-    """Check that 2^d n points have 1/2^d of the variance of n points after mirroring."""
+    """Check that 2^d n points on the mirrored integrand have 1/2^d of the variance of n points."""
     f = INTEGRAND if dims == 2 else "gaussian(center=0.2, width=0.4, dims=1)"
     n, images = 64, 2**dims
     mirrored = float(mcs.exact_variance(mcs.Mirrored(f), "jittered", images * n))
@@ -268,7 +268,7 @@ def _domain(dims: int) -> Claim:
 
 
 def _take_away(last: Mapping[tuple[str, bool], Measured], seed: int) -> Plot:
-    """Return the jump and its removal, the domain of both integrands, and the variances."""
+    """Return plots: the jump and its removal, the domains of both integrands, and the variances."""
     t = np.linspace(-1.0, 1.0, 801)
     sections: list[Mark] = []
     for folded, color, label in (

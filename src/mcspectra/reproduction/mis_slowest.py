@@ -1,4 +1,4 @@
-"""Multiple importance sampling has the rate of its slowest technique: a toy and Veach's scene."""
+"""Multiple importance sampling has the rate of its slowest technique: two examples."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ __all__ = ["exhibit"]
 
 _AT = 0.3
 _COUNTS = (16, 32, 64, 128, 256, 512)
-_SIDES = (6, 8, 11, 16, 23, 32)  # strata per axis; doubled at full quality
+_SIDES = (6, 8, 11, 16, 23, 32)  # strata per axis; doubled for full quality
 _PIXELS: dict[str, dict[str, Any]] = {
     "wall": {"scene": "veach", "x": 568, "y": 100, "light": "light-3"},
     "plate": {"scene": "veach", "x": 600, "y": 430, "light": "light-3"},
@@ -35,7 +35,7 @@ TECHNIQUES = {"f = x": -3.0, f"1[x < {_AT}]": -2.0}
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Measure techniques and their sum for a toy and for two pixels."""
+    """Measure single techniques and their sum, for a 1-D example and for two pixels."""
     toy = toy_curves(400 if quick else 4000, seed)
     sides = [side if quick else 2 * side for side in _SIDES]
     pixels = {name: _pixel(name, sides, 80 if quick else 500, seed) for name in _PIXELS}
@@ -115,7 +115,7 @@ def _toy() -> Any:
 
 
 def toy_curves(realizations: int, seed: int) -> dict[str, xr.Dataset]:
-    """Measure the convergence of both techniques and of their sum."""
+    """Measure the convergence of the two techniques and of their sum."""
     data = mcs.technique_terms(
         _toy(), "jittered", _COUNTS, half_width=1, realizations=realizations, rng=seed
     )
@@ -136,7 +136,7 @@ def exact(technique: int) -> Array:
 
 
 def _pixel(where: str, sides: Sequence[int], realizations: int, seed: int) -> xr.Dataset:
-    """Measure light and BSDF sampling, MIS and both parts of MIS: five estimators."""
+    """Measure five estimators: light sampling, BSDF sampling, MIS, and the two parts of MIS."""
     place = _PIXELS[where]
     alone, mis = mcs.rendering.pixel_strategies(**place), mcs.rendering.pixel_mis(**place)
     parts = [mis.primary_integrand(t) for t in (0, 1)]
@@ -150,7 +150,7 @@ def _pixel(where: str, sides: Sequence[int], realizations: int, seed: int) -> xr
 
 
 def _follows(where: str, found: xr.Dataset) -> Claim:
-    """Compare the rates of MIS and BSDF sampling as independent estimates."""
+    """Compare the rates of MIS and BSDF sampling, as independent estimates."""
     bsdf, mis = (Measured.of(found.isel(estimator=i), "rate") for i in (1, 2))
     return Claim(
         f"Veach's scene, {_WHERE[where]}: rate of MIS minus rate of BSDF sampling.",
@@ -163,7 +163,7 @@ def _follows(where: str, found: xr.Dataset) -> Claim:
 
 
 def _what_is_left(where: str, found: xr.Dataset) -> Claim:
-    """Compare the variances of the two techniques of MIS at the largest N."""
+    """Compare the variances of the two techniques in MIS at the largest N."""
     light, bsdf = (found.isel(estimator=i, n=-1) for i in (3, 4))
     return Claim(
         f"Veach's scene, {_WHERE[where]}: at N = {int(light['n'])} the BSDF technique dominates "

@@ -1,4 +1,4 @@
-"""Pair correlation: transform of the power spectrum, and variance without frequencies."""
+"""Pair correlation: its transform is the power spectrum, and it gives the variance directly."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ N = 64
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Count pairs, transform their density, and compute variances from it."""
+    """Count pairs of points, transform their density, and compute variances from it."""
     realizations = 400 if quick else 4000
     pairs = {name: count_pairs(name, realizations, seed) for name in SAMPLERS}
     variances = {name: by_pairs(name, realizations, seed) for name in _COUNTED}
@@ -33,12 +33,12 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     n, ramp = 16, mcs.Estimator("linear", dims=1)
     value = float(_from_pairs(ramp, "jittered", n)["predicted_variance"])
 
-    # Select the bins below the radius of the Poisson-disk points
+    # Select bins of distance below the radius of the Poisson-disk points
     disk, radius = pairs["poisson-disk"], mcs.samplers.PoissonDisk(dims=2).radius(N)
     width = float(disk["r"][1] - disk["r"][0])
     inside = disk["pair_correlation"].values[disk["r"].values + width / 2 < radius]
 
-    # Draw g(r), and the closed form if it exists
+    # Draw g(r), and its closed form if there is one
     marks: list[Mark] = []
     for k, (name, data) in enumerate(pairs.items()):
         r, g = data["r"].values, data["pair_correlation"].values
@@ -105,7 +105,7 @@ def count_pairs(name: str, realizations: int, seed: int) -> xr.Dataset:
 
 
 def by_pairs(name: str, realizations: int, seed: int) -> tuple[Measured, Measured]:
-    """Return the variance from counted pairs, and the variance from an independent measurement."""
+    """Return the variance from counted pairs, and the variance from a separate measurement."""
     found = _from_pairs(_SMOOTH, name, N, realizations=2 * realizations, rng=seed)
     curve = mcs.convergence(_SMOOTH, name, [N], realizations=10 * realizations, rng=seed + 1)
     counted = Measured.of(found, "predicted_variance")
@@ -119,7 +119,7 @@ def _from_pairs(estimator: mcs.Estimator | str, name: str, n: int, **options: in
 
 def _as_closed(name: str, data: xr.Dataset) -> Claim:
     r, width = data["r"].values, float(data["r"][1] - data["r"][0])
-    # Counts in a bin are proportional to r, so use Simpson's rule with weight r
+    # The counts in a bin are proportional to r, so use Simpson's rule with the weight r
     nodes = [(-0.5, 1), (0.0, 4), (0.5, 1)]
     weights = [w * (r + t * width) for t, w in nodes]
     values = [
@@ -135,9 +135,9 @@ def _as_closed(name: str, data: xr.Dataset) -> Claim:
 
 
 def _transformed(name: str) -> Claim:
-    """Compare N⟨|S_m|²⟩ with 1 + (N − 1) ∫ g(|h|) cos(2πmh) dh over the torus, m ≠ 0, in 1-D."""
+    """Compare N⟨|S_m|²⟩ with 1 + (N − 1) ∫ g(|h|) cos(2πmh) dh over the torus, in 1-D for m ≠ 0."""
     n, m = 16, np.arange(1, 49)
-    # g is linear up to 1/n and constant beyond, so use Gauss-Legendre nodes in pieces of 1/n
+    # g is linear up to 1/n and constant beyond: use Gauss-Legendre nodes in intervals of 1/n
     nodes, weights = np.polynomial.legendre.leggauss(16)
     h = ((np.arange(n // 2)[:, None] + (nodes + 1) / 2) / n).ravel()
     g = mcs.spectra.closed_form_pair_correlation(mcs.sampler(name, 1), n, h)
@@ -152,7 +152,7 @@ def _transformed(name: str) -> Claim:
 
 
 def _counted_pairs(name: str, counted: Measured, measured: Measured) -> Claim:
-    """Compare the variance from pairs with the measured variance by the interval of the ratio."""
+    """Compare the variance from pairs with the measured variance, by the interval of the ratio."""
     times = counted.value / measured.value
     errors = (
         (counted.high - counted.value) / counted.value / CONFIDENCE_Z,

@@ -1,4 +1,4 @@
-"""Panels that exhibits share: variances against N, maps over frequency, unit squares, terms."""
+"""Panels that exhibits share: variances against N, maps over frequency, unit squares, and terms."""
 
 from __future__ import annotations
 
@@ -57,15 +57,15 @@ AXES: tuple[Literal["x", "y"], ...] = ("x", "y")
 
 _TERMS = {"dc_term": "1st", "power_term": "2nd", "cross_term": "3rd"}
 _RESOLUTION = 256
-_ROUNDING = 1e-12  # fraction of the largest term below which a term is rounding error
+_ROUNDING = 1e-12  # relative to the largest term, smaller terms are rounding errors
 
 
-# Entries of the matrices of f(x) = x with 16 points, in four decades
+# Ends of the color scale for matrices of f(x) = x with 16 points: four decades
 _ENTRIES = signed_scale("conj(f_m) f_l C_ml", [np.array([-1e-4, 1e-8, 1e-4])], decades=4)
 
 
 def whiskers(x: Array, y: Array, ends: Array, k: int, label: str, size: float = 4.0) -> Dots:
-    """Return dots with intervals (…, 2) in the k-th color and marker."""
+    """Return dots with intervals (…, 2) in color and marker number k."""
     return Dots(
         x=np.asarray(x, float), y=y, low=ends[..., 0], high=ends[..., 1],
         color=PALETTE[k], marker=MARKERS[k], size=size, label=label,
@@ -82,7 +82,7 @@ def variance_panel(
     x: str = "number of points N",
     limits: tuple[float, float] | None = None,
 ) -> Panel:
-    """Return measured variances with 95 % intervals against N, with exact and theoretical lines.
+    """Return measured variances with 95 % intervals against N, and exact and theoretical lines.
 
     Parameters
     ----------
@@ -90,16 +90,16 @@ def variance_panel(
         Results of `mcspectra.convergence` for one estimator and sampler, by label.
         Colors and markers are assigned in this order.
     exact
-        Exact variances at the same counts, for some of the labels.
+        Exact variances at the same counts, for labels where they are known.
     rates
-        Theoretical rates for some of the labels, drawn as dashed lines.
-        A line goes through the last exact variance, or else the last measured variance.
+        Theoretical rates, for labels where they are known. They are drawn as dashed lines.
+        Each line goes through the last exact variance, or else through the last measured variance.
     relative
-        Whether to divide by the squared mean at the largest N.
+        Whether variances are divided by the squared mean at the largest N.
     title, x
         Title of the panel and label of the x axis.
     limits
-        Limits of the variance axis. Default: limits of the data.
+        Limits of the variance axis. Default: the limits of the data.
     """
     marks: list[Mark] = []
     values: list[float] = []
@@ -126,7 +126,7 @@ def variance_panel(
 
 
 def at_ring(spectrum: xr.Dataset, ring: int, scale: float) -> Measured:
-    """Return the radial power at |m| ≈ ring, times `scale`."""
+    """Return the radial power at |m| ≈ `ring`, times `scale`."""
     row = spectrum.isel(radius=ring - 1)
     return Measured.normal(
         scale * float(row["radial_power"]), scale * float(row["radial_power_se"])
@@ -134,14 +134,14 @@ def at_ring(spectrum: xr.Dataset, ring: int, scale: float) -> Measured:
 
 
 def ring_mean(power: Callable[[Array], Array], half_width: int, ring: int) -> float:
-    """Return the mean of a power over the 2-D frequencies whose |m| rounds to `ring`."""
+    """Return the mean power over the 2-D frequencies whose length |m| rounds to `ring`."""
     side = np.arange(-half_width, half_width + 1)
     m = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1).reshape(-1, 2)
     return float(power(m[np.rint(np.hypot(m[:, 0], m[:, 1])) == ring]).mean())
 
 
 def frequency_panel(values: Array, scale: Scale, title: str, *, y: bool = True) -> Panel:
-    """Return a map of values (m₀, m₁) at frequencies −K … K without 0; `y` labels the m₁ axis."""
+    """Return a map of values (m₀, m₁) at frequencies −K … K without 0. `y` labels the m₁ axis."""
     half = len(values) // 2
     shown = np.array(values, float)
     shown[half, half] = np.nan
@@ -176,12 +176,12 @@ def primary_panel(integrand: Callable[[Array], Array], title: str) -> Panel:
 
 
 def plot_of(kind: str, *panels: Panel) -> Plot:
-    """Return a plot whose layout is given in ``slides.toml``."""
+    """Return a plot. ``slides.toml`` contains its layout."""
     return Plot(kind=kind, panels=panels)
 
 
 def matrix_panel(title: str, values: Array, *, y: bool = True) -> Panel:
-    """Return a map of conj(f_m) f_l C_ml over m and l, without the entry of m = l = 0."""
+    """Return a map of conj(f_m) f_l C_ml over m and l, without the entry at m = l = 0."""
     half = len(values) // 2
     side = np.arange(-half, half + 1.0)
     ticks = {float(v): number(float(v), 2) for v in (-half, 0, half)}
@@ -196,7 +196,7 @@ def matrix_panel(title: str, values: Array, *, y: bool = True) -> Panel:
 
 
 def in_columns(plot: Plot, first: int = 0) -> Plot:
-    """Rearrange a plot with two panels per sampler into columns; `first` is the top panel."""
+    """Rearrange a plot with two panels per sampler, one above the other; `first` is the upper."""
     panels = (*plot.panels[first::2], *plot.panels[1 - first :: 2])
     return replace(plot, panels=panels, columns=len(panels) // 2, wide=True)
 
@@ -204,7 +204,7 @@ def in_columns(plot: Plot, first: int = 0) -> Plot:
 def interval_panel(
     rows: Mapping[str, Sequence[Measured]], labels: Sequence[str], x: str, at: float | None = None
 ) -> Panel:
-    """Return horizontal intervals with one row per name; `labels` name the intervals of a row."""
+    """Return horizontal intervals, one row per name. `labels` name the intervals in a row."""
     marks: list[Mark] = (
         [] if at is None else [ReferenceLine(at=at, axis="x", color=INK, dashes="--")]
     )

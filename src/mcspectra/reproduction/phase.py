@@ -1,4 +1,4 @@
-"""The third term encodes phase: shifted strata, and functions with equal power spectra."""
+"""The third term depends on phase: shifted strata, and functions with equal power spectra."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["exhibit"]
 COUNTS = (16, 64, 256, 1024)
 N = 16
 HALF_WIDTH = 48
-BAR = "disk(center=0.5, radius=0.25)"  # edges 1/4 and 3/4 are borders of strata of 4^k points
+BAR = "disk(center=0.5, radius=0.25)"  # its edges 1/4 and 3/4 are borders of 4^k strata
 OFFSETS = (0.0, 0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875)
 LABELS = {
     0.0: "not displaced",
@@ -30,11 +30,11 @@ LABELS = {
     0.5: "displaced by half a side",
 }
 RATES = {0.0: -3.0, 0.125: -2.0, 0.5: -2.0}
-_HIGHEST = 12  # highest frequency of the two functions with equal power spectra
+_HIGHEST = 12  # highest frequency of two functions with equal power spectra
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Displace the strata while f stays fixed, then displace f while the strata stay fixed."""
+    """Move the strata while f stays fixed, and then move f while the strata stay fixed."""
     realizations = 1000 if quick else 10_000
     scan = {offset: bar_terms(offset, realizations, seed) for offset in OFFSETS}
     curves = {offset: displaced_curve(offset, realizations, seed) for offset in LABELS}
@@ -44,15 +44,15 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     )
     rates = ", ".join(f"{rate_text(curve)} ({LABELS[offset]})" for offset, curve in curves.items())
 
-    # Displace f instead of the points, which multiplies its coefficients by a phase
+    # Move f instead of the points: each coefficient is multiplied by a phase
     m, still = _matrix("jittered")
     bar = mcs.integrand(BAR, 1).fourier(m)
     turned = bar * np.exp(2j * np.pi * m[:, 0] * 0.3 / N)
 
-    # Average over 64 offsets. This is exact unless m − l is a multiple of 64 times the strata
+    # Average over 64 offsets, which is exact unless m − l is a multiple of 64 · (number of strata)
     values = [_third(bar, _matrix(displaced(k / 64))[1]) for k in range(64)]
 
-    # Predict the variance of two functions with equal power spectra, and compute it by quadrature
+    # Predict the variances of two functions with equal power spectra, and compare with quadrature
     m, functions = _equal_power()
     (one_second, one_third), (other_second, other_third) = map(_predicted, functions)
     direct = [_stratified(m, f) for f in functions]
@@ -168,7 +168,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def _displaced(offset: float, terms: Panel) -> Plot:
-    """Plot f with displaced borders of strata, and the variance terms with this offset marked."""
+    """Plot f and the borders of moved strata, and mark this offset in a plot of the terms."""
     places = ((np.arange(N) + offset) / N).tolist()
     side = 1 / N
     cut = [(e - (e - offset * side) % side) for e in (0.25, 0.75)] if offset else []
@@ -195,12 +195,12 @@ def _displaced(offset: float, terms: Panel) -> Plot:
 
 
 def displaced(offset: float) -> str:
-    """Return the spec of jittered points with strata shifted by a fraction of their side."""
+    """Return the spec of jittered points whose strata are shifted by a fraction of their side."""
     return f"jittered | strata-shift(offset={offset})"
 
 
 def bar_terms(offset: float, realizations: int, seed: int) -> xr.Dataset:
-    """Return the variance terms of the interval's indicator for displaced strata."""
+    """Return the variance terms for the indicator of an interval, with shifted strata."""
     options: dict[str, Any] = {"half_width": HALF_WIDTH, "realizations": realizations, "rng": seed}
     return mcs.variance_terms(mcs.integrand(BAR, 1), displaced(offset), N, **options)
 
@@ -208,7 +208,7 @@ def bar_terms(offset: float, realizations: int, seed: int) -> xr.Dataset:
 def smooth() -> mcs.Integrand:
     """Return the indicator of an interval plus a cosine.
 
-    Edges at borders of strata add no variance, but the cosine always adds variance.
+    Edges at borders of strata add no variance, but the cosine does.
     """
 
     def f(x: Array) -> Array:
@@ -224,12 +224,12 @@ def displaced_curve(offset: float, realizations: int, seed: int) -> xr.Dataset:
 
 
 def exact_bar(offset: float, n: int) -> float:
-    """Return 2 s(1 − s)/N², since both edges cut a stratum into parts s = offset and 1 − s."""
+    """Return 2 s(1 − s)/N²: both edges cut a stratum into the parts s = offset and 1 − s."""
     return 2 * offset * (1 - offset) / n**2
 
 
 def exact_curve(offset: float) -> Array:
-    """Return the exact variances for `smooth`, by quadrature on both sides of each edge."""
+    """Return the exact variances for `smooth`, by quadrature on either side of each edge."""
     node, weight = np.polynomial.legendre.leggauss(8)
     node, weight = (node + 1) / 2, weight / 2
     # The edge cuts a stratum at the fraction 1 − offset of its length
@@ -243,21 +243,21 @@ def exact_curve(offset: float) -> Array:
 
 
 def _matrix(sampler: str, half_width: int = HALF_WIDTH) -> tuple[Array, Array]:
-    """Return frequencies, in an array (M, 1), and the matrix C_ml in closed form."""
+    """Return frequencies (M, 1), and the matrix C_ml in closed form."""
     m = np.arange(-half_width, half_width + 1)[:, None]
     return m, mcs.spectra.closed_form_covariance(sampler, N, m[:, None], m[None])
 
 
 def _third(f: Array, c: Array) -> float:
-    """Return Σ conj(f_m) f_l C_ml over m ≠ l."""
+    """Return the sum of conj(f_m) f_l C_ml over m ≠ l."""
     matrix = f.conj()[:, None] * f[None] * c
     return float((matrix.sum() - np.trace(matrix)).real)
 
 
 def _equal_power() -> tuple[Array, tuple[Array, Array]]:
-    """Return frequencies and coefficients of two real functions with equal |f_m|.
+    """Return frequencies, and the coefficients of two real functions with equal |f_m|.
 
-    The first function is a peak (zero phases), the second a spread-out chirp (phases π m²/K).
+    The first function is a peak (all phases 0). The second is a wide chirp (phases π m²/K).
     """
     m = np.arange(-_HIGHEST, _HIGHEST + 1)[:, None]
     size = 1.0 / (1.0 + np.abs(m[:, 0]))
@@ -266,7 +266,7 @@ def _equal_power() -> tuple[Array, tuple[Array, Array]]:
 
 
 def _series(x: Array, m: Array, f: Array) -> Array:
-    """Return the real values of Σ f_m exp(2πi m x)."""
+    """Return the real function Σ f_m exp(2πi m x) at points x."""
     return np.asarray((np.exp(2j * np.pi * x[..., None] * m[:, 0]) @ f).real)
 
 

@@ -1,4 +1,4 @@
-"""Power spectra of one set of points, and their expectation over many sets."""
+"""Power spectra of one point set, and their expectation over many sets."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ HALF_WIDTH = 48
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Show single and expected spectra, and check level, speckle and low frequencies."""
+    """Show single and expected spectra, and check their level, speckle and low frequencies."""
     realizations = 200 if quick else 2000
     single, expected = measured_spectra(1, seed), measured_spectra(realizations, seed)
     random, jittered, disk = (expected[name] for name in SAMPLERS)
@@ -90,23 +90,23 @@ def measured_spectra(realizations: int, seed: int) -> dict[str, xr.Dataset]:
 
 def _speckle(what: str, spectrum: xr.Dataset, realizations: int) -> Claim:
     flat = np.asarray(spectrum["power"].values).ravel()
-    power = N * flat[: flat.size // 2]  # one frequency of each pair ±m, without m = 0
-    # For M values of Gamma(R), the coefficient of variation has variance (1 + 1/R) / (2 R M)
+    power = N * flat[: flat.size // 2]  # one frequency of each pair ±m, without 0
+    # The coefficient of variation of M values of Gamma(R) has the variance (1 + 1/R) / (2 R M)
     se = math.sqrt((1 + 1 / realizations) / (2 * realizations * power.size))
     return Claim(
         f"For {what} of random points, the power at a frequency has a relative standard deviation "
         f"of 1/√R (R = {realizations}).",
         Measured.normal(float(power.std(ddof=1) / power.mean()), se),
         expected=realizations**-0.5,
-        # |S_m|² is exponential and powers are independent only in the limit N → ∞.
-        # For finite N the relative error is about 1/N
+        # Only in the limit N → ∞, |S_m|² is exponential and independent at different frequencies.
+        # For finite N, the relative error is about 1/N
         tolerance=1.0 / N * realizations**-0.5,
         note="Relative tolerance 1/N: powers of N points are exponential up to this error.",
     )
 
 
 def closed_ring(ring: int) -> float:
-    """Return N times the power of jittered points in closed form, averaged over a ring."""
+    """Return N times the power of jittered points, in closed form and averaged over a ring."""
     return N * ring_mean(lambda m: mcs.closed_form_power("jittered", N, m), HALF_WIDTH, ring)
 
 

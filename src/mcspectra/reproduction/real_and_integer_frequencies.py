@@ -1,10 +1,10 @@
-"""Predictions at integer frequencies agree with the variance; at real frequencies they diverge.
+"""Sums over integer frequencies give the variance. Sums over real frequencies diverge.
 
 On the unit interval, f(x) = x jumps at the border, and g(x) = (1 − cos 2πx)/2 does not.
-Half-integers are the frequencies of a domain of twice the length, [0, 2).
-The second half of this domain has neither values of f nor points.
+Half-integers are the frequencies of a domain of twice the length, [0, 2),
+whose second half contains neither values of f nor points.
 For Δν = ½ and N → ∞, the sum over half-integers ν ≠ 0 tends to ∫ (f ⋆ box)² − I²/2.
-The reason is that |⟨S_ν⟩|² is the power spectrum of the box, which is 1 on [0, 1) and 0 on [1, 2).
+The reason is that |⟨S_ν⟩|² is the power spectrum of a box: 1 on [0, 1) and 0 on [1, 2).
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ __all__ = ["exhibit"]
 
 COUNTS = (16, 64, 256, 1024)
 NAMES = {"f": "f(x) = x", "g": "g(x) = (1 − cos 2πx)/2"}
-# Spec of each sampler whose variances are measured
+# Spec of each sampler whose variance is measured
 SAMPLERS = {
     "random": "random",
     "jittered": "jittered | shift",
 }
 RATES = {"f": -2.0, "g": -3.0}
-_SHOWN = 64  # number of points of the figure at first
-_HIGHEST = 2**16  # highest frequency; the tail of f is 12 N / (4π² 2^16) = 0.5 % at N = 1024
+_SHOWN = 64  # number of points that the figure shows at first
+_HIGHEST = 2**16  # the remaining part of f is 12 N / (4π² 2^16) = 0.5 % at N = 1024
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Sum products of spectra over integers and over half-integers, and measure the variance."""
+    """Sum products of spectra over integers and half-integers, and measure the variance."""
     curves = measured(1000 if quick else 10_000, seed)
     rates = " and ".join(
         f"{rate_text(curves[name].sel(sampler='jittered | shift'))} for {name}" for name in NAMES
@@ -50,7 +50,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         "jittered", 64, [[0.5]], realizations=200 if quick else 2000, rng=seed
     )
 
-    # Draw the sums over real and integer frequencies, and the variance
+    # Draw sums over real and integer frequencies, and the variance
     panels = []
     n = np.array(COUNTS, float)
     for name, title in NAMES.items():
@@ -66,9 +66,9 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         high = 2 * float(frequency_sums(name, "random", 0.5).max())
         x, y_axis = count_axis("number of points N", COUNTS), log_axis("variance", low, high)
         panels.append(Panel(marks=tuple(marks), x=x, y=y_axis, title=title, grid=True))
-    nu, whole = np.arange(10, 801) / 200, np.arange(1.0, 5.0)  # includes the integers
+    nu, whole = np.arange(10, 801) / 200, np.arange(1.0, 5.0)  # the integers are included
 
-    # Draw the power of jittered points between the integers
+    # Draw the power of jittered points also between integer frequencies
     power: list[Mark] = []
     for count, color in zip((16, 64, 256), ("#56B4E9", "#0072B2", INK), strict=True):
         lobes, notches = (
@@ -128,7 +128,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def _comb(n: int) -> Plot:
-    """Return ⟨P_S⟩ × P_f along the real axis, and its values at the integers as a comb."""
+    """Return ⟨P_S⟩ × P_f along the axis of real frequencies, and at integers as a comb."""
     nu, whole = np.arange(20, 1640) / 400, np.arange(1.0, 5.0)
     panels = []
     for sampler in SAMPLERS:
@@ -155,7 +155,7 @@ def _comb(n: int) -> Plot:
 
 
 def measured(realizations: int, seed: int) -> dict[str, xr.Dataset]:
-    """Measure the convergence of two functions, each with two samplers."""
+    """Measure the convergence for two functions, with two samplers each."""
     samplers = list(SAMPLERS.values())
     return {
         name: mcs.convergence(
@@ -175,14 +175,14 @@ def _integrand(name: str) -> mcs.Integrand:
 
 @cache
 def exact_variances(name: str, sampler: str) -> Array:
-    """Return the exact variances of shifted points at the counts."""
+    """Return the exact variances of shifted points at all counts."""
     f, spec = _integrand(name), f"{sampler} | shift"
     return np.array([float(mcs.exact_variance(f, spec, n)) for n in COUNTS])
 
 
 @cache
 def frequency_sums(name: str, sampler: str, step: float) -> Array:
-    """Return Σ |f(ν)|² ⟨|S_ν|²⟩ Δν over multiples ν ≠ 0 of the step Δν, at the counts."""
+    """Return Σ |f(ν)|² ⟨|S_ν|²⟩ Δν over multiples ν ≠ 0 of the step Δν, for each count."""
     nu = step * np.arange(1.0, _HIGHEST + 1)
     power = np.abs(transform(name, nu)) ** 2
     sums = [power @ mcs.closed_form_power(sampler, n, nu[:, None]) for n in COUNTS]
@@ -191,7 +191,7 @@ def frequency_sums(name: str, sampler: str, step: float) -> Array:
 
 @cache
 def real_limit(name: str) -> float:
-    """Return the limit of sums over half-integers, by quadrature of (f ⋆ box)² over [0, 2]."""
+    """Return the limit of sums over half-integers, from quadrature of (f ⋆ box)² over [0, 2]."""
     node, weight = np.polynomial.legendre.leggauss(60)
     t, weight = (node + 1) / 2, weight / 2
     # f ⋆ box is F(t) on [0, 1] and I − F(t − 1) on [1, 2], where F is the integral of f from 0
@@ -200,7 +200,7 @@ def real_limit(name: str) -> float:
 
 
 def transform(name: str, nu: Array) -> Array:
-    """Return ∫ f(x) exp(−2πiνx) dx over [0, 1], ν ≠ 0."""
+    """Return ∫ f(x) exp(−2πiνx) dx over [0, 1] for ν ≠ 0."""
 
     def box(nu: Array) -> Array:
         return np.asarray(np.exp(-1j * np.pi * nu) * np.sinc(nu))

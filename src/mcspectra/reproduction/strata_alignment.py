@@ -1,4 +1,4 @@
-"""Strata aligned with the edges of an integrand keep the rate of smooth integrands."""
+"""If strata are aligned with the edges of an integrand, the rate of smooth integrands remains."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from mcspectra.reproduction.panels import plot_of, strata, variance_panel
 __all__ = ["exhibit"]
 
 COUNTS = (16, 64, 256, 1024)
-# With 2^k strata, an edge at 1/3 cuts a stratum into parts 1/3 and 2/3, so s(1 − s) is always 2/9.
+# With 2^k strata, an edge at 1/3 cuts a stratum into 1/3 and 2/3, so s(1 − s) is always 2/9.
 PLACES = {"aligned: edge at 1/2": 0.5, "not aligned: edge at 1/3": 1 / 3}
 ALIGNED, CUT = PLACES
 RATES = {ALIGNED: -2.0, CUT: -1.5}
@@ -39,7 +39,7 @@ _OBLIQUE = "half-space(normal=[1, 0.618], offset=0.7)"
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Measure variances of an edge plus a ramp, for edges on and off the borders of strata."""
+    """Measure variances of an edge plus a ramp, for edges on and between borders of strata."""
     realizations = 1000 if quick else 10_000
     plain, shifted = (
         {name: measured(edge(a), sampler, realizations, seed) for name, a in PLACES.items()}
@@ -48,7 +48,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     oblique = np.array([float(mcs.exact_variance(_OBLIQUE, "jittered", n)) for n in COUNTS])
     a, b, c, d = map(rate_text, (*plain.values(), *shifted.values()))
 
-    # Deform the strata so that they have a border at 1/3
+    # Deform the strata so that one border is at 1/3
     f, place, counts = edge(1 / 3), [[1 / 3], []], COUNTS[-2:]
     known = [float(mcs.exact_variance(mcs.aligned(f, place, n), "jittered", n)) for n in counts]
 
@@ -122,7 +122,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                     "exact "
                     f"variances from N = {counts[0]} to {counts[1]}, minus −2.",
                     slope(counts, np.array(known)) + 2.0,
-                    # Rounding s/3 to a whole number of strata changes the variance by 1/s²; s = 16
+                    # Rounding s/3 to whole strata changes the variance by a fraction 1/s²; s = 16
                     at_most=1 / 256,
                 ),
             ),
@@ -140,17 +140,17 @@ def edge(a: float) -> mcs.Integrand:
 
 
 def exact(a: float) -> Array:
-    """Return variances of jittered points: the independent variances of edge and ramp add up."""
+    """Return variances of jittered points. The edge and the ramp have independent errors."""
     side = np.sqrt(COUNTS)
     share = a * side - np.floor(a * side)
     return np.asarray(share * (1 - share) / side**3 + 1 / (12 * side**4))
 
 
 def homogenised() -> Array:
-    """Return variances after a shift, with the average 1/6 of s(1 − s) at edge and border.
+    """Return variances after a random shift, which averages s(1 − s) to 1/6 at edge and border.
 
-    Edge and border are more than a stratum apart and cut different strata.
-    Therefore the position of the edge does not matter.
+    The edge and the border are more than a stratum apart, so they cut different strata.
+    The position of the edge therefore does not matter.
     The ramp adds N^(−3/2)/6 − N^(−2)/12 because it jumps at the border.
     """
     side = np.sqrt(COUNTS)
@@ -158,12 +158,12 @@ def homogenised() -> Array:
 
 
 def measured(f: mcs.Integrand | str, sampler: str, realizations: int, seed: int) -> xr.Dataset:
-    """Measure the convergence at the counts."""
+    """Measure the convergence at all counts."""
     return mcs.convergence(f, sampler, list(COUNTS), realizations=realizations, rng=seed)
 
 
 def _cut(s: float) -> Plot:
-    """Return strata with an edge at the position s in a column, and the variance against s."""
+    """Plot strata, in one of which an edge is at position s, and plot the variance against s."""
     side, n = 8, 64
     a = (4 + s) / side
     middle = (np.arange(side) + 0.5) / side
@@ -214,7 +214,7 @@ def _strata() -> Plot:
         ((1 / 3, 1 / 3), "not aligned: x = 1/3"),
         ((0.7, 0.082), "oblique"),
     ):
-        # In row `row` of strata the edge goes from x = ends[row] to ends[row + 1]
+        # In the row `row` of strata, the edge goes from x = ends[row] to ends[row + 1]
         ends = low + (high - low) * ticks
         left, right = (reach(ends[:-1], ends[1:]) for reach in (np.minimum, np.maximum))
         cut = (ticks[:-1] < right[:, None] - 1e-9) & (left[:, None] + 1e-9 < ticks[1:])

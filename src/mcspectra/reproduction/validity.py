@@ -1,6 +1,6 @@
-"""Validity of the three formulas of the variance: predictions divided by the exact variance.
+"""Validity of three formulas of the variance: predictions divided by the exact variance.
 
-The integrand has the frequencies 0, 1 and 8, so that sums over frequencies are finite.
+The integrand has only the frequencies 0, 1 and 8, so sums over frequencies are finite.
 With N = 16 strata, the frequencies 8 and −8 are correlated without a random shift.
 """
 
@@ -31,7 +31,7 @@ FORMULAS = ("∫ over real ν", "Σ over integer m", "three terms")
 @final
 @dataclass(frozen=True)
 class ValidityCase:
-    """Points and their density, for the rows of the slides' checklists."""
+    """Points and their density, for a row in the checklists of the slides."""
 
     title: str
     sampler: str
@@ -52,7 +52,7 @@ CASES = (
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Compute the predictions of the three formulas for four kinds of points."""
+    """Compute the predictions of three formulas for four kinds of points."""
     realizations = 40_000 if quick else 200_000
     variances = [_variance(case, realizations, seed) for case in CASES]
     ratios = np.array(
@@ -149,13 +149,13 @@ def _predicted(row: int, case: ValidityCase) -> float:
     if row == 1:
         power = np.diag(c).real * np.abs(f) ** 2
         return float(power[_FREQUENCIES != 0].sum())
-    # Sum over half-integers; between the integers the power also contains |⟨S⟩|² of the domain
+    # Sum over half-integers. Between integers, the power also contains |⟨S⟩|² of the domain
     nu = 0.5 * np.arange(1.0, 4001.0)
     return float(np.abs(coefficients(nu)) ** 2 @ _power(case, nu))
 
 
 def _power(case: ValidityCase, nu: Array) -> Array:
-    """Return ⟨|S|²⟩ at real frequencies; that of warped strata is bounded below by |⟨S⟩|²."""
+    """Return ⟨|S|²⟩ at real frequencies. For warped strata, |⟨S⟩|² is a lower bound."""
     if case.weighted and case.sampler == "jittered":
         return np.asarray(np.sinc(nu) ** 2)
     base = case.sampler.partition(" ")[0]
@@ -170,7 +170,7 @@ def _variance(case: ValidityCase, realizations: int, seed: int) -> Measured:
 
 
 def _fails(statement: str, ratio: float, variance: Measured) -> Claim:
-    """Claim that a prediction differs from the variance by more than a tenth."""
+    """Claim that a prediction differs from the variance by more than ten percent."""
     ends = (variance.value / variance.high, variance.value / variance.low)
     measured = Measured(ratio, ratio * ends[0], ratio * ends[1], log=True)
     bound = {"above": 1.1} if ratio > 1 else {"below": 0.9}
@@ -178,7 +178,7 @@ def _fails(statement: str, ratio: float, variance: Measured) -> Claim:
 
 
 def _checklist(kind: str, ratios: Array, names: tuple[str, ...]) -> Plot:
-    """Return a table of ratios with a row per case; orange cells are formulas that do not hold."""
+    """Return a table of ratios with a row per case. Orange cells mark formulas that do not hold."""
     shown = ratios.T[::-1]
     wrong = (np.abs(np.log(shown)) > np.log(1.1)).astype(float)
     scale = Scale(

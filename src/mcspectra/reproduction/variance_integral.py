@@ -24,7 +24,7 @@ HALF_WIDTH = 12
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Compare the sum of products of spectra with the variance, with and without stationarity."""
+    """Compare the variance with the sum of products of spectra, with and without stationarity."""
     realizations = 1000 if quick else 10_000
     terms = {
         name: mcs.variance_terms(
@@ -40,13 +40,13 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     missed = float(weighted["power_term"]) / float(weighted["measured_variance"])
     lost = Measured.of(weighted, "power_term") / exact_weighted()
 
-    # Increase N: power ∝ ν² gives the rate −1 − 2/d = −2, since the bell vanishes at the border
+    # Increase N. Power ∝ ν² gives the rate −1 − 2/d = −2, because the bell vanishes at the border
     counts = [64, 256, 1024] if quick else [64, 256, 1024, 4096]
     sampler, realizations = "jittered | shift", 1000 if quick else 4000
     curve = mcs.convergence(BELL, sampler, counts, realizations=realizations, rng=seed)
     known = slope(counts, np.array([exact(sampler, n) for n in counts]))
 
-    # Draw spectra and products, and sums relative to the exact or the measured variance
+    # Draw spectra and products, and the sums divided by the exact or measured variance
     frames = {str(n): _product(n) for n in (16, 36, 64, 144, 256)}
     shown = {name: Measured.of(terms[name], "power_term") / exact(name) for name in SAMPLERS[:2]}
     disk = terms["poisson-disk"]
@@ -106,7 +106,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def _product(n: int) -> Plot:
-    """Return maps of ⟨P_S⟩, P_f and their product for random and for jittered, shifted points."""
+    """Return maps of ⟨P_S⟩, P_f and their product, for random and for shifted jittered points."""
     side = np.arange(-HALF_WIDTH, HALF_WIDTH + 1)
     m = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1)
     bell = np.abs(mcs.integrand(BELL, 2).fourier_grid(HALF_WIDTH)) ** 2
@@ -129,7 +129,7 @@ def _product(n: int) -> Plot:
 
 
 def importance_terms(realizations: int, seed: int) -> xr.Dataset:
-    """Return the variance terms of random points with a density; frequencies are correlated."""
+    """Return the variance terms of random points with a density, which correlates frequencies."""
     return mcs.variance_terms(
         _estimator(), "random", N, half_width=16, realizations=realizations, rng=seed
     )
@@ -150,7 +150,7 @@ def exact(name: str, n: int = N) -> float:
 
 
 def integrand_power() -> tuple[Array, Array]:
-    """Return the integer frequencies (M, 2) without 0, and |f_m|²."""
+    """Return all integer frequencies (M, 2) except 0, and |f_m|² at them."""
     side = np.arange(-HALF_WIDTH, HALF_WIDTH + 1)
     m = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1).reshape(-1, 2)
     m = m[(m != 0).any(axis=1)]
@@ -164,7 +164,7 @@ def _closed_sum(name: str) -> Claim:
         f"Σ |f_m|² ⟨|S_m|²⟩ with the closed form of {name} points agrees with quadrature up to the "
         "truncation: relative difference.",
         total / exact(name) - 1.0,
-        # |f_m|² beyond the half width comes from jumps at the border, exp(−(0.4/0.1)²/2) = 3e-4
+        # Jumps at the border cause |f_m|² beyond the half width: exp(−(0.4/0.1)²/2) = 3e-4
         at_most=1e-5,
     )
 

@@ -1,4 +1,4 @@
-"""Images of Veach's scene by light, BSDF and multiple importance sampling, and their errors."""
+"""Images of Veach's scene by light, BSDF and multiple importance sampling, with their errors."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ from mcspectra.reproduction.panels import plot_of
 __all__ = ["exhibit"]
 
 _SAMPLER = "sobol | owen | decorrelate"
-_SAMPLES = {"light": 4, "bsdf": 4, "mis": 2}  # samples per pixel and technique, 4 in total
+_SAMPLES = {"light": 4, "bsdf": 4, "mis": 2}  # samples per pixel and technique; 4 in total
 _TITLES = {
     "light": "light sampling, N = 4 spp",
     "bsdf": "BSDF sampling, N = 4 spp",
     "mis": "MIS, N = 2 + 2 spp",
 }
 _SHORT = {"light": "light sampling", "bsdf": "BSDF sampling", "mis": "MIS"}
-# Region, strategy that fails there, and strategy that works
+# Region, strategy that fails in it, and strategy that works in it
 _CASES = (
     ("plate-0", "light", "bsdf"),
     ("plate-0", "light", "mis"),
@@ -53,7 +53,7 @@ _LABELS = {"plate-0": "smoothest plate", "wall": "wall"}
 @final
 @dataclass(frozen=True, kw_only=True)
 class Renders:
-    """Images (repeats, height, width, 3) by strategy, and the batches of a reference."""
+    """Images by strategy (repeats, height, width, 3), and the batches of a reference."""
 
     scene: str
     reference_spp: int
@@ -62,7 +62,7 @@ class Renders:
 
     @property
     def reference(self) -> Array:
-        """Mean of the batches."""
+        """Mean of the batches, as the reference image."""
         return np.asarray(self.batches.mean(axis=0))
 
     def errors(self, strategy: str) -> Array:
@@ -71,7 +71,7 @@ class Renders:
         return np.asarray(((shown - right) ** 2).mean(axis=-1))
 
     def window(self, name: str) -> tuple[slice, slice]:
-        """Return rows and columns around a named pixel; the side is 1/30 of the image width."""
+        """Return the rows and columns of a square at a named pixel, with side 1/30 of the width."""
         x, y = mcs.rendering.named_pixels(self.scene)[name]
         half = self.reference.shape[1] // 60
         return slice(y - half, y + half + 1), slice(x - half, x + half + 1)
@@ -137,7 +137,7 @@ def _render(width: int, reference_spp: int, repeats: int, seed: int) -> Renders:
 
 
 def _ratio(above: Array, below: Array) -> Measured:
-    """Return the ratio of two means over repeats with a 95 % Student's t interval."""
+    """Return the ratio of two means over repeats, with a 95 % Student's t interval."""
     from scipy.special import stdtrit
 
     (a, a_se), (b, b_se) = mean_and_error(above), mean_and_error(below)
@@ -179,7 +179,7 @@ def _same_mean(renders: Renders, strategy: str) -> Claim:
 
 def _who_wins(renders: Renders) -> Plot:
     light, bsdf = (renders.errors(s).mean(axis=0) for s in ("light", "bsdf"))
-    least = 1e-6  # avoids division by zero at the lights and the dark background
+    least = 1e-6  # avoids division by zero at the lights and in the dark background
     values = np.log10((light + least) / (bsdf + least))[::-1]
     height, width = values.shape
     scale = Scale(
@@ -200,7 +200,7 @@ def _who_wins(renders: Renders) -> Plot:
         ends = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
         marks += [Segments(ends=ends, color="#FFFFFF", width=3.2), Segments(ends=ends, color=INK)]
         marks.append(
-            # Place the label above the reflection, where the image is dark
+            # Place the label above the mirror image, where the picture is dark
             TextMark(x=(left + right) / 2, y=2.0 * high - low, text=label, side="above")
         )
     axis = Axis(ticks={})

@@ -1,9 +1,9 @@
 """Check your own samplers, densities, integrands and analyses against the library's contracts.
 
-`assert_same_image` tests renders against a reference, for tests of a renderer.
+The function `assert_same_image` compares renders with a reference, to test a renderer.
 
 The module `mcspectra.testing.strategies` makes random components for property-based tests.
-This module needs the package Hypothesis.
+It needs the package Hypothesis.
 """
 
 from mcspectra.testing.contract import (

@@ -1,4 +1,4 @@
-"""Contracts of samplers, densities, integrands and analyses, and functions that check them.
+"""Contracts of samplers, densities, integrands and analyses, with functions that check them.
 
 User code is called through `called`, which converts exceptions to BrokenContract errors.
 """
@@ -46,25 +46,25 @@ __all__ = [
 ]
 
 _FALSE_ALARM = 1e-6
-_SPREADS = 7.0  # allowed number of standard errors; false alarm 7e-8 by Student's t
-_SAME = 1e-9  # largest relative rounding error of values and integrals
-_REALIZATIONS, _CELLS = 640, 35  # numbers of realizations and cells of the uniformity test
+_SPREADS = 7.0  # allowed number of standard errors; false alarms: 7e-8 (Student's t)
+_SAME = 1e-9  # largest relative difference of values and integrals that counts as rounding
+_REALIZATIONS, _CELLS = 640, 35  # numbers of realizations and of cells for the uniformity test
 _SAMPLES = 20_000
-_SIDES = {1: 64, 2: 8}  # number of cells along each axis for counts of samples, by dims
-_LEAST = 5.0  # smallest expected number of samples in a cell, as χ² needs
+_SIDES = {1: 64, 2: 8}  # number of cells along each axis for counting samples, by dims
+_LEAST = 5.0  # smallest expected number of samples per cell, as χ² requires
 _RECIPROCAL = 1e-3
 _ROUNDING = 1e-12
-_REMAINDER = 3.5  # bound of a quadrature error, as a multiple of its estimate
+_REMAINDER = 3.5  # limit for the error of a quadrature, as a multiple of its estimate
 _QUADRATURE_DIMS = 3
-_MISSED = 20.0  # expected points in a region; it is empty with probability e^-20
+_MISSED = 20.0  # expected points in a region, which is empty with probability e^-20
 _FREQUENCIES = ((1,), (-3,), (0, 2), (1, -1), (4, 7), (2, 1, 0), (0, -1, 3))
 _SEED = 7
-_NEED_SECONDS = 0.1  # time limit of `need`, which studies call for each cell
+_NEED_SECONDS = 0.1  # time limit for `need`, which studies call for each cell
 _SIZE = 2  # number of blocks per chunk
 
 
 class BrokenContract(McspectraError, AssertionError):
-    """A component violates its contract; the message describes the violation."""
+    """A component violates its contract. The message says how."""
 
 
 def check_sampler(sampler: Sampler | str, *, counts: tuple[int, ...] = (16, 64)) -> None:
@@ -75,16 +75,16 @@ def check_sampler(sampler: Sampler | str, *, counts: tuple[int, ...] = (16, 64))
     sampler
         The sampler, or its spec string.
     counts
-        Numbers of points to try, rounded to the nearest possible numbers.
+        Numbers of points to try. They are rounded to the nearest possible numbers.
 
     Raises
     ------
     BrokenContract
         If the points are not float64 of shape (R, n, dims) in [0,1).
-        If a realization depends on the call that draws it, or a fixed set varies.
+        If a realization depends on the call that draws it, or realizations of a fixed set differ.
         If a count returned by `nearest_count` cannot be drawn.
-        If a sampler is declared unbiased, but its points are not uniform over all realizations.
-        The probability of a false alarm is 1e-6.
+        If a sampler claims to be unbiased, but its points are not uniform over all realizations.
+        False alarms have a probability of 1e-6.
 
     Examples
     --------
@@ -97,7 +97,7 @@ def check_sampler(sampler: Sampler | str, *, counts: tuple[int, ...] = (16, 64))
         n = source.nearest_count(as_integer("counts", each, least=1))
         who = f"{source.spec} with n = {n}"
 
-        # Check type, shape and range
+        # Check type, shape and range of the points
         points = source.draw(n, realizations=3, rng=1)
         kind, wanted = type(points).__name__, (3, n, source.dims)
         demand(isinstance(points, np.ndarray), who, f"gives {kind}, not an array")
@@ -106,7 +106,7 @@ def check_sampler(sampler: Sampler | str, *, counts: tuple[int, ...] = (16, 64))
         low, high = float(points.min()), float(points.max())
         demand(low >= 0.0 and high < 1.0, who, f"gives points from {low} to {high}, not in [0,1)")
 
-        # Realizations are the same in any call, and all realizations of a fixed set are equal
+        # Any call gives the same realizations, and those of a fixed set are all equal
         whole = source.draw(n, realizations=6, rng=7)
         for first, count in ((0, 1), (1, 3), (5, 1)):
             part = source.draw(n, realizations=count, rng=7, first=first)
@@ -117,12 +117,12 @@ def check_sampler(sampler: Sampler | str, *, counts: tuple[int, ...] = (16, 64))
         if not source.unbiased:
             continue
 
-        # Compare the mean counts of points in cells with n / cells.
-        # Few samplers have strata of the sizes used here:
+        # Compare the mean number of points per cell with n / (number of cells).
+        # The cells have sizes that few strata have:
         # 35 cells per axis, and 5 × 7 cells per pair of neighboring axes.
-        # The error of each mean comes from the spread over realizations.
-        # This spread includes the dependence of the points in a set.
-        # Cells with a constant count get at least the error of one point in one realization
+        # The error of each mean comes from the spread over realizations,
+        # which includes the dependence of the points in a set.
+        # If a count is constant, its error is at least that of one point in one realization
         from scipy.stats import norm
 
         points = source.draw(n, realizations=_REALIZATIONS, rng=20)
@@ -153,21 +153,21 @@ def check_density(density: Density | str, *, dims: int | None = None) -> None:
     density
         The density, or its spec string.
     dims
-        Number of dims of a spec string without ``dims``.
+        Number of dims, if the spec string has no ``dims``.
 
     Raises
     ------
     BrokenContract
         If pdf, sample or invert raise, return a wrong shape or type, or change their input.
         If pdf is negative, not finite or does not integrate to 1.
-        If samples leave [0,1), have density 0 or do not follow the pdf (false alarm: 1e-6).
-        If invert is not the inverse of sample, or breaks are not ascending numbers within (0, 1).
+        If samples leave [0,1), have density 0, or do not follow the pdf (false alarms: 1e-6).
+        If invert is not the inverse of sample, or breaks are not ascending numbers inside (0, 1).
         If the reported integral of 1/p, `reciprocal_integral`, is wrong.
 
     Notes
     -----
-    In 1-D and 2-D, samples are counted in cells (Pearson's χ²) in addition to `Density.check`.
-    The documentation of `Density.check` lists the errors that are found in more dims.
+    In 1-D and 2-D, samples are counted in cells (Pearson's χ²), in addition to `Density.check`.
+    The documentation of `Density.check` describes which errors are found in more dims.
 
     Examples
     --------
@@ -190,18 +190,18 @@ def check_density(density: Density | str, *, dims: int | None = None) -> None:
         values_at(who, "invert", given.invert, x, few.shape)
     check_breaks(who, given.breaks, given.primary_dims)
 
-    # Convert the errors that `Density.check` finds to broken contracts
+    # Convert errors that `Density.check` finds to broken contracts
     try:
         called(who, "check", given.check)
     except BrokenContract as error:
         if isinstance(error.__cause__, DensityError):
             raise BrokenContract(str(error.__cause__)) from error.__cause__
         raise
-    x = given.sample(u[0, 2:])  # skip the corners of the cube, where the pdf may be 0
+    x = given.sample(u[0, 2:])  # skip corners of the cube, where the pdf may be 0
     zero = ~(given.pdf(x) > 0.0)
     demand(not zero.any(), who, f"gives the sample {x[zero][:1].tolist()} of density 0")
 
-    # Count samples in cells (Pearson's χ²); cells without mass must stay empty
+    # Count samples in cells (Pearson's χ²). Cells with zero probability must stay empty
     if given.dims <= 2:
         from scipy.stats import chi2
 
@@ -224,7 +224,7 @@ def check_density(density: Density | str, *, dims: int | None = None) -> None:
             "cells)",
         )
 
-    # ∫1/p must be at least 1 (Jensen), and agree with means over points if both are finite
+    # ∫1/p must be at least 1 (Jensen). If the means over points are finite, it must agree with them
     if type(given).reciprocal_integral is Density.reciprocal_integral:
         return
     found = called(who, "reciprocal_integral", given.reciprocal_integral)
@@ -234,7 +234,7 @@ def check_density(density: Density | str, *, dims: int | None = None) -> None:
     if np.isfinite(found) and np.isfinite(values).all():
         mean, spread = mean_and_error(values)
         allowed = _SPREADS * spread + _RECIPROCAL * mean
-        # Near a zero of p, the mean of few points is usually too low, which is not an error
+        # Near a zero of p, the mean of a few points is usually too low, which is not an error
         short = bool(mean < found and spread > _RECIPROCAL * mean)
         demand(
             short or bool(abs(mean - found) <= allowed),
@@ -251,25 +251,25 @@ def check_integrand(integrand: Integrand | str, *, dims: int | None = None) -> N
     integrand
         The integrand, or its spec string.
     dims
-        Number of dims of a spec string without ``dims``.
+        Number of dims, if the spec string has no ``dims``.
 
     Raises
     ------
     BrokenContract
         If values, integral or coefficients raise, have a wrong shape or type, or are not finite.
-        If a value depends on other points, or the given points are changed.
-        If breaks are not ascending numbers within (0, 1).
+        If a value depends on other points, or the input is changed.
+        If breaks are not ascending numbers inside (0, 1).
         If a closed form (integral, coefficients, means over boxes) does not agree with the values.
-        The probability of a false alarm is about 1e-6.
+        False alarms have a probability of about 1e-6.
 
     Notes
     -----
     Closed forms are compared with means over 32 shifted sets of 4096 points.
-    Closed forms in up to three dims are also compared with a quadrature
-    if they differ from the means by more than seven standard errors.
-    An error of a closed form below these limits is not detected.
-    If f differs from 0 in less than 1e-4 of the domain,
-    `Integrand.landmarks` must return a point where f is not 0.
+    In up to three dims, closed forms may differ from the means by up to seven standard errors.
+    If they differ by more, they are also compared with a quadrature.
+    Errors of a closed form below these limits are not detected.
+    If f differs from 0 in less than 1e-4 of the domain, points may miss this region.
+    `Integrand.landmarks` must then return a point where f is not 0.
 
     Examples
     --------
@@ -290,7 +290,7 @@ def check_integrand(integrand: Integrand | str, *, dims: int | None = None) -> N
     if f._integral() is not None:
         _compare(f, "an integral", found[..., None], x, one)
 
-    # Check the class's own coefficients: f_0 = ∫f, f_−m = conj f_m, and agreement with points
+    # Check coefficients of the class: f_0 = ∫f, f_−m = conj f_m, and agreement with points
     m = np.array([row + (0,) * (f.dims - len(row)) for row in _FREQUENCIES if len(row) <= f.dims])
     if called(who, "its coefficients", f._fourier, np.zeros((1, f.dims))) is not None:
         found = called(who, "its coefficients", f.fourier, m.reshape(1, -1, f.dims))
@@ -309,7 +309,7 @@ def check_integrand(integrand: Integrand | str, *, dims: int | None = None) -> N
         _compare(f, "coefficients", values.real, x, np.cos(angle))
         _compare(f, "coefficients", values.imag, x, -np.sin(angle))
 
-    # Check means of f and f² over boxes with irregular borders, and over the whole domain
+    # Check the means of f and f² over boxes with irregular borders, and over the whole domain
     low = np.stack([np.zeros(f.dims), np.full(f.dims, 0.17), np.linspace(0.03, 0.4, f.dims)])
     high = np.stack([np.ones(f.dims), np.full(f.dims, 0.61), np.full(f.dims, 0.97)])
     found = called(who, "box_moments", f.box_moments, low, high)
@@ -324,7 +324,7 @@ def check_integrand(integrand: Integrand | str, *, dims: int | None = None) -> N
 @final
 @dataclass(frozen=True, eq=False)
 class _Restricted(Integrand):
-    """Restriction of another integrand (or its square) to a box, without closed forms."""
+    """Restriction of another integrand, or of its square, to a box. It has no closed forms."""
 
     name: ClassVar[str] = "seen"
     inner: Integrand
@@ -334,28 +334,28 @@ class _Restricted(Integrand):
 
     @property
     def dims(self) -> int:  # type: ignore[override]
-        """Number of dims of the integrand that is restricted."""
+        """Number of dims of the restricted integrand."""
         return self.inner.dims
 
     @property
     def channels(self) -> int:  # type: ignore[override]
-        """Number of channels of the integrand that is restricted."""
+        """Number of channels of the restricted integrand."""
         return self.inner.channels
 
     @property
     def spec(self) -> str:
-        """Spec of the integrand that is restricted."""
+        """Spec of the restricted integrand."""
         return self.inner.spec
 
     def landmarks(self) -> Array:
-        """Return the integrand's landmarks inside the box; the box becomes the unit cube."""
+        """Return the landmarks of the integrand inside the box, in coordinates of the box."""
         low, high = np.array(self.low), np.array(self.high)
         places = (self.inner.landmarks() - low) / (high - low)
         return np.asarray(places[((places >= 0.0) & (places <= 1.0)).all(axis=1)])
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """Return the integrand's breaks inside the box; the box becomes the unit cube."""
+        """Return the breaks of the integrand inside the box, in coordinates of the box."""
         ends = zip(self.inner.breaks, self.low, self.high, strict=True)
         return tuple(tuple((c - a) / (b - a) for c in axis if a < c < b) for axis, a, b in ends)
 
@@ -366,14 +366,14 @@ class _Restricted(Integrand):
 
 
 def _compare(f: Integrand, what: str, claimed: Array, x: Array, factors: Array) -> None:
-    """Compare closed forms (..., k) with means of values × factors (sets, points, k)."""
+    """Compare closed forms (..., k) with the means of values × factors (sets, points, k)."""
     values = called(f.spec, "its values", f, x)
     products = values[..., None] * (factors[..., None, :] if f.channels else factors)
     mean, error = mean_and_error(products)
     rounding = _ROUNDING * (1.0 + float(np.abs(values).max()))
     allowed = _SPREADS * error + rounding
     places = f.landmarks()
-    if not values.any() and len(places):  # no point is in the region of the largest values
+    if not values.any() and len(places):  # no point is in the region with the largest values
         largest = float(np.abs(f(places)).max())
         allowed = allowed + largest * _MISSED / values.shape[0] / values.shape[1]
     off = ~(np.abs(claimed - mean) <= allowed)
@@ -401,18 +401,18 @@ def check_analysis(analysis: Analysis, estimator: Any = None, sampler: Any = "ji
     ----------
     analysis
         The analysis, with options that make it quick to compute.
-        The analysis should have more than one block, so that merging is also checked.
+        It should have more than one block, so that merging is also checked.
     estimator, sampler
-        Subject of the analysis: an estimator or integrand (default: `gaussian` in two dims),
-        and a sampler. Spec strings are accepted; some analyses also take lists of samplers.
+        Subject of the analysis. The estimator may be an integrand (default: 2-D `gaussian`).
+        Spec strings are accepted. Some analyses also take lists of samplers.
 
     Raises
     ------
     BrokenContract
-        If an option has no description, a reserved name or a default outside its limits.
-        If `need` raises, is slow or is not finite. If keys repeat, or `part` does not find a key.
-        If states change when stored as bytes.
-        If the result depends on chunks, differs for the same seed, or has undeclared variables.
+        If an option has no description, a reserved name, or a default outside its limits.
+        If `need` raises an error, is slow or is not finite, keys repeat, or `part` lacks a key.
+        If states change when they are stored as bytes.
+        If results depend on chunks, differ for the same seed, or have undeclared variables.
 
     Examples
     --------
@@ -429,7 +429,7 @@ def check_analysis(analysis: Analysis, estimator: Any = None, sampler: Any = "ji
     if analysis.about != "estimator":
         subject = Subject(None, subject.sampler)
 
-    # Check the analysis's options
+    # Check the options of the analysis
     demand(bool(kind.summary()), who, "has no docstring; its first line is the summary")
     try:
         check_names(kind)
@@ -441,7 +441,7 @@ def check_analysis(analysis: Analysis, estimator: Any = None, sampler: Any = "ji
             called(who, f"the default of {option.name}", option.check, option.default)
     clean: Analysis = called(who, "its options", checked, analysis)
 
-    # Check the resources that the analysis needs
+    # Check the resources that the analysis claims to need
     start = time.process_time()
     need = called(who, "need", clean.need, subject)
     demand(isinstance(need, Need), who, f"returns {need!r} from need, not a Need")
@@ -450,13 +450,13 @@ def check_analysis(analysis: Analysis, estimator: Any = None, sampler: Any = "ji
     spent = time.process_time() - start
     demand(spent < _NEED_SECONDS, who, f"takes {spent:.2g} s in need")
 
-    # Compute the result twice
+    # Compute the result twice, in two ways
     first, again = (pack(_computed(clean, subject, who, size)) for size in (0, _SIZE))
     demand(first == again, who, "gives different results in chunks, or for the same seed")
 
 
 def _computed(analysis: Analysis, subject: Subject, who: str, size: int) -> Any:
-    """Compute the result from single blocks, or from chunks stored as bytes if `size` > 0."""
+    """Compute the result from single blocks, or, if `size` > 0, from chunks stored as bytes."""
     stream = Stream.from_rng(_SEED)
     steps = steps_of(analysis, subject, stream)
     states: list[Any] | None = None
@@ -483,13 +483,13 @@ def _computed(analysis: Analysis, subject: Subject, who: str, size: int) -> Any:
 
 
 def demand(holds: bool, who: str, sentence: str) -> None:
-    """Raise a BrokenContract with the message ``who sentence`` unless `holds` is true."""
+    """Raise a BrokenContract with the message ``who sentence``, unless `holds` is true."""
     if not holds:
         raise BrokenContract(f"{who} {sentence}.")
 
 
 def called(who: str, what: str, function: Callable[..., Any], *arguments: Any) -> Any:
-    """Call a function; convert an exception to a BrokenContract that names `what`."""
+    """Call a function. An exception is converted to a BrokenContract that names `what`."""
     try:
         with np.errstate(all="ignore"):  # later checks find values that are not finite
             return function(*arguments)
@@ -503,9 +503,9 @@ def called(who: str, what: str, function: Callable[..., Any], *arguments: Any) -
 def values_at(
     who: str, what: str, function: Callable[[Array], Any], points: Array, shape: tuple[int, ...]
 ) -> Array:
-    """Return the values of a function at points (sets, points, d), after checking them.
+    """Return the values of a function at points (sets, points, d), and check them.
 
-    The values must be float64 of the given shape, and the input must not change.
+    The values must be float64 with the given shape, and the input must not change.
     Each value must depend only on its own point.
     """
     before = points.copy()
@@ -524,7 +524,7 @@ def values_at(
 
 
 def check_breaks(who: str, breaks: Any, axes: int) -> None:
-    """Check that the breaks of each axis ascend within (0, 1)."""
+    """Check that the breaks of each axis are ascending numbers inside (0, 1)."""
     demand(len(breaks) == axes, who, f"has breaks for {len(breaks)} axes, not {axes}")
     for axis in breaks:
         fits = list(axis) == sorted(set(axis)) and all(0.0 < b < 1.0 for b in axis)

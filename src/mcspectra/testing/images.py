@@ -14,7 +14,7 @@ __all__ = ["ImagesDiffer", "ImagesUndecided", "assert_same_image"]
 
 
 class ImagesDiffer(AssertionError):
-    """The new frames differ from the reference; `result` is the result of the gate."""
+    """The new frames differ from the reference. `result` is the result of the gate."""
 
     def __init__(self, message: str, result: xr.Dataset) -> None:
         super().__init__(message)
@@ -22,7 +22,7 @@ class ImagesDiffer(AssertionError):
 
 
 class ImagesUndecided(AssertionError):
-    """The frames cannot decide; `result` is the result of the gate."""
+    """The frames do not suffice for a verdict. `result` is the result of the gate."""
 
     def __init__(self, message: str, result: xr.Dataset) -> None:
         super().__init__(message)
@@ -45,7 +45,7 @@ def assert_same_image(
     new, reference, level, target
         Same as in `mcspectra.rendering.gate`.
     report
-        Folder for a page with the figures, which is written if the assertion fails.
+        Folder for a page with figures, which is written if the assertion fails.
     **options
         Further parameters of `mcspectra.rendering.gate`.
 
@@ -65,7 +65,7 @@ def assert_same_image(
 
     Notes
     -----
-    A suite of K such tests raises a false alarm with the probability K · `level` at most.
+    With K such tests, a test suite gives a false alarm with at most the probability K · `level`.
     """
     from mcspectra.rendering.gate import gate
     from mcspectra.report.gate_page import gate_findings, write_gate

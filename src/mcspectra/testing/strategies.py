@@ -1,9 +1,9 @@
 """Hypothesis strategies: random samplers, densities, integrands, counts and point sets.
 
-Samplers are drawn from all registered names, including names of other packages.
+Samplers are drawn from all registered names, including those of other packages.
 Costly samplers and samplers that need parameters are excluded.
 Densities and integrands have random parameters.
-This module needs Hypothesis: ``pip install mcspectra[testing]``.
+This module requires Hypothesis: ``pip install mcspectra[testing]``.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ __all__ = ["counts", "densities", "integrands", "point_sets", "samplers", "spec_
 COMPONENT_KINDS = ("sampler", "density", "integrand")
 MAX_DIMS = 16
 _MOST_STEPS = 2
-# Samplers that load other packages, or that need a file
+# Samplers that load other packages or require a file
 _FOREIGN = (
     "command",
     "mitsuba",
@@ -51,7 +51,7 @@ _POINTWISE = ("shift", "digital-shift", "owen", "mirror")
 
 
 def spec_strings(kind: str = "sampler", *, dims: int = 2) -> SearchStrategy[str]:
-    """Strategy for spec strings of samplers, densities or integrands in `dims` dims.
+    """Strategy for spec strings of samplers, densities or integrands, in `dims` dims.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def spec_strings(kind: str = "sampler", *, dims: int = 2) -> SearchStrategy[str]
 
 
 def samplers(*, dims: int = 2) -> SearchStrategy[Sampler]:
-    """Strategy for samplers in `dims` dims, often randomized, without slow samplers."""
+    """Strategy for samplers in `dims` dims. Many are randomized; slow samplers are excluded."""
     return spec_strings("sampler", dims=dims).map(lambda spec: sampler(spec, dims))
 
 
@@ -86,7 +86,7 @@ def integrands(*, dims: int = 2) -> SearchStrategy[Integrand]:
 
 
 def counts(given: Sampler | str, *, most: int = 256) -> SearchStrategy[int]:
-    """Strategy for numbers of points up to `most` that a sampler can draw without a warning.
+    """Strategy for numbers of points, at most `most`, that a sampler can draw without a warning.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def counts(given: Sampler | str, *, most: int = 256) -> SearchStrategy[int]:
     """
     source = as_sampler(given)
     largest = as_integer("most", most, least=1, most=2**20)
-    # If there are very many counts, try only a subset
+    # If there are very many possible counts, try only some of them
     near = {source.nearest_count(k) for k in range(1, largest + 1, max(1, largest // 4096))}
     possible = []
     for n in sorted(n for n in near if n <= largest):
@@ -114,7 +114,7 @@ def counts(given: Sampler | str, *, most: int = 256) -> SearchStrategy[int]:
 def point_sets(*, dims: int = 2, most: int = 64, stacked: bool = False) -> SearchStrategy[Any]:
     """Strategy for float64 point sets in [0,1)^dims: (n, dims), or (R, n, dims) if `stacked`.
 
-    Coordinates repeat, are 0, or are close to 1 more often than in random points.
+    More often than in random points, coordinates are repeated, 0, or close to 1.
     """
     d = as_integer("dims", dims, least=1, most=MAX_DIMS)
     largest = as_integer("most", most, least=1, most=2**16)
@@ -126,19 +126,19 @@ def point_sets(*, dims: int = 2, most: int = 64, stacked: bool = False) -> Searc
 
 @functools.cache
 def _names(dims: int) -> tuple[str, ...]:
-    """Return names of cheap samplers without required parameters in `dims` dims."""
+    """Return the names of cheap samplers that need no parameters and support `dims` dims."""
     found = []
     for name in (n for n in SAMPLERS if n not in _FOREIGN):
         with contextlib.suppress(McspectraError):
             if not SAMPLERS.load(name).costly:
-                sampler(name, dims)  # raises if parameters are missing or `dims` is wrong
+                sampler(name, dims)  # raises an error if parameters are missing or `dims` is wrong
                 found.append(name)
     return tuple(found)
 
 
 @st.composite
 def _sampler_specs(draw: Any, dims: int) -> str:
-    """Draw a sampler and up to two randomizations; skip randomizations that do not fit."""
+    """Draw a sampler and up to two randomizations. Randomizations that do not fit are skipped."""
     made = sampler(draw(st.sampled_from(_names(dims))), dims)
     steps = st.lists(st.sampled_from(_POINTWISE), max_size=_MOST_STEPS, unique=True)
     for step in draw(steps):
@@ -150,7 +150,7 @@ def _sampler_specs(draw: Any, dims: int) -> str:
 
 
 def _number(low: float, high: float) -> SearchStrategy[float]:
-    """Strategy for floats with few digits, so that specs are short and easy to read."""
+    """Strategy for numbers with few digits, so that specs are short and easy to read."""
     return st.integers(0, 64).map(lambda k: low + (high - low) * k / 64)
 
 
