@@ -316,7 +316,7 @@ def test_periodized_integrands_keep_the_integral_and_have_their_rate(order):
     found = mcs.convergence(
         mcs.Estimator(g), "rank1-lattice | shift", [144, 610, 987], realizations=100
     )
-    assert float(found["exponent"]) == pytest.approx(-2.0 * order, abs=0.3 * order)
+    assert float(found["rate"]) == pytest.approx(-2.0 * order, abs=0.3 * order)
 
 
 def test_periodized_integrands_are_finite_where_g_grows():

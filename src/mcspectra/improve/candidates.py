@@ -510,12 +510,10 @@ def periodize(given: Setup, budget: Budget) -> _Candidates:
             f"In {d} dims the substitution adds too much variance; it is used in 1 to {most}."
         )
 
-    def made() -> Setup:
-        changed = Periodized.of(given.estimator, budget.settings.order)
-        return Setup(Estimator(changed), make_sampler(LATTICE, d))
-
+    changed = Periodized.of(given.estimator, budget.settings.order)
     change = f"substitute a beta cdf, which makes g periodic, and sample with {LATTICE}"
-    yield _candidate(given, "periodized", "periodized", change, made)
+    setup = Setup(Estimator(changed), make_sampler(LATTICE, d))
+    yield Candidate("periodized", "periodized", change, setup, finite_below=changed.finite_below)
 
 
 KINDS: Mapping[Kind, Callable[[Setup, Budget], _Candidates]] = {
