@@ -72,7 +72,7 @@ class Step(_Indicator):
 
     @property
     def breaks(self) -> Breaks:
-        """The position of the step, if it is inside (0, 1)."""
+        """The position of the step on its axis."""
         return _on_axis(self.dims, self.axis, self.at)
 
     def _share(self, lo: Array, hi: Array) -> Array:

@@ -200,7 +200,7 @@ class _OfPointSets(Analysis, frozen=True, kw_only=True):
 
 @final
 class Spectrum(_OfPointSets, frozen=True, kw_only=True):
-    """Expected power spectrum of n samples, with or without an importance density."""
+    """Expected power spectrum of the samples at one n, with or without an importance density."""
 
     function = "power_spectrum"
     verb = "spectrum"
@@ -333,7 +333,7 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
 
 @final
 class Points(_OfPointSets, frozen=True, kw_only=True):
-    """The points of the first realization, warped by the density if there is one.
+    """First realization of the points, warped by the density if there is one.
 
     With an estimator, the result also has values of f and p on a grid, for pictures.
     """
