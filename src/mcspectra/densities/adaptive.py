@@ -8,7 +8,7 @@ If the results agree, the cell is *resolved*. Other cells are split, level by le
 The unresolved part at level L lies within about 2^-L of the singularities and jumps.
 The integral U_L over this part is approximately a sum over dyadic shells around them.
 Therefore U_L shows the kind of singularity.
-Next to f ~ r^-a along a line, U_L shrinks like 2^{-(1-a)L}.
+If f ~ r^-a next to a line, U_L shrinks like 2^{-(1-a)L}.
 If the integral diverges, U_L stays constant or grows.
 
 The quadrature is deterministic: it uses fixed points and fixed offsets, and no seed.

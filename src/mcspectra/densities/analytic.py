@@ -31,7 +31,7 @@ __all__ = [
 
 _MAX_SIGMAS = 100.0
 _MAX_SIGMA = 100.0
-# If a is closer to −1, more than 1 in 1000 of the samples u^(1/(a+1)) underflow
+# If a is closer to −1 than this, more than 1 in 1000 of the samples u^(1/(a+1)) underflow
 _LEAST_EXPONENT = -0.99
 _MOST_EXPONENT = 1000.0
 _MOST_RATE = 700.0  # exp(710) is infinite

@@ -369,7 +369,7 @@ class NumericalDensity(_ByFunctions):
 
     Details of the pdf, such as a peak, a gap or a box, are resolved if they are wide enough:
     at least 2^-18 in 1-D, and at least 1/500 along both axes in 2-D.
-    Narrower details may be missed, with the probability that they contain.
+    Narrower details may be missed, together with their probability mass.
     In that case, `normalize` divides by an integral that is too small.
     If the integral is known, ``normalize=False`` detects missing mass.
     A density with ``sample=`` does not have this problem.
@@ -389,7 +389,7 @@ class NumericalDensity(_ByFunctions):
         If the integral of the pdf is not 1 (to 1e-9) and `normalize` is False.
         If the pdf is negative, not finite within (0,1)^d, or too rough or steep.
         In 2-D, jumps or kinks along lines that are not axis-parallel are too rough.
-        In 1-D, poles are too steep. A pole at 0 is not, because floats are dense there.
+        In 1-D, poles are too steep, except a pole at 0, where floats are dense.
     """
 
     dims: int = whole(1, least=1, most=2)
@@ -468,7 +468,7 @@ def bounded_product(factors: Array, spec: str) -> Array:
     with np.errstate(over="ignore", invalid="ignore"):
         product = np.asarray(factors.prod(axis=-1))
     overflown = ~np.isfinite(product)
-    if overflown.any():  # it may be that only a partial product overflows
+    if overflown.any():  # maybe only a partial product overflows
         with np.errstate(divide="ignore"):
             product[overflown] = exponential(np.log(factors[overflown]).sum(axis=-1), spec)
     return product

@@ -202,7 +202,7 @@ def _evaluate(xs: Array, ys: Array, nodes: Array, x: Array, out: Array) -> None:
 
 @kernel
 def _column(xs: Array, nodes: Array, sums: Array, j: int, t: float, u: float) -> float:
-    """Return x_0 such that the share u of the line's mass is below; t places it between rows."""
+    """Return the x_0 below which the line at t, between rows j and j+1, has the share u of mass."""
     total = _mixed(sums, j, t, xs.size - 1)
     if total <= 0.0:  # a line without mass is mapped to itself, the same as in `_flatten`
         return u

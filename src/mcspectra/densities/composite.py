@@ -7,7 +7,7 @@ In a mixture p = Σ_t w_t p_t [OwenZhou2000]_, a point can choose its part in tw
 * ``"coordinate"``: one coordinate of u chooses the part, and is then stretched and used again.
   Dims and strata are kept, but the warp and g(u) = f/p jump at the borders of the shares w_t.
   Because of these jumps, jittered and low-discrepancy points converge more slowly.
-* ``"extra"``: an additional coordinate, the last, chooses the part. The part gets all the others.
+* ``"extra"``: an additional last coordinate chooses the part, which gets all other coordinates.
   The estimator needs a sampler of d+1 dims, and g still jumps along the last dim.
 * A third way is a *deterministic split*, which draws n w_t points of each part.
   A split is not a warp of one point, but several techniques with the balance heuristic.
@@ -120,7 +120,7 @@ class Product(Density):
         return self.lifted([part.zero_points() for part in self.parts])
 
     def lifted(self, points: Sequence[Array]) -> Array:
-        """Return points (Σk_j, d): those of each part, (k_j, d_j), at places on other axes."""
+        """Return the points (k_j, d_j) of all parts in d dims, at some places on other axes."""
         found = []
         for own, given in zip(self._domain, points, strict=True):
             turn = np.arange(len(given))[:, None] % _PLACES
@@ -249,7 +249,7 @@ class Mixture(Density):
         return tuple(tuple(sorted(b for b in axis if 0 < b < 1)) for axis in found)
 
     def preimages(self, x: object) -> Array:
-        """Return primary points of all parts with an inverse, if a coordinate chooses the part."""
+        """Return the points u of all parts that map to x. There are none with ``"extra"``."""
         if self.selection == "extra":  # every x has a whole line of u for each part
             return np.empty((0, self.primary_dims))
         found = [part.preimages(x) for part in self.parts]

@@ -57,7 +57,7 @@ def _as_floor(name: str, value: Any) -> Any:
 @final
 @dataclass(frozen=True, kw_only=True)
 class ImageDensity(Wrapper):
-    """Proportional to the pixels of a picture. x_0 points right, and x_1 points down from the top.
+    """Density proportional to the pixels of a picture. x_0 points right, and x_1 points down.
 
     Attributes
     ----------
@@ -104,7 +104,7 @@ class ImageDensity(Wrapper):
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EnvironmentDensity(Wrapper):
-    """Proportional to the radiance of a lat-long environment map, over solid angle.
+    """Density of directions, proportional to the radiance of a lat-long environment map.
 
     Attributes
     ----------
@@ -200,7 +200,7 @@ def compensated(
     others
         Densities of the other techniques, or spec strings.
     counts
-        Numbers of points: that of `density`, then those of the others, as in `MultipleImportance`.
+        Numbers of points of `density` and of the other densities, as in `MultipleImportance`.
         By default, all techniques have the same number of points.
 
     Returns
@@ -216,7 +216,7 @@ def compensated(
     Notes
     -----
     Gauss rules of 4 nodes per axis compute the means of the other densities over the cells.
-    If all other densities are 0 at one of these nodes, nothing is subtracted from the cell: λ p.
+    If all other densities are 0 at one of these nodes, the cell keeps its value λ p.
     This ensures that some technique samples f everywhere; `MultipleImportance` checks it again.
     Compensation is optimal only if f is proportional to p.
     If f has further factors, the estimate is still unbiased.

@@ -285,7 +285,7 @@ class _Cells:
         return out
 
     def series(self, values: Array, width: Array) -> tuple[Array, Array]:
-        """Return Chebyshev series of a function and its integral in cells, from (..., 12)."""
+        """Return Chebyshev series of a function and its integral, from values (..., 12)."""
         scaled = values * (0.5 * width[..., None])
         return scaled @ _TO_SERIES.T, scaled @ _TO_INTEGRAL.T
 
@@ -369,7 +369,7 @@ def _split(
     points: Array,
     narrow_enough: float,
 ) -> _Cells:
-    """Return cells that resolve the function; those with `points` are at most `narrow_enough`."""
+    """Return cells that resolve the function and are narrow enough wherever they hold a point."""
     low, width = np.arange(start) / start, np.full(start, 1.0 / start)
     values = _checked(function(_spread(low, width)), subject)
     total = _size(values, width)

@@ -106,7 +106,7 @@ def as_warp(given: object, primary_dims: int) -> Density | None:
 
 
 def _fitting(spec: str, primary_dims: int) -> Density:
-    """Make a density whose warp takes `primary_dims` dims: of as many dims, or of one less."""
+    """Make a density whose warp takes points of `primary_dims` dims."""
     try:
         made = density(spec, primary_dims)
     except ParameterError:

@@ -151,7 +151,7 @@ class PiecewiseConstant(Density):
     def breaks(self) -> tuple[tuple[float, ...], ...]:
         """Positions in u of whole lines, normal to an axis, on which the warp or its slope jumps.
 
-        In 1-D this is the cdf at borders between different cells. In 2-D the warp gives them.
+        In 1-D this is the cdf at borders between different cells. In 2-D it depends on the warp.
         Borders that form segments rather than lines are omitted.
         All borders of an axis are omitted if there are more than 4096.
         """

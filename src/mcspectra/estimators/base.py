@@ -240,7 +240,7 @@ class AbstractEstimator(Drawable, ABC):
                 raise CountError(text, error.nearest) from None
 
     def check_independent(self) -> None:
-        """Raise `NoClosedForm` if techniques are correlated: their variances do not add up then."""
+        """Raise `NoClosedForm` if techniques are correlated, so variances do not add up."""
         if self.sets != "independent" and len(self.counts) > 1:
             raise NoClosedForm(
                 f"The techniques of {self.spec} are correlated; the variance is known for "

@@ -47,7 +47,7 @@ _SETS = ("independent", "shared")
 
 @final
 class ChannelSampling(DomainEstimator):
-    """An estimator that gives each channel its density, I_c = (1/n) Σ_k f_c(x_ck)/p_c(x_ck).
+    """An estimator with one density for each channel, I_c = (1/n) Σ_k f_c(x_ck)/p_c(x_ck).
 
     Each channel is a technique. Analyses use primary space only, because there is no common domain:
     the points of different channels have different spectra.

@@ -4,8 +4,8 @@ A heuristic gives weights w_t(x). They sum to 1 at every point that some techniq
 The estimator is I = Σ_t (1/n_t) Σ_k w_t f/p_t [VeachGuibas1995]_.
 With q_t = n_t p_t, these heuristics are described in [Veach1997]_ §9.2:
 
-* ``balance``: w_t = q_t / Σ_s q_s. Other weights ≥ 0 can lower the variance with random points
-  by at most (1/min n_t − 1/Σ n_t) I² (Theorem 9.2 of Veach).
+* ``balance``: w_t = q_t / Σ_s q_s. With random points, its variance exceeds that of any other
+  weights ≥ 0 by at most (1/min n_t − 1/Σ n_t) I² (Theorem 9.2 of Veach).
 * ``power(beta=2)``: w_t = q_t^β / Σ_s q_s^β. β = 0 gives equal shares, and β → ∞ is `maximum`.
 * ``cutoff(alpha=0.1)``: balance among techniques with q_t ≥ α max_s q_s; others have weight 0.
 * ``maximum``: weight 1 for the largest q_t. Ties have equal shares, as in ``cutoff(alpha=1)``.
@@ -96,7 +96,7 @@ class Heuristic(Component, ABC):
         return Combination(self, tuple(densities), tuple(map(float, shares)))
 
     def adapt(self, pilot: Pilot) -> tuple[tuple[float, ...], Array | None]:
-        """Return `shares` and `control` of the `Combination`, estimated by a pilot."""
+        """Return the shares and the control variate of a `Combination`, estimated by a pilot."""
         return tuple(map(float, pilot.shares)), None
 
     @abstractmethod
@@ -163,7 +163,7 @@ class Pilot(ABC):
         return np.stack([np.where(p > 0, f, 0.0), square], axis=-1)
 
     def quadrature(self, function: Callable[[Array], Array]) -> Array:  # noqa: ARG002
-        """Return the integrals of `system` or `moments` over the common domain.
+        """Return the integrals of one function, `system` or `moments`, over the common domain.
 
         Raises
         ------
@@ -349,7 +349,7 @@ class _Piloted(Heuristic):
 
     @property
     def pilot_evaluations(self) -> int:
-        """Number of pilot points, `samples`; a quadrature counts as 0."""
+        """Number of pilot points. A quadrature counts as 0."""
         return self.samples if self.pilot == "samples" else 0
 
     def ratio(self, q: Array, technique: int) -> Array:
@@ -382,8 +382,9 @@ class Optimal(_Piloted):
     Attributes
     ----------
     pilot
-        How the integrals A and b are computed. ``"samples"`` uses random points of all techniques,
-        in proportion to their counts. ``"quadrature"`` makes α as accurate as the quadrature.
+        How the integrals A and b are computed.
+        ``"samples"`` uses random points of all techniques in proportion to their counts.
+        ``"quadrature"`` makes α as accurate as the quadrature.
     samples
         Number of pilot points of all techniques together, at least 2; n does not include them.
     seed
@@ -414,7 +415,7 @@ class Optimal(_Piloted):
 class VarianceAware(_Piloted):
     """The balance heuristic with counts multiplied by factors v_t [Grittmann2019]_.
 
-    v_t is the second moment over the variance of technique t, for one random sample of f/p_t.
+    v_t is the second moment of one random sample of f/p_t, divided by its variance σ_t².
     The weights are w_t = v_t n_t p_t / Σ_s v_s n_s p_s with v_t = 1 + μ_t²/σ_t², at most 10⁸.
     The balance heuristic is derived from second moments. The factors v_t replace them by variances.
     Therefore a technique of low variance gets more weight.

@@ -86,7 +86,7 @@ class Estimator(DomainEstimator):
 
     @property
     def pilot_evaluations(self) -> int:
-        """Number of evaluations in the construction of f."""
+        """Number of evaluations that the construction of f took."""
         return self.integrand.pilot_evaluations
 
     @property
@@ -149,8 +149,8 @@ def as_estimator(given: Any, dims: int | None = None) -> AbstractEstimator:
     Parameters
     ----------
     given
-        An estimator, an integrand, its spec string, or a vectorized function that maps
-        points (…, d) to values (…) or (…, channels), as in `mcspectra.Integrand.from_function`.
+        An estimator, an integrand, its spec string, or a vectorized function.
+        A function maps points (…, d) to values (…) or (…, channels); see `Integrand.from_function`.
     dims
         Number of dims. Functions need it and specs may need it. Other objects must agree with it.
 

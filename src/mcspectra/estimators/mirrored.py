@@ -184,7 +184,7 @@ class FoldedIntegrand(Derived):
 
     @property
     def breaks(self) -> Breaks:
-        """Both images of each break of f, and the fold at ½."""
+        """Both images of each break of f, and additionally the fold at ½."""
         return tuple(
             tuple(sorted({0.5, *(0.5 * b for b in axis), *(1.0 - 0.5 * b for b in axis)}))
             for axis in self.integrand.breaks

@@ -219,7 +219,7 @@ class OneSampleMIS(Combined):
     selection
         ``"extra"``: the last of d + 1 coordinates selects the technique.
         ``"coordinate"``: the first of d coordinates selects the technique, and is then used again.
-        For that, the interval in which it selects a technique is stretched to [0, 1).
+        The interval of the coordinate that belongs to the technique is stretched to [0, 1).
         The interval of technique t begins at Σ_{s<t} P_s.
     dims
         Number of dims of f; needed for spec strings without ``dims``.

@@ -1,7 +1,7 @@
 """Mergeable moments: mean, variance and confidence interval, computed block by block.
 
-All arrays have the realization axis first. Blocks are merged by the formulas
-of [ChanGolubLeVeque1983]_ and Pébay (2008), which avoid cancellation.
+All arrays have the realization axis first.
+Blocks are merged by formulas that avoid cancellation [ChanGolubLeVeque1983]_, Pébay (2008).
 """
 
 from __future__ import annotations
@@ -204,7 +204,7 @@ class Moments:
     # Smallest and largest values, sorted along the first axis; None if tails are not examined
     extremes: Array | None = None
     kept: int = field(default=_TAIL, kw_only=True)  # Number of extreme values at each end
-    # If these values are means over points, moments of the values at single points.
+    # Moments of the values at single points, if the values here are means over points.
     # Single values show tails that are hidden in means
     points: Moments | None = field(default=None, kw_only=True)
     # Moments by stored sets, if the sampler has few. Errors use them once a set is reused
@@ -343,7 +343,7 @@ class Moments:
 
     @property
     def variance_ci(self) -> Array:
-        """95 % interval of the variance, (..., 2). Without `resolved`, the upper end is infinite.
+        """95 % interval of the variance, (..., 2). Its upper end is infinite unless `resolved`.
 
         The interval is logarithmic and uses the kurtosis, as in [Bonett2006]_.
         The kurtosis is about a center that depends on the skewness; Bonett uses a trimmed mean.
@@ -351,8 +351,8 @@ class Moments:
         If the tail index is above 0.05, the upper end is at least the quantile for values u^−k,
         where k is one standard error above the index.
         With these constants, 93 to 97 % of the intervals from 20 or more values are correct.
-        This was tested for kurtoses up to 10 and for skewed, heavy-tailed, flat
-        and two-peaked laws (``python -m benchmarks coverage``).
+        This was tested by ``python -m benchmarks coverage``, for kurtoses up to 10
+        and for laws that are skewed, heavy-tailed, flat or two-peaked.
         The effect of the constants vanishes as the number of values R grows.
         """
         low, high = self._log_errors()
@@ -393,7 +393,7 @@ class Moments:
 
         An index of 0 means an exponential tail, and ½ means infinite variance.
         Probability-weighted moments [HoskingWallis1987]_ estimate the index from 63 distances.
-        They are the distances of the 63 largest values from the 64th, on the mean's longer side.
+        They are the distances of the 63 largest values from the 64th, on the side that is longer.
         The two sides are not combined, because one tail may end where the other begins.
         The index is NaN for fewer than 300 values, or without `tails`.
         """
@@ -404,8 +404,8 @@ class Moments:
     def beyond(self, many: int) -> Array:
         """Return the share of the variance that comes from values beyond all sampled ones.
 
-        A tail t^-k is fitted to the `many` farthest values. In expectation, values beyond
-        the largest of M tail values contribute the fraction M^(2k − 1) of the sum of squares.
+        A tail t^-k is fitted to the `many` farthest values. Let M values lie in this tail.
+        In expectation, values beyond all of them contribute M^(2k − 1) of the sum of squares.
         """
         far, index = self._farthest(many)
         share = np.divide((far**2).sum(axis=0), self.m2, out=0.0 * self.m2, where=self.m2 > 0)
@@ -413,7 +413,7 @@ class Moments:
         return np.asarray(np.where(np.isfinite(index), share * law, 0.0))
 
     def _farthest(self, many: int) -> tuple[Array, Array]:
-        """Return distances of far values from the mean, on its longer side, and the tail index."""
+        """Return distances of far values from the mean, on the farther side, and the tail index."""
         assert self.extremes is not None
         below = (self.mean - self.extremes[:many])[::-1]
         above = self.extremes[-many:] - self.mean

@@ -86,8 +86,9 @@ _FAR, _NEAR, _INSIDE = (30, 60, 90, 120), (20, 30, 40, 50), (8, 14, 20, 26)
 # Number of the largest values at the points of `probe` that are stored,
 # and the rank above which a power law replaces these values
 _TOP, _RANK = 256, 8
-# Power law t^-a: least a, least ratio of the slope at high ranks to that at lower ranks,
-# and largest a for ∫g²
+# Limits for a power law t^-a: a is above the first number.
+# The slope from rank 4 to 32 is above the second, times that from rank 32 to 256.
+# To integrate g², a is lowered to the third
 _HEAVY, _AS_POWER, _LARGEST_POWER = 0.1, 0.6, 0.47
 # Growth is unbounded if log2 |g| rises by at least this much at each step toward the plane
 _RISES = 0.02
@@ -152,8 +153,8 @@ def looked_at(g: Integrand) -> Integrand:
     """Return g with additional breaks: the jumps that are detected by line searches along the axes.
 
     Only jumps normal to an axis are detected; see `found_breaks`.
-    g is returned unchanged if its calls are costly, if it has a closed form or its own rule,
-    or if it has more than 5 dims.
+    g is returned unchanged if it has more than 5 dims, or if its calls are costly.
+    The same applies if g has a closed form or its own rule.
     """
     cache = g._cache
     if cache.cut is None:
@@ -178,7 +179,7 @@ def blindness(g: Integrand, means: Array, squares: Array) -> Array:
     Returns
     -------
     ndarray
-        Difference between the means and the integrals by a second rule, plus their error.
+        Difference between the means and a second rule's integrals, plus these integrals' error.
         The second rule detects regions between nodes
         (`mcspectra.integrands._quadrature.adaptive_integral`).
         The result is 0 if the two rules agree and the second rule resolves g.
@@ -272,7 +273,7 @@ def orders_of(cells: int, dims: int) -> tuple[int, int]:
 
 
 def unseen(g: Integrand) -> Array:
-    """Return the error of ∫g² from regions between nodes, (channels or 1,); see `moments`."""
+    """Return the error of ∫g² that comes from regions between nodes, (channels or 1,)."""
     none = np.zeros(max(1, g.channels))
     if g.costly or g.dims > _LOOKED_DIMS or in_closed_form(g):
         return none
@@ -361,7 +362,7 @@ def strata(
 
     Strata are displaced by `offset` on the torus.
 
-    The shapes are (strata, channels), (channels,) and (channels,). The error is the `blindness`.
+    The shapes are (strata, channels), (channels,) and (channels,). The error is from `blindness`.
     If jumps of g are unknown, rules of two orders may give the same variance by chance.
     Therefore twice the standard error of the two rules' differences in single strata is added.
     """
@@ -448,7 +449,7 @@ def _sums(values: Array, axis: int, weights: Array) -> Array:
 
 
 def offset_rule(g: Integrand, sides: tuple[int, ...], order: int) -> tuple[Array, Array]:
-    """Return Gauss nodes and weights over the offsets of a stratum, cut at the folded breaks."""
+    """Return Gauss nodes and weights over the offsets of a stratum, divided at all breaks."""
     node, weight = gauss_rule(order)
     per_axis = []
     for s, breaks in zip(sides, g.breaks, strict=True):
@@ -477,7 +478,7 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
     Otherwise it comes from `moments`. In 1-D and 2-D there is a second quadrature by levels,
     which records the unresolved part of each level (`mcspectra.densities.adaptive`).
     If g = f/p, this second quadrature integrates f²/p over the domain:
-    in primary space, double precision has few points next to 1.
+    in primary space, floating-point numbers are sparse next to 1.
     The integral is infinite if the unresolved part does not shrink.
     The exception is growth with an exponent below ½ toward a plane normal to an axis (`growth`).
     Otherwise the result with the smaller error is used.
@@ -561,7 +562,7 @@ def growth(g: Integrand) -> Array:
 
 
 def unbounded(g: Integrand) -> bool:
-    """Return whether g is unbounded near an end of an axis or a break, on the lines of `growth`.
+    """Return whether g is unbounded near an end of an axis or a break, tested on some lines.
 
     Growth slower than any power also counts, for example that of logarithms and quantiles.
     """

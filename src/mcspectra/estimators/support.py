@@ -12,7 +12,7 @@ All probes are the same in each run:
 
 A density may be 0 at single points, such as a power at 0 or a tent at its ends.
 No probe lies at these points. In 2-D and more, regions that contain no probe are missed.
-The search also misses gaps of the density that the warp does not have.
+The search also misses a gap of the density if the warp has no gap there.
 If a warp is computed from a pdf, it has all gaps wider than 2^-18
 (see `mcspectra.densities.NumericalDensity`).
 """
@@ -95,7 +95,7 @@ def uncovered(integrand: Integrand, densities: Sequence[Density]) -> Array:
 
 
 def probe_points(dims: int, count: int = _PROBES) -> Array:
-    """Return points (count, dims) that avoid all grid lines, by square roots of primes."""
+    """Return points (count, dims) off all grid lines: multiples of square roots, modulo 1."""
     primes = np.array([2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47, 53, 59, 61, 67, 71])
     steps = np.sqrt(np.resize(primes, dims) + np.arange(dims) // primes.size)
     return np.asarray((0.5 + np.arange(1, count + 1)[:, None] * steps) % 1.0)
