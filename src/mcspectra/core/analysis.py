@@ -4,8 +4,8 @@ An `Analysis` is a frozen struct whose fields are its options.
 Its method `need` returns the cost, and its method `reduction` returns the computation.
 Python functions, study files, commands, the explorer and the docs are derived from the struct.
 A result is checked against the variables that the struct declares.
-`ANALYSES` finds analyses by name. Other packages add analyses by the entry points
-``mcspectra.analyses``.
+`ANALYSES` finds analyses by name.
+Other packages add analyses by the entry points ``mcspectra.analyses``.
 
 All analyses are computed in the same way. A `Reduction` divides realizations into blocks.
 The number and the limits of the blocks depend only on the size of the problem.
@@ -181,8 +181,8 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         Names of the result's variables in `mcspectra.core.results.VARIABLES`.
         A variable that this registry does not contain is given as a `Variable`.
     provenance
-        Names of attributes of the result: ``estimator`` and ``sampler`` hold their spec strings,
-        and ``stream_key`` holds the key of the random stream.
+        Names of attributes of the result: ``estimator`` and ``sampler`` hold their spec strings.
+        The attribute ``stream_key`` holds the key of the random stream.
         An option's value is in the attribute that has the name of the option.
     companions
         Further analyses that a study computes for the same table, such as points for a spectrum.
@@ -234,7 +234,7 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         """Return the reduction with this key: a sum over blocks of realizations.
 
         Workers call this method without running the earlier steps.
-        By default, the reductions of the first step are searched.
+        By default, this method searches the reductions of the first step.
         Analyses override this method if later steps depend on the states of earlier ones.
 
         Raises
@@ -279,7 +279,7 @@ class Counted(Analysis, frozen=True, kw_only=True):
     max_evaluations: Evaluations = None
 
     def limit(self, subject: Subject) -> int | None:  # noqa: ARG002
-        """Return the maximum number of evaluations of a function, here `max_evaluations`."""
+        """Return the maximum number of evaluations: the option `max_evaluations`."""
         return self.max_evaluations
 
 
@@ -340,8 +340,8 @@ class Reduction(Generic[State]):
     Attributes
     ----------
     kind
-        Type of the state of a block: a record of `mcspectra.core.records`, a list of records,
-        an array, a dict of arrays, or a dataset.
+        Type of the state of a block: a record or a list of records (`mcspectra.core.records`).
+        It may also be an array, a dict of arrays, or a dataset.
     block
         Function that maps the index of a block to its state.
     blocks
@@ -384,7 +384,7 @@ def needed(analysis: Analysis, subject: Subject) -> Need:
     Raises
     ------
     AnalysisError
-        If `need` of the analysis does not return a `Need`.
+        If the method `need` of the analysis does not return a `Need`.
     ParameterError
         If a list is given where the analysis takes one object, or a sampler is listed twice.
     McspectraError
@@ -557,7 +557,7 @@ def compute(
 
 
 def driven(steps: Steps, states_of: Callable[[list[Reduction[Any]]], Iterable[Any]]) -> xr.Dataset:
-    """Compute an analysis from its `steps`; `states_of` returns the merged states of a step."""
+    """Compute an analysis step by step; `states_of` returns the merged states of a step."""
     states: list[Any] | None = None
     try:
         while True:

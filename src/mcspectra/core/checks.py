@@ -49,7 +49,7 @@ MAX_FREQUENCY = 2.0**40
 
 
 def is_path(value: object) -> bool:
-    """Whether a value can be the path of a file or a URL, in text that the system can write.
+    """Whether a value can be the path of a file or a URL: a text that the system can write.
 
     Linux, macOS and Windows allow names of at most 255 bytes.
     Linux allows paths of at most 4096 bytes.

@@ -3,8 +3,8 @@
 Names, titles, paths and messages may come from an untrusted file.
 `printable` escapes characters that would control a terminal or reorder a line.
 `escape_html` and `csv_cell` also escape text that a browser or a spreadsheet would run.
-The package applies `printable` to errors and warnings when it creates them,
-to tables and answers when it prints them, and to pages and figures when it draws them.
+The package applies `printable` to errors and warnings when it creates them.
+Tables and answers become `printable` when they are printed, pages and figures when drawn.
 
 Drawing needs modules of `mcspectra.report`, which is a higher layer.
 Like the classes of a registry, these modules are named in text and imported when first needed.
@@ -125,7 +125,7 @@ def _escape(character: str) -> str:
 
 
 def escape_html(text: object) -> str:
-    """Escape untrusted text for an HTML element or attribute, after `printable` with lines kept."""
+    """Make untrusted text `printable`, keep its lines, and escape it for an HTML element."""
     return html.escape(printable(text, lines=True))
 
 

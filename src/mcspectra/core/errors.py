@@ -260,8 +260,8 @@ def close_match_hint(
 ) -> tuple[str, tuple[str, ...]]:
     """Return a hint such as `` Did you mean 'x'?``, and the names that are close to `given`.
 
-    If no name is close, the hint lists all names. If there are many, it gives their number
-    and mentions `command`, which prints all names.
+    If no name is close, the hint lists all names.
+    If there are many, it gives their number and mentions `command`, which prints all names.
     """
     names = sorted(allowed)
     close = tuple(difflib.get_close_matches(given, names, n=3, cutoff=0.5))

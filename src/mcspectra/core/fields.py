@@ -3,7 +3,7 @@
 A class declares, for example, ``strength: int = whole(1, least=1, most=2)``.
 When an instance is created, `check_fields` replaces each given value by the checked value.
 `mcspectra.core.spec.Component` does this for samplers, densities, integrands and similar classes.
-If None is the default of a field, None is not checked.
+None stays None if it is the default of the field.
 """
 
 from __future__ import annotations

@@ -21,8 +21,8 @@ Therefore the interval uses the scatter also for χ² below 1, if this makes the
 
 In simulations, counts were 4, 16, … 1024 and standard errors were 6 % (500 realizations).
 For a straight line, 98 % of the intervals of ``"auto"`` contain the asymptotic rate.
-For jittered points and a disk of radius 0.27 off the center, 97 % of them contain the rate.
-For a Gaussian and jittered points with a random shift, 86 % of them contain the rate.
+For jittered points and a disk of radius 0.27 off the center, 97 % of intervals contain the rate.
+For a Gaussian and jittered points with a random shift, 86 % of the intervals contain the rate.
 For this Gaussian the exact slope is −1.42 … −1.50, and no test can detect such a small bend.
 If a curve still bends at its last counts, its rate is not extrapolated.
 An example is a disk centered on the strata, with slope −1.39 between the last two counts.

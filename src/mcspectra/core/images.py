@@ -2,7 +2,8 @@
 
 Conventions
 -----------
-An image has h rows and w columns. The pixel in row i and column j contains the points x with
+An image has h rows and w columns.
+The pixel in row i and column j contains the points x that satisfy
 ``j/w <= x[..., 0] < (j+1)/w`` and ``i/h <= x[..., 1] < (i+1)/h``.
 The coordinate x[..., 0] increases to the right.
 The coordinate x[..., 1] increases *down* from the top row, as film coordinates do.
@@ -258,7 +259,7 @@ def exr_attributes(path: str | PathLike[str]) -> dict[str, object]:
 
 
 def exr_layer(path: str | PathLike[str]) -> str:
-    """Return the layer of an EXR file that `read_image` takes by default; '' has no name.
+    """Return the layer of an EXR file that `read_image` takes by default: '' if unnamed.
 
     Raises
     ------
@@ -347,7 +348,7 @@ def _read_exr(name: str, size: int, layer: str | None) -> Array:
 
 
 def _picture_channels(name: str, listed: set[str], layer: str | None) -> list[str]:
-    """Return R, G, B, or else Y, of the first layer that has them; one without a name is first."""
+    """Return R, G, B, or else Y, of the first layer that has them. Unnamed layers come first."""
     layers = sorted({channel.rpartition(".")[0] for channel in listed})
     if layer is not None and layer not in (*layers, *listed):
         raise FileFormatError(

@@ -1,4 +1,4 @@
-"""Estimates of the memory of an analysis, and checks before it is allocated."""
+"""Estimates of the memory of an analysis, and checks before memory is allocated."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def check_memory(needed: int, what: str | Function) -> None:
     needed
         Bytes needed.
     what
-        What needs the memory: a function, or a text such as ``"convergence with n = 10"``.
+        The consumer of the memory: a function, or a text such as ``"convergence with n = 10"``.
 
     Raises
     ------

@@ -64,7 +64,7 @@ _LONGEST_LINE = 2**22  # largest number of bytes in a line
 _BLOCK = 2**20
 _COMPILED = 2**18  # in bytes; Python reads a shorter text faster than the kernel can be compiled
 # Bytes of memory for each number of a text. It is stored three times as float64:
-# as it is read, in its set, and in the list of sets in order
+# as read, in its set, and in the ordered list of all sets
 _VALUE_BYTES = 24
 
 # UTK binary
@@ -147,7 +147,7 @@ def matching_files(path: str | PathLike[str]) -> list[tuple[Path, int | None]]:
         found: list[tuple[Path, int | None]] = [(f, n) for f, n in named if f.is_file()]
         said = f"The folder {file} holds no point set"
     else:
-        # Of all files that match the shell pattern, keep those with the same number at each {n}
+        # Keep the files that match the shell pattern and have the same number at each {n}
         words = re.escape(text).replace(r"\{n\}", r"(?P<n>[0-9]+)", 1).replace(r"\{n\}", r"(?P=n)")
         exact = re.compile(words.replace(r"\*", "[^/]*").replace(r"\?", "[^/]"))
         names = glob.glob(text.replace("[", "[[]").replace("{n}", "*"))  # noqa: PTH207 - the pattern is a whole path
@@ -328,7 +328,7 @@ def _read_csv(stream: IO[bytes], size: int, name: str) -> list[Array]:
             if at_top and ";" in line:
                 separator = ";"
             fields = (line if separator == "," else line.replace(",", ".")).split(separator)
-            # In other cases the line can contain only numbers
+            # Elsewhere in the file, lines contain only numbers
             if at_top or column is not None or '"' in line:
                 fields = [field.strip().strip('"') for field in fields]
             if not (fields[0] or any(map(str.strip, fields))):
@@ -366,7 +366,7 @@ def _read_csv(stream: IO[bytes], size: int, name: str) -> list[Array]:
 def _lines(stream: IO[bytes], size: int, name: str) -> Iterator[tuple[int, str]]:
     """Yield lines of text with their numbers, from 1.
 
-    Of several consecutive blank lines only the first is returned, because there may be millions.
+    Only the first of several consecutive blank lines is returned: there may be millions of them.
     """
     number = at = 0
     blank = False

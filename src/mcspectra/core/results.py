@@ -385,7 +385,7 @@ def attributes_of(**provenance: Any) -> dict[str, str | int | float]:
 
 
 def strict_json(value: Any) -> Any:
-    """Convert a value to strict JSON: arrays become lists, NaN null, and paths or ``inf`` text."""
+    """Convert a value to strict JSON: arrays to lists, NaN to null, paths and ``inf`` to text."""
     if isinstance(value, Mapping):
         return {str(key): strict_json(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -37,7 +37,7 @@ from mcspectra.core.jit import kernel
 
 __all__ = ["RngLike", "Stream", "golden_vector", "mix_bits", "mix_uniform", "uniforms"]
 
-_SEED_BITS = 4096  # largest size of a seed in bits: as text, Python allows at most 4300 digits
+_SEED_BITS = 4096  # largest size of a seed in bits: Python writes at most 4300 digits
 
 RngLike: TypeAlias = "int | np.random.Generator | np.random.SeedSequence | None"
 

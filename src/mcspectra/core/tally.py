@@ -75,7 +75,7 @@ def spend(evaluations: int) -> None:
     Raises
     ------
     BudgetError
-        If a tally that is open would exceed its limit. No tally then counts these evaluations.
+        If an open tally would exceed its limit. In this case, no tally counts the evaluations.
     """
     with _lock:
         tally = _innermost.get()

@@ -222,8 +222,8 @@ def positive_integral(
         If the unresolved part does not shrink, the integral is infinite and the error is 0.
         Poles r^-a with a > 0.97 count as divergent.
         See `mcspectra.densities.reciprocal_integral`.
-        If the remainder of a geometric series was added, the error is the last change of the limit,
-        extrapolated with the ratio of the series.
+        If the remainder of a geometric series was added, the last change of the limit is the error.
+        The ratio of the series extrapolates this change.
         Where poles cross, the levels form only approximately a geometric series.
     """
     with np.errstate(over="ignore", invalid="ignore"):

@@ -161,8 +161,8 @@ def _fraction(knots: Array, i: int, x: float) -> float:
 def _solve(a: float, b: float, share: float) -> float:
     """Return t in [0,1] such that `share` of the integral of a linear function lies below t.
 
-    The function is a at 0 and b at 1. The result is the root of
-    (b − a) t²/2 + a t = share (a + b)/2, in the form without cancellation.
+    The function is a at 0 and b at 1.
+    The result is the root of (b − a) t²/2 + a t = share (a + b)/2, without cancellation.
     """
     scale = max(a, b)
     if scale <= 0.0 or share <= 0.0:

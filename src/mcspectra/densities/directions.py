@@ -133,7 +133,7 @@ def _as_center(name: str, value: Any) -> float | tuple[float, ...]:
 @final
 @dataclass(frozen=True, kw_only=True)
 class DiskDensity(_TwoWarps):
-    """Uniform on a disk inside the unit square, and 0 outside the disk.
+    """Density that is uniform on a disk inside the unit square, and 0 outside the disk.
 
     Both warps preserve areas, but separate neighboring points at different places (see `warp`).
     Therefore samplers with correlated points have different rates with the two warps.

@@ -101,7 +101,7 @@ def _solve_increasing(function: Callable[[Array], tuple[Array, Array]], target: 
 @final
 @dataclass(frozen=True, kw_only=True)
 class SphericalRectangle(_Light):
-    """Uniform in the solid angle of a rectangle. x = (s, t) is the point corner + s e_0 + t e_1.
+    """Density uniform in a rectangle's solid angle. x = (s, t) is the point corner + s e_0 + t e_1.
 
     u_0 is the share of the solid angle up to s [Urena2013]_.
     u_1 is the share up to t on the line of constant s.
@@ -180,7 +180,7 @@ class SphericalRectangle(_Light):
 @final
 @dataclass(frozen=True, kw_only=True)
 class SphericalTriangle(_Light):
-    """Uniform in the solid angle of a triangle. The coordinates (s, t) are uniform in its area.
+    """Density uniform in the solid angle of a triangle, with area coordinates (s, t).
 
     x = (s, t) is the point b + √t ((1 − s) a + s c − b).
     The ray from b through x cuts off the share s of the area, next to the edge ab.

@@ -18,8 +18,8 @@ The point sets of the techniques are independent, shared or joint:
   From a *sequence* (`Sampler.sequence`), technique t gets n · counts[t] consecutive points.
   Other sets are divided into groups of Σ counts consecutive points.
   From each group, technique t gets counts[t] points that are chosen at random.
-  Consecutive points of a stratified set are neighbors in space,
-  so each technique has points in every neighborhood.
+  Consecutive points of a stratified set are neighbors in space.
+  Therefore each technique has points in every neighborhood.
   The random choice makes the points of each technique uniform, so estimates are unbiased.
 """
 
@@ -428,8 +428,8 @@ def draw_sets(
 ) -> list[Array]:
     """Return the points of each technique, (count, n · counts[t], d), for several realizations.
 
-    The realizations are first … first+count−1. The first set is drawn with `stream` itself,
-    so its points equal those of ``sampler.draw(size, rng)``.
+    The realizations are first … first+count−1. The first set is drawn with `stream` itself.
+    Therefore its points equal those of ``sampler.draw(size, rng)``.
     """
     sizes = set_sizes(sets, counts, n)
     streams = [stream, *(stream.child(_TECHNIQUE + t) for t in range(1, len(sizes)))]

@@ -1,8 +1,8 @@
 """Color: importance sampling with one density for each channel, or with one density for all.
 
 If all channels share one density p, such as the luminance, then f_c/p may jump where p jumps.
-A separate density for each channel removes the jumps where f_c itself does not jump,
-and the rate then depends on the rest of f_c. `channel_estimators` makes four estimators:
+A separate density for each channel removes the jumps where f_c itself does not jump.
+The rate then depends on the rest of f_c. `channel_estimators` makes four estimators:
 
 ``one``
     All channels use the points of one density, such as the luminance. It evaluates f n times.
@@ -68,8 +68,8 @@ class ChannelSampling(DomainEstimator):
     DensityError
         If a density is zero at points where its channel of f is not zero.
     ParameterError
-        If f is scalar, if the numbers of densities and channels differ,
-        if the dims differ, or if `sets` is unknown.
+        If f is scalar, or if the numbers of densities and channels differ.
+        If the dims differ, or if `sets` is unknown.
     """
 
     def __init__(

@@ -121,8 +121,8 @@ HEURISTICS = Registry(
 class Pilot(ABC):
     """Values of f and of all p_t at sampled points, for heuristics that use f.
 
-    The samples are the rows of an array. Each row is a point of the common domain,
-    or describes a path of a renderer, in a format that only this pilot can read.
+    The samples are the rows of an array. Each row is a point of the common domain.
+    For a renderer, a row describes a path, in a format that only this pilot can read.
 
     Attributes
     ----------

@@ -3,8 +3,8 @@
 The integrand f is reflected at its upper faces. For k ∈ {0,1}^d, this defines
 g(k + x) = f(x, with the coordinates reflected where k_j = 1), which has period 2.
 The function g is continuous if f is.
-There are two ways to return to period 1. Stretching gives f(1 − |2u − 1|) = g(2u),
-and averaging over the images gives 2^-d Σ_k g(k + u).
+There are two ways to return to period 1. Stretching gives f(1 − |2u − 1|) = g(2u).
+Averaging over the images gives 2^-d Σ_k g(k + u).
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ class Mirrored(AbstractEstimator):
     estimator
         The estimator to mirror, with any number of techniques. An integrand or its spec also works.
     mode
-        ``"integrand"`` spreads the sampler's points u over the 2^d mirror images, at 2u,
-        and folds these points back to 1 − |2u − 1|.
+        ``"integrand"`` spreads the sampler's points u over the 2^d mirror images, at 2u.
+        These points are then folded back to 1 − |2u − 1|.
         ``"random"`` reflects each coordinate of each point with probability ½.
         ``"uniform"`` puts n/2^d points into each of the 2^d images.
     dims
@@ -65,8 +65,8 @@ class Mirrored(AbstractEstimator):
     the mirrored integrand is continuous across all faces.
 
     A shift in the sampler is applied before mirroring, in the doubled domain:
-    u + δ becomes 2u + 2δ. In the other modes, shifted images k + u + δ modulo 2
-    have the same distribution as the images of u + δ modulo 1.
+    u + δ becomes 2u + 2δ. In the other modes, images are shifted to k + u + δ modulo 2.
+    Shifted images have the same distribution as the images of u + δ modulo 1.
     Therefore wrap-around does not cause a discontinuity.
 
     A mirrored estimator with a sampler ``S`` equals the inner estimator with

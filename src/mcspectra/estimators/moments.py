@@ -1,7 +1,7 @@
 """Mergeable moments: mean, variance and confidence interval, computed block by block.
 
 All arrays have the realization axis first.
-Blocks are merged by formulas that avoid cancellation [ChanGolubLeVeque1983]_, Pébay (2008).
+Blocks merge without cancellation, by formulas of [ChanGolubLeVeque1983]_ and Pébay (2008).
 """
 
 from __future__ import annotations
@@ -37,18 +37,19 @@ _LEAST_POINTS = 3000  # With fewer points, the 256 farthest values are not a tai
 # Largest allowed share of the variance beyond all sampled values, which is small if g is bounded.
 # Each key is the number of farthest values to which a tail is fitted; the entry is the limit
 _BEYOND = {16: 0.005, 64: 0.02, 256: 0.15}
-# Largest squared error. Larger errors leave less than one degree of freedom,
-# and the upper end of the variance is above 100 s²
+# Largest squared error. Larger errors leave less than one degree of freedom.
+# The upper end of the variance is then above 100 s²
 _MOST_ERROR = 2.0
 # Three limits for tails. If the tail index is above the first number,
 # the upper end of the variance accounts for the tail.
 # The second number is the standard error of a tail index that is fitted to 64 values.
 # If the tail index is above the third number, the values give no upper bound of the variance.
-# At index ¼ the kurtosis is infinite. For 1,000 values u^−0.3, 96 % of the intervals are correct;
-# by the kurtosis alone, 85 % are. For uniform, normal and exponential values nothing changes.
+# At index ¼ the kurtosis is infinite. Take 1,000 values u^−0.3 as an example:
+# 85 % of the intervals from the kurtosis alone are correct, and 96 % with these limits.
+# Intervals for uniform, normal and exponential values stay the same.
 _TAILED, _INDEX_ERROR, _MOST_INDEX = 0.05, 0.16, 0.32
-# Quantile of log(σ²/s²) at 97.5 %, for R values u^−k with uniform u. Rows are R and columns are k;
-# each entry comes from 1,200 to 20,000 simulated sets
+# Quantile of log(σ²/s²) at 97.5 %, for R values u^−k with uniform u. Rows are R and columns are k.
+# Each entry of the table comes from 1,200 to 20,000 simulated sets
 _TAIL_INDICES = (0.21, 0.26, 0.31, 0.36, 0.41, 0.46)
 _TAIL_COUNTS = (300, 1000, 3000, 10_000, 30_000, 100_000)
 _TAIL_ENDS = (
@@ -131,8 +132,8 @@ class Measured:
 class StoredSets:
     """Moments for groups of stored sets, for samplers that reuse a limited number of sets.
 
-    Realization r uses the set r mod `sets`. Realizations with the same set are not independent,
-    so errors come from a jackknife that omits one group of sets at a time.
+    Realization r uses the set r mod `sets`. Realizations with the same set are not independent.
+    Therefore errors come from a jackknife that omits one group of sets at a time.
     """
 
     sets: int
@@ -348,11 +349,11 @@ class Moments:
         The interval is logarithmic and uses the kurtosis, as in [Bonett2006]_.
         The kurtosis is about a center that depends on the skewness; Bonett uses a trimmed mean.
         The interval is wider upward: values that miss a tail make s² and its error too small.
-        If the tail index is above 0.05, the upper end is at least the quantile for values u^−k,
-        where k is one standard error above the index.
+        If the tail index is above 0.05, the upper end is at least the quantile for values u^−k.
+        Here k is one standard error above the index.
         With these constants, 93 to 97 % of the intervals from 20 or more values are correct.
-        This was tested by ``python -m benchmarks coverage``, for kurtoses up to 10
-        and for laws that are skewed, heavy-tailed, flat or two-peaked.
+        This was tested by ``python -m benchmarks coverage``, for kurtoses up to 10.
+        The tested laws were skewed, heavy-tailed, flat and two-peaked.
         The effect of the constants vanishes as the number of values R grows.
         """
         low, high = self._log_errors()
@@ -393,7 +394,7 @@ class Moments:
 
         An index of 0 means an exponential tail, and ½ means infinite variance.
         Probability-weighted moments [HoskingWallis1987]_ estimate the index from 63 distances.
-        They are the distances of the 63 largest values from the 64th, on the side that is longer.
+        They are the distances of the 63 largest values from the 64th, in the longer tail.
         The two sides are not combined, because one tail may end where the other begins.
         The index is NaN for fewer than 300 values, or without `tails`.
         """
@@ -495,8 +496,8 @@ def variance_interval(variance: Array, relative_se: Array) -> Array:
 def mean_interval(values: Array) -> tuple[float, float]:
     """Return a 95 % interval of the mean of independent estimates, (R,).
 
-    The interval contains Student's t interval and the interval by Hall's cubic transform,
-    which depends on the skewness [Hall1992]_. Both agree for normal estimates.
+    The interval contains Student's t interval and the interval by Hall's cubic transform.
+    Hall's interval depends on the skewness [Hall1992]_. Both agree for normal estimates.
     For skewed estimates, the interval extends farther on the side of the tail.
     """
     count = len(values)

@@ -1,7 +1,7 @@
 """Quadrature of primary-space integrands: means over strata and shifted grids, and ∫g².
 
-Strata are cut at the seam of the torus and at the declared discontinuities of the integrand
-(`breaks`). The pieces are smaller toward 0 and 1, where warps are singular.
+Strata are cut at the seam of the torus and at the integrand's declared `breaks`.
+The pieces are smaller toward 0 and 1, where warps are singular.
 Gauss-Legendre rules integrate each piece.
 If the integrand has closed-form moments over boxes, they are integrated exactly.
 """
@@ -62,10 +62,10 @@ _ORDERS = ((12, 20), (6, 10), (4, 6))
 # If there are more strata than this, the orders of the rules are lower.
 # Nets in 2-D have n² cells, and 10² nodes in each cell would be too many
 _MANY = 400
-# In 1-D, means over offsets divide [0, 1] into at least this number of panels
+# For means over offsets in 1-D, [0, 1] is divided into at least this number of panels
 _LEAST_PANELS = 32
-# Maximum number of cells in a level. It is enough to resolve jumps along curves,
-# and takes an eighth of the time of the default number of cells
+# Maximum number of cells in a level. It is enough to resolve jumps along curves.
+# It takes an eighth of the time of the default number of cells
 _FEW_CELLS = 2**13
 # If a mean has an error below this fraction of √∫g², the rule resolves g everywhere
 _SAME = 1e-9
@@ -207,9 +207,9 @@ def moments(g: Integrand) -> tuple[Array, Array, Array, Array]:
     """Return a number a near ∫g, with ∫(g − a), ∫(g − a)² and their error, each (channels or 1,).
 
     The integrals have a closed form, or come from the rule that detects regions between nodes.
-    They are cached. With a learned density, f is integrated over the domain:
-    the knots of the density are on planes normal to the axes there,
-    whereas in primary space they are on curves.
+    They are cached. With a learned density, f is integrated over the domain.
+    There, the knots of the density are on planes normal to the axes.
+    In primary space, the knots are on curves.
     """
     cache = g._cache
     if cache.moments is None:
@@ -284,8 +284,8 @@ def unseen(g: Integrand) -> Array:
 def beyond_points(g: Integrand) -> Array:
     """Return the part of ∫g² next to poles that the points of the probe miss, (channels or 1,).
 
-    The part is 0 if there are no poles. A pole is assumed if g is `unbounded` on lines,
-    or if the largest values of |g| follow a power law.
+    The part is 0 if there are no poles. A pole is assumed in two cases:
+    g is `unbounded` on lines, or the largest values of |g| follow a power law.
     By a power law, values fall from rank 4 to rank 32 by about the same factor as from 32 to 256.
     Let g_k be the value of rank k. For a smooth peak, log(g_4/g_32) is only log(g_32/g_256)/8.
     For N points with values t^-a, ranks above k contribute k g_k² / (N (1 − 2a)) to ∫g².
@@ -475,8 +475,8 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
     """Return ∫g² and an estimate of its absolute error, each (channels or 1,).
 
     The result is infinite if g grows too fast toward a plane normal to an axis (`growth`).
-    Otherwise it comes from `moments`. In 1-D and 2-D there is a second quadrature by levels,
-    which records the unresolved part of each level (`mcspectra.densities.adaptive`).
+    Otherwise it comes from `moments`. In 1-D and 2-D there is a second quadrature by levels.
+    It records the unresolved part of each level (`mcspectra.densities.adaptive`).
     If g = f/p, this second quadrature integrates f²/p over the domain:
     in primary space, floating-point numbers are sparse next to 1.
     The integral is infinite if the unresolved part does not shrink.
@@ -553,8 +553,9 @@ def _inside(g: Integrand) -> tuple[Integrand, bool]:
 def growth(g: Integrand) -> Array:
     """Return the largest exponent a of growth t^-a near an end of an axis or a break; 0 if bounded.
 
-    Here t is the distance to the end or break. The exponents, (channels or 1,), are slopes of
-    log |g| at the smallest distances on some lines. The last two slopes of a line must agree.
+    Here t is the distance to the end or break. The exponents have the shape (channels or 1,).
+    They are slopes of log |g| at the smallest distances on some lines.
+    The last two slopes of a line must agree.
     ∫g² diverges for a ≥ ½, and ∫g⁴ for a ≥ ¼. Integrands in closed form have no such poles.
     An integrand is not tested if it is costly or warped by a density.
     """

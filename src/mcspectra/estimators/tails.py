@@ -6,8 +6,8 @@ Points x within 0.005 of 0 or 1 contribute 99.8 % of it, and one sample in 3e134
 
 If f grows without bound toward a face of the cube,
 the outermost stratum causes most of the variance of stratified points.
-If f ∝ t^−κ at the distance t, the error of a point set is proportional to u^−κ,
-where u is a uniform random number.
+If f ∝ t^−κ at the distance t, the error of a point set is proportional to u^−κ.
+Here u is a uniform random number.
 For a few point sets, the distribution of Student's t of these errors is skewed.
 The quantiles of this t depend only on κ and on the number of point sets.
 `growing_interval` computes these quantiles by simulation.
@@ -320,10 +320,10 @@ def unsampled_share(estimator: AbstractEstimator, samples: int) -> float:
 
     Notes
     -----
-    Means are taken over as many points of an additive recurrence as there are samples,
-    but at least 4096 and at most 65,536. Therefore this costs no more than the simulation.
-    A region without any of these points counts as empty,
-    so in many dims the share is more likely too small than too large.
+    Means are taken over as many points of an additive recurrence as there are samples.
+    There are 4096 to 65,536 of them, so this costs no more than the simulation.
+    A region without any of these points counts as empty.
+    Therefore, in many dims the share is more likely too small than too large.
     With several channels the largest share is returned.
     """
     if not isinstance(estimator, Estimator) or estimator.density is None:

@@ -45,8 +45,8 @@ __all__ = [
     "slabs",
 ]
 
-# Nodes per cell. With 16 of them, the error is 1e-10 at 4 nodes per wavelength,
-# and at the level of rounding at 8 nodes per wavelength
+# Nodes per cell. With 16 of them, the error is 1e-10 at 4 nodes per wavelength.
+# At 8 nodes per wavelength, the error is at the level of rounding
 _ORDER = 16
 _LEAST_NODES = {1: 256, 2: 256, 3: 64, 4: 32}
 _BUDGET = 2**22  # Maximum number of evaluations of a refined grid
@@ -66,13 +66,13 @@ _LATTICE_POINTS = 2**20
 PROBE = 2**17
 """Number of points of `probe`. Each of them represents 1/PROBE of the volume."""
 _SIGMAS = 3.0
-# f is evaluated near the corners of a box. The distance to a corner is
-# this fraction of the box: first for 1-D, then for more dims
+# f is evaluated near the corners of a box, at a distance that is this fraction of the box.
+# The first number is for 1-D, and the second for more dims
 _INSET = (1e-10, 1e-6)
 _LEAST_INSET = 2.0**-51  # Least distance to a corner, as a fraction of its coordinate
 # Near a corner, smooth functions change by at most this multiple of the last coefficients
 _SMOOTH = 100.0
-_LEAST_SEEN = 30  # Least number of nonzero residuals for an error estimate from their spread
+_LEAST_SEEN = 30  # The spread of residuals gives an error if at least this many are not 0
 _LOOKS = 2  # Number of points of the second probe, as a multiple of the first
 # Smallest sizes of a box: as a fraction of its position, and for a box at 0
 _SMALLEST, _TINIEST = 2.0**-44, 2.0**-500
@@ -284,7 +284,7 @@ def adaptive_integral(
     Each point of the probe represents 2^-17 of the volume.
 
     While the `budget` of evaluations lasts, a cell is divided into 2^d parts in two cases.
-    First, the integrals over the cell and its parts differ by more than its share of 1e-12 ∫|f|.
+    First, integrals over cell and parts differ by more than the cell's share of 1e-12 ∫|f|.
     Second, f at a point of the probe differs from the polynomial through the nodes of a part.
 
     The error is the sum of the last differences, and of an estimate of all later ones.
@@ -519,8 +519,8 @@ def _hidden(
 ) -> Array:
     """Return `seen` minus the polynomials of the smallest boxes that contain the points: (K, C).
 
-    Each of the `levels` has the lower corners, sizes and values at nodes of its boxes,
-    and two flags of each box: whether it was divided again, and whether its integral changed.
+    Each of the `levels` has the lower corners, sizes and values at nodes of its boxes.
+    Two flags tell for each box whether it was divided again, and whether its integral changed.
     `cell` is the index of the starting box of each of the points (K, d).
     If the integral of a box changed at the last division, the result at its points is 0.
     """
@@ -602,8 +602,7 @@ def _slivers(values: Array, corners: Array) -> Array:
 
     The bound is divided by the volume of the box. f may jump beyond the outer nodes.
     There is a jump if f near a corner differs too much from the polynomial through the nodes.
-    Differences are compared with a multiple of the polynomial's last coefficients,
-    which estimate its error.
+    The polynomial's last coefficients estimate its error. The limit is a multiple of them.
     """
     dims = round(math.log2(corners.shape[1]))
     order = round(values.shape[1] ** (1.0 / dims))

@@ -21,8 +21,8 @@ from mcspectra.integrands.base import Integrand, any_dims, per_axis
 __all__ = ["Constant", "Cosine", "Gaussian", "Linear", "Polynomial", "squared_distance"]
 
 _MAX_DEGREE = 20  # higher powers of x are ill-conditioned (see `Polynomial._fourier`)
-# Below this number of cycles, a Gauss rule is used. From 4 cycles on, integration by parts
-# is stable, because 2π·4 exceeds the highest degree, 20
+# Below this number of cycles, a Gauss rule is used. Above it, integration by parts is stable.
+# The reason is that 2π·4 exceeds the highest degree, 20
 _LOW_FREQUENCY = 4
 _NARROW = 0.5  # below this width, 8 Gauss nodes replace differences of erf, with an error of 1e-19
 
@@ -234,7 +234,7 @@ class Cosine(Integrand):
         return _along_first_axis(self.frequency, self.dims)
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array]:
-        """Return means of f: cos at the center times Π sinc. f² has twice the argument."""
+        """Return means: cos at the center times Π sinc. For f², the argument is doubled."""
         argument = 2.0 * np.pi * (0.5 * (lo + hi) @ self._wave) + self.phase
         cycles = (hi - lo) * self._wave
         mean = np.cos(argument) * np.sinc(cycles).prod(axis=-1)

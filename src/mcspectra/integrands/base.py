@@ -1,9 +1,8 @@
-"""The interface of integrands: values, integral, Fourier coefficients. Integrands of callables.
+"""The interface of integrands (values, integral, coefficients), and integrands of callables.
 
 The coefficients are f_m = ∫ f(x) exp(−2πi m·x) dx over [0,1)^d, for integer m.
-Classes define `_evaluate`. If the integral or coefficients are known exactly, they also define
-`_integral` or `_fourier`. Otherwise composite Gauss-Legendre quadrature is used.
-For the coefficients, the quadrature uses an FFT.
+Classes define `_evaluate`, and `_integral` or `_fourier` if these are known exactly.
+Otherwise composite Gauss-Legendre quadrature is used. For the coefficients it uses an FFT.
 `integral_source` and `fourier_source` report the method.
 Each integrand stores results of quadrature in its `IntegrandCache`.
 Therefore an integrand must always give the same values.
@@ -120,7 +119,7 @@ class IntegrandCache:
     integral
         ∫ f by quadrature, or by the integrand's own rule (`numeric_integral`).
     coefficients
-        Fourier coefficients, by the product of their frequencies. Only the last four are stored.
+        Fourier coefficients, by the frequencies along all axes. Only the last four sets are stored.
     breaks
         Positions along each axis where f jumps, whether declared or detected (`found_breaks`).
     probed
@@ -389,7 +388,7 @@ class Integrand(Component, ABC):
 
 
 class Derived(Integrand):
-    """An integrand made from another integrand. By default, all properties are those of the other.
+    """An integrand made from another integrand. By default, its properties are those of the other.
 
     Subclasses are dataclasses with the field `integrand`.
     A subclass sets the format string `text`, in which ``{0}`` is replaced by the instance.
@@ -495,7 +494,7 @@ class Channel(Derived):
     channel: int | str = checked(_as_channel, "luminance", using="integrand")
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array] | None:
-        """Return means of f for one channel. For the luminance, which needs products, None."""
+        """Return means of f for one channel, or None for the luminance, which needs products."""
         found = self.integrand.box_moments(lo, hi)
         if found is None or self.channel == "luminance":
             return None
@@ -672,7 +671,7 @@ def integral_estimate(integrand: Integrand) -> Estimate:
 
 
 def found_breaks(integrand: Integrand) -> tuple[Array, ...]:
-    """Return the breaks along each axis: those that f declares, and others that searches detect.
+    """Return the breaks along each axis: those that f declares, and those that searches detect.
 
     See `mcspectra.integrands._quadrature.search_breaks`.
     """

@@ -1,7 +1,7 @@
 """Calls of an expensive function: they are counted, limited, parallel, and cached on disk.
 
 Expensive functions are called only through `Calls`.
-If the budget does not cover a call, `Calls` raises an error before it.
+If the budget does not cover a call, `Calls` raises an error and does not call.
 A point in the cache counts toward the budget like any other, although it costs no call.
 Therefore results do not depend on the state of the cache:
 an interrupted run gives the same bits when it is repeated.

@@ -159,8 +159,9 @@ class Disk(_Indicator):
 
     In 2-D, the integral and the coefficients are exact.
     If the faces of the domain cut the disk, its coefficients are integrals over chords.
-    These integrals have rounding accuracy. In 3-D and more, a ball inside the domain is exact,
-    by Bessel functions. A ball that the faces cut needs quadrature. Balls do not wrap around.
+    These integrals have rounding accuracy.
+    In 3-D and more, the coefficients of a ball inside the domain are exact (Bessel functions).
+    A ball that the faces cut needs quadrature. Balls do not wrap around.
 
     Parameters
     ----------
@@ -437,7 +438,7 @@ def _half_plane_fourier(m: Array, normal: Array, offset: float) -> Array:
     The region is {x_k < α + β x_j} or its complement.
     The larger component of the normal is on axis k, so |β| ≤ 1.
     For x_j in [a, b] the line lies inside the square, and the integral along x_k is exact.
-    There remains the integral of exp(−2πi (m_j + β m_k) x_j), which is regular for all m.
+    The remaining integral, of exp(−2πi (m_j + β m_k) x_j), is regular for all m.
     """
     k = int(np.argmax(np.abs(normal)))
     mj, mk = m[..., 1 - k], m[..., k]

@@ -85,8 +85,8 @@ def find_jumps(function: Function, dims: int, side: int, *, scale: float) -> Jum
     -----
     Jumps below about 1/60 of the smooth change between two cells are taken for slopes.
     If an interval has several jumps, only the largest is found.
-    The grid has d·side^d intervals. The search takes about 7 evaluations for each interval,
-    and 24 further evaluations for each possible jump.
+    The grid has d·side^d intervals. The search takes about 7 evaluations for each interval.
+    It takes 24 further evaluations for each possible jump.
     """
     heights = np.zeros((dims, *[side] * dims))
     poles = np.zeros(heights.shape, bool)

@@ -18,7 +18,7 @@ from mcspectra.samplers._primes import LARGEST_BASE, power_from
 
 __all__ = ["elementary_intervals", "net_t_value"]
 
-_MOST_WORK = 2**34  # Largest product of points and interval shapes of one volume: about a minute
+_MOST_WORK = 2**34  # Largest number of points times interval shapes: about a minute of work
 
 
 def net_t_value(points: object, base: int = 2) -> int | None:

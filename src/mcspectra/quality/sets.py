@@ -25,7 +25,7 @@ __all__ = [
     "star_discrepancy",
 ]
 
-_MAX_PAIR_WORK = 2**27  # Largest n² d for loops over pairs: about a second, 8192 points in 2-D
+_MAX_PAIR_WORK = 2**27  # Largest n² d for loops over pairs: a second for 8192 points in 2-D
 _TREE_DIMS = 6  # Largest number of dims for a tree. In more dims a tree visits nearly all pairs
 _TREE_POINTS = 2**21
 

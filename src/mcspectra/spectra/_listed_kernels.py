@@ -100,7 +100,7 @@ def product_sum(
 ) -> None:
     """Same as `phase_sum`, but each phase is a product of tabulated factors exp(−2πi v_u x_{a_u}).
 
-    entries lists the factors of each frequency. axes and values (U,) describe each factor.
+    The array entries lists the factors of each frequency; axes and values (U,) describe factors.
     """
     n = weights.size
     table = np.empty((axes.size, 2, _BLOCK))

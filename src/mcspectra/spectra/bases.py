@@ -1,8 +1,8 @@
 """Orthonormal bases of functions on the unit cube, which divide a variance into terms.
 
 With an orthonormal basis φ_m of L²([0,1]^d), f_m = ∫ f conj(φ_m) and S_m = Σ_k w_k conj(φ_m(x_k)).
-In any basis, the estimate is Σ_m conj(f_m) S_m, and its variance is dc + power + cross term
-(see docs/theory.md). The cross term is large if the basis does not fit the randomization.
+In any basis, the estimate is Σ_m conj(f_m) S_m. Its variance is dc + power + cross term.
+The cross term is large if the basis does not fit the randomization (see docs/theory.md).
 Bases also differ in how fast the sum over m converges:
 
 =========  ==========================================  =====================================
@@ -283,8 +283,8 @@ def fitting_basis(law: Law, half_width: int) -> str:
     The sum over m then converges fast, because it has no boundary term.
     For discontinuous functions, the cross term is as large as in the Fourier basis.
     For a disk and n = 64, it is −0.40 of the variance.
-    In the Haar and Walsh bases, the cross term vanishes with 2^k strata per side,
-    but the sums over m converge slowly for smooth functions.
+    In the Haar and Walsh bases, the cross term vanishes with 2^k strata per side.
+    However, their sums over m converge slowly for smooth functions.
     """
     mirrored = False
     while isinstance(law, Folded | Mirrored | Moved):

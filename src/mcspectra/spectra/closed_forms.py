@@ -31,10 +31,10 @@ The transform of a grid of s points is A_s(ν) = (1/s) Σ_{j<s} exp(−2πi νj/
 
 Importance-sampled points x = T(u), with weights 1/(n p), are covered for some densities p:
 the density must be a product over the axes, with monotone warps T.
-In this case the transform χ is replaced by M_t(m), that of the warped stratum that starts at t.
-The products *same* and *apart* are means over the strata. After a shift they are means over t.
-A grid with one random offset δ has C_ml = Π_i ∫ A_δ(m_i) conj A_δ(l_i) dδ − δ_m0 δ_l0,
-where A_δ(m) is the coefficient S_m of the grid with offset δ on one axis.
+In this case M_t(m), the transform of the warped stratum that starts at t, replaces χ.
+The products *same* and *apart* are means over the strata. With a shift they are means over all t.
+A grid with one random offset δ has C_ml = Π_i ∫ A_δ(m_i) conj A_δ(l_i) dδ − δ_m0 δ_l0.
+Here A_δ(m) is the coefficient S_m of the grid with offset δ on one axis.
 """
 
 from __future__ import annotations
@@ -121,8 +121,8 @@ def closed_form_power(
         Frequencies must be integers if a shift is applied, or if sets wrap around the torus.
     density
         Importance density. For random points, any density is allowed.
-        Jittered, latin-hypercube and grids, alone or with shift or strata-shift,
-        allow densities that are products over the axes. Frequencies must then be integers.
+        Jittered, latin-hypercube and grids allow densities that are products over the axes.
+        A shift or strata-shift may follow them. Frequencies must then be integers.
 
     Returns
     -------
@@ -433,7 +433,7 @@ def _apart(m: Array, other: Array, s: int | Array) -> Array:
 
 
 def _level_mates(m: Array, other: Array, s: int | Array, parts: int | Array | None = None) -> Array:
-    """Return the mean product for two points in different parts of the same one of s strata."""
+    """Return the mean product for two points in different parts of a common stratum."""
     return _comb(m - other, s) * _apart(m / s, other / s, s if parts is None else parts)
 
 
@@ -460,7 +460,7 @@ def _nested_pairs(law: Fixed, bases: Sequence[int], m: Array, other: Array) -> A
     """Return (1/n²) Σ over pairs of different points, after nested scrambling.
 
     Suppose that two coordinates agree in their first a digits and differ in the next digit.
-    After scrambling, both lie in the same one of b^a strata, each of which has b parts.
+    After scrambling, both lie in one common stratum. There are b^a strata, with b parts each.
     The coordinates are uniform in two different parts of this stratum [Owen1997]_.
     """
     n, levels = law.n, [_levels(law.points[:, j], b) for j, b in enumerate(bases)]

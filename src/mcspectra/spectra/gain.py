@@ -48,7 +48,7 @@ def gain_coefficients(
     n
         Number of points.
     levels
-        Largest level of each axis. The default is one more than the digits of n in the least base.
+        Largest level of each axis. By default one more than the digits of n in the smallest base.
         If no two points share a coordinate, all gains above the default level are 1.
     dims
         Number of dims. It is needed if a spec string does not state it.
@@ -96,7 +96,8 @@ def gain_coefficients(
 def gains_at(net: Fixed, bases: Sequence[int], levels: int) -> Array:
     """Return the gains (levels + 1, …) of a set after scrambling in the given bases.
 
-    The gains are differences along each axis of counts of pairs whose leading digits agree.
+    Pairs of points whose leading digits agree are counted. Differences of counts along each axis
+    are the gains.
     Exceptions are the same as those of `gain_coefficients`.
     """
     gains = net.agreements(bases, levels)

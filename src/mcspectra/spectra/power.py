@@ -120,15 +120,15 @@ def power_spectrum(
 
         ``radial_power`` and its standard error ``radial_power_se``, on the dim radius.
         The radius is |m| in cycles per unit. Rings are one frequency step wide and exclude m = 0.
-        Errors are computed from the realizations' means over a ring,
-        since frequencies of one set are not independent.
+        Errors are computed from the realizations' means over a ring.
+        The reason is that frequencies of one set are not independent.
         ``radial_power_ci`` is a 95 % interval from Student's t of the logarithm of power:
         power · exp(±t se/power), where t has realizations − 1 degrees of freedom.
         The attribute ``student_t`` is this t. It applies to ``power_se`` as well.
         If the sampler has fewer sets than realizations, the number of sets determines errors and t.
 
-        In two dims, also ``wedge_power`` with its standard error and interval, see `wedge_means`.
-        With `mean`, also the complex ``mean_coefficient`` and its standard error, on m0, m1, …
+        In two dims there are also ``wedge_power``, its standard error and interval (`wedge_means`).
+        With `mean` there are also the complex ``mean_coefficient`` and its error, on m0, m1, …
 
     Raises
     ------
@@ -143,8 +143,8 @@ def power_spectrum(
     Power is ⟨|S_m|²⟩, without a factor n.
     Multiply power by n for the convention of UTK, where the power of random points is 1.
     The cost is O(n log^d(1/eps) + M log M) for a pair of realizations with M frequencies.
-    Memory does not depend on the number of realizations. A thread takes at most 100 M bytes,
-    and up to 64 MB for points (with the direct engine, also for phases).
+    Memory does not depend on the number of realizations. A thread takes at most 100 M bytes.
+    Points take up to 64 MB more; in the direct engine, points and phases do.
     If two sets of points take more than 64 MB, the limit is 100 n d bytes instead.
 
     Examples
@@ -246,7 +246,7 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
                 return double, None
             points, weights = weighted_points(source, p, self.n, stream, (0, 2))
             exact = _powers(double, points, weights)
-            # The powers are exponential: two of them differ on average by their standard deviation
+            # Two exponentially distributed powers differ on average by their standard deviation
             spread = polar.rings(np.abs(exact[0] - exact[1])) / self.realizations**0.5
             for single in singles:
                 error = polar.rings(np.abs(_powers(single, points, weights) - exact).mean(axis=0))
@@ -465,7 +465,7 @@ class PowerSums:
         self.power.count += 1
 
     def coefficient(self, sets: int | None = None) -> tuple[Array, Array]:
-        """Return the mean of S and its standard error (root mean |error|²), based on the sets."""
+        """Return mean S and its standard error, the root of mean |error|², for `sets` sets."""
         assert self.mean is not None
         count = self.power.count
         mean = self.mean / count
@@ -520,7 +520,7 @@ class _PolarMeans:
         return int(rings + wedges - 1)
 
     def rings(self, values: Array) -> Array:
-        """Return sums of values (H,), given at the frequencies, over each ring: (rings,)."""
+        """Return the sum over each ring, (rings,), of values (H,) at the frequencies."""
         return np.asarray(
             np.bincount(self.label, values)[:-1].reshape(self.cells.shape).sum(axis=1)
         )

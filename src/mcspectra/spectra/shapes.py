@@ -1,7 +1,7 @@
 """Shape of a measured spectrum (rings, slices, wedges, exponent), and the variance it predicts.
 
 All functions take the dataset that `power_spectrum` returns.
-The standard errors of means over rings and wedges are those over realizations.
+The standard errors of means over rings and wedges come from the scatter of realizations.
 
 Exponents may depend on the direction. The direction with the largest power decides.
 A Latin hypercube has power ∝ m² along its axes, and the power of random points elsewhere.
@@ -47,7 +47,8 @@ __all__ = [
 
 _MAX_SLICE_DIMS = 4
 _LEVEL = 0.95
-# Largest excess of (spread over directions / mean)² that counts as isotropic. Jittered has 0.001
+# Up to this variance over directions beyond noise, divided by mean², the power is isotropic.
+# It is 0.001 for jittered points
 _ISOTROPIC = 0.1
 _CLASS_WEDGES = 8
 _SUSPECT = 3.0  # χ² per degree of freedom above which directions are compared
@@ -232,7 +233,7 @@ def wedge_means(spectrum: xr.Dataset, wedges: int = 12) -> xr.Dataset:
         Angles are in degrees, at the centers of the wedges.
         Values are NaN for wedges without frequencies.
         If the spectrum has another number of wedges and a density, errors are NaN.
-        If it has another number and no density, errors treat frequencies as uncorrelated.
+        Without a density, errors then treat frequencies as uncorrelated.
     """
     half = _HalfSpectrum.of(spectrum)
     wedges = as_integer("wedges", wedges, least=1, most=MAX_WEDGES)
@@ -347,7 +348,7 @@ def low_frequency_exponent(
     lengths = lengths[lengths <= window * (1 + 1e-9)]
     label[label >= len(lengths)] = -1
 
-    # Fit the power at the lengths |ν|, after removing powers that are only rounding
+    # Fit the power at the lengths |ν|. If it is only rounding at some length, there is no power law
     power, se, _ = half.mean_by(label, len(lengths))
     if np.isnan(se).any():
         raise ParameterError(
@@ -487,7 +488,7 @@ def variance_from_spectrum(spectrum: xr.Dataset, coefficients: Any) -> float:
     Warns
     ------
     CorrelatedFrequenciesWarning
-        If the points are not stationary: the formula then omits a cross term.
+        If the points are not stationary, because the formula then omits a cross term.
 
     Examples
     --------

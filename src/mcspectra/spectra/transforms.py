@@ -3,10 +3,10 @@
 Engines
 -------
 ``nufft``
-    Type-1 non-uniform FFT. FINUFFT [Barnett2019]_ spreads points onto a fine grid,
-    and SciPy transforms this grid. Each Python thread reuses one plan of FINUFFT.
-    Along each axis, the grid is 1.25 times as fine as the frequencies, or twice as fine
-    if there are many points per frequency.
+    Type-1 non-uniform FFT. FINUFFT [Barnett2019]_ spreads points onto a fine grid.
+    SciPy transforms this grid. Each Python thread reuses one plan of FINUFFT.
+    Along each axis, the grid is 1.25 times as fine as the frequencies.
+    If there are many points per frequency, it is twice as fine.
     The relative l2 error is 1e-9. For ``eps=1e-12`` the grid is twice as fine.
     On a grid twice as fine, the transform of 512² frequencies takes 2.3 times as long.
 
@@ -18,8 +18,8 @@ Engines
     Two realizations with weights w_1 and w_2 share one transform, with the weights w_1 + i w_2.
     Hermitian symmetry then separates the transforms of the two realizations.
     The cost is O(n log^d(1/eps) + M log M) per pair, for n points and M frequencies.
-    In four dims there is one 3-D transform for each frequency of the first axis,
-    and realizations are transformed one at a time.
+    In four dims there is one 3-D transform for each frequency of the first axis.
+    In this case, realizations are transformed one at a time.
 ``direct``
     Direct summation by matrix products, axis by axis. It is exact to rounding, and costs O(n M).
     It is the reference for tests, and the faster engine if there are few points.
@@ -316,7 +316,7 @@ class Transform:
             mean[-1] = mean_at_zero
 
     def _packed(self, points: Array, weights: Array | None) -> Iterator[tuple[Array, bool]]:
-        """Yield flat full-grid transforms S1 + i S2 of pairs of sets, or S1 for an odd last set.
+        """Yield flat full-grid transforms S1 + i S2 of pairs of sets, or S1 of a last set alone.
 
         Each array is valid until the next one is requested.
         For a single set, only half of the grid needs to be filled.
