@@ -70,7 +70,7 @@ def parse_lines(text: Array, values: Array, runs: Array, hard: Array) -> tuple[i
     Returns
     -------
     tuple of int
-        Number of lines, and numbers of entries that were written to `values`, `runs` and `hard`.
+        Number of lines, and numbers of entries in the three outputs `values`, `runs` and `hard`.
         The number of lines is −1 if the text is not printable ASCII, or has words outside comments.
         It is also −1 if lines of one run have different numbers of values.
     """

@@ -115,10 +115,10 @@ class Subject:
     Attributes
     ----------
     estimator
-        The estimator, or a list if the analysis takes `several`.
+        The estimator, or a list if the analysis takes several estimators.
         None if the analysis is about point sets or about a scene.
     sampler
-        The sampler, or a list if the analysis takes `several`.
+        The sampler, or a list if the analysis takes several samplers.
     density
         Importance density of the points, for analyses of point sets.
         The default is the density of the estimator, if it has only one.
@@ -524,7 +524,7 @@ def compute(
     ConfigError
         If the analysis needs more memory than there is.
     McspectraError
-        If `needed` or `steps_of` raises it.
+        If one of the functions that are called here, `needed` or `steps_of`, raises it.
     """
     given: tuple[Any, Any] = analysis, subject
     if not isinstance(given[0], Analysis) or not isinstance(given[1], Subject):

@@ -73,7 +73,7 @@ def as_path(name: str, value: object) -> Path:
 
 
 def as_instance(name: str, value: Any, kind: Any, what: str) -> Any:
-    """Return `value` if its type is `kind`, or one of several. Messages call the type `what`."""
+    """Return a value if it has one of the given types. Messages call this type `what`."""
     if isinstance(value, kind):
         return value
     raise ParameterError(Parameter(name), f" is {shown(value)}; give {what}.")
@@ -109,7 +109,7 @@ def as_real(
 ) -> float:
     """Return `value` as a finite float within the given limits.
 
-    The value must be > `above`, ≥ `least`, ≤ `most` and < `below`.
+    The limits `above` and `below` are strict. The values `least` and `most` are allowed.
     """
     rules = [f"greater than {above:g}"] if above is not None else []
     rules += [f"at least {least:g}"] if least is not None else []
@@ -143,7 +143,7 @@ def as_reals(name: str, value: object, length: int, **limits: float | None) -> t
 
 
 def as_choice(name: str, value: object, allowed: Sequence[str]) -> str:
-    """Return `value` if it is one of `allowed`."""
+    """Return a value if it is one of the allowed values."""
     if isinstance(value, str) and value in allowed:
         return value
     hint, close = close_match_hint(value if isinstance(value, str) else shown(value), allowed)

@@ -34,7 +34,7 @@ def checked(
 def whole(
     default: int | Any | None = dataclasses.MISSING, *, least: int, most: int | None = None
 ) -> Any:
-    """Declare a field of whole numbers from `least` to `most`."""
+    """Declare a field of whole numbers, with a smallest and a largest allowed number."""
     return checked(lambda name, given: as_integer(name, given, least=least, most=most), default)
 
 

@@ -70,7 +70,7 @@ Evaluations = Annotated[
     ),
 ]
 
-# Options that several analyses use. In `extra`, `flag` and `metavar` are for the command line.
+# Options that several analyses use. The entries `flag` and `metavar` describe the command line.
 # The entry `python` marks options that also accept Python objects, which the analysis checks
 COUNT = Meta(
     ge=1, le=2**62, description="Points of each technique.", extra={"flag": "-n", "metavar": "N"}

@@ -1,7 +1,7 @@
 """Linear algebra whose sums have a fixed order.
 
 BLAS divides large sums by the number of its threads, which changes the last digits of results.
-Products here use `numpy.einsum` without `optimize`, which never calls BLAS.
+Products here use the function `numpy.einsum` without optimization, which never calls BLAS.
 It has a quarter of the speed of BLAS, but points and transforms take far more time.
 Factorizations use Householder reflections. docs/decisions/0015 compares them with NumPy's.
 """

@@ -51,7 +51,7 @@ def available_workers(workers: int | None = None) -> int:
 @final
 @dataclass(frozen=True)
 class RealizationBlocks:
-    """Realizations from `first` up to `stop` (exclusive), in blocks of `size`."""
+    """The range of realizations from `first` to before `stop`, divided into blocks."""
 
     first: int
     stop: int

@@ -54,7 +54,7 @@ __all__ = [
 ]
 
 EXTENSIONS = (".dat", ".bin", ".npz", ".npy", ".csv")
-"""Extensions of files that `read_points` and `write_points` support."""
+"""Extensions of point-set files that can be read and written."""
 
 # Memory in bytes for each set, in addition to its coordinates: many tiny sets take time
 _SET_BYTES = 4096

@@ -3,7 +3,8 @@
 A state is a dataclass whose fields are arrays, numbers or other records.
 Two states are merged field by field.
 Records with a method `merge` use this method. For example, fields of moments depend on each other.
-For arrays and numbers, the annotation of the field names the rule: `SUM`, `JOIN` or `SAME`.
+For arrays and numbers, the annotation of the field names the rule.
+The rules are: add all (`SUM`), concatenate (`JOIN`), or keep one of equal values (`SAME`).
 The stored form is one buffer: a MessagePack header with names, types and shapes, then the numbers.
 The buffer contains no pickle and no code.
 """

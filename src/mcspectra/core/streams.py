@@ -3,7 +3,7 @@
 Method
 ------
 A *stream* has a 64-bit key. `Stream.from_rng` makes a stream from a user's seed.
-The seed is an integer, `numpy.random.Generator`, `SeedSequence` or None (SPEC 7).
+The seed is an integer, a NumPy generator, a `SeedSequence` or None (SPEC 7).
 `Stream.child` derives independent streams for parts of a sampler, such as points and shift.
 
 For realization r, Philox4x32-10 maps the key of the stream and r to a new key [Salmon2011]_.
@@ -167,7 +167,7 @@ class Stream:
         return out
 
     def uniforms(self, first: int, count: int, size: int) -> Array:
-        """Return `size` uniform numbers for each of `count` realizations: (count, size)."""
+        """Return uniform numbers for several realizations: (count, size)."""
         return uniforms(self.keys(first, count), size)
 
     def generator(self, realization: int) -> np.random.Generator:

@@ -2,8 +2,8 @@
 
 A `Density` is a warp T with its pdf. T maps u in the unit cube (primary space) to x in the domain.
 The methods are ``x = sample(u)``, ``u = invert(x)`` and ``pdf(x) = |det dT/du|^-1``.
-The public methods check their points once. Implementations define `_pdf`, `_sample` and `_invert`.
-These methods get plain arrays and do not check them.
+The public methods check their points once. They then call `_pdf`, `_sample` or `_invert`.
+Implementations define these private methods, which get plain arrays and do not check them.
 A `Wrapper` is a density that creates another density and forwards all calls to it.
 """
 

@@ -31,7 +31,7 @@ __all__ = ["Bilinear"]
 class _Tables(NamedTuple):
     """Tables of a bilinear density, in the form that the kernels take.
 
-    The knots `xs` (w,) and `ys` (h,) run from 0 to 1. `nodes` (h, w) is the density at the knots.
+    The knots `xs` (w,) and `ys` (h,) run from 0 to 1. There `nodes` (h, w) is the density.
     `sums` (h, w) has the integrals along each row, from 0 to each knot.
     These integrals are exact, because the density is linear between knots.
     `rows` (h,) has the integrals of ``sums[:, -1]`` along x_1, from 0 to each knot.

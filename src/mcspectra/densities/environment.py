@@ -71,7 +71,7 @@ class ImageDensity(Wrapper):
     linear
         Whether values of PNG and JPEG files are linear instead of sRGB.
     warp
-        Same as in `PiecewiseConstant`.
+        The warp of the table, as in `PiecewiseConstant`.
     """
 
     name: ClassVar[str] = "image"
@@ -126,7 +126,7 @@ class EnvironmentDensity(Wrapper):
         True means 1, which suits equal numbers of direction and BSDF samples.
         The density is then 0 at places where f is not 0, so combine it with another technique.
     warp
-        Same as in `PiecewiseConstant`. Used for ``interpolation="constant"``.
+        The warp of the table, as in `PiecewiseConstant`, for ``interpolation="constant"``.
 
     Raises
     ------

@@ -110,7 +110,7 @@ class NumericalWarp:
             start=256,
             most=_MOST[1] if self.dims == 1 else _MOST_OF_MARGINAL,
             subject=subject,
-            probes=_PROBES[1] if self.dims == 1 else 0,  # there are more nodes than rows
+            probes=_PROBES[1] if self.dims == 1 else 0,  # the nodes outnumber the 509 rows
         )
         return _Axis.of(cells, density(cells.nodes[..., None]))
 

@@ -123,7 +123,7 @@ class AbstractEstimator(Drawable, ABC):
 
     @property
     def integral_source(self) -> str:
-        """How `integral` was computed. It is ``"exact"`` for a closed form."""
+        """How the integral was computed. It is ``"exact"`` for a closed form."""
         sources = {g.integral_source for g in self._every_primary()}
         return sources.pop() if len(sources) == 1 else "quadrature"
 
@@ -207,7 +207,7 @@ class AbstractEstimator(Drawable, ABC):
         raise NotImplementedError
 
     def randomized(self, sampler: Sampler) -> Sampler:
-        """Return the sampler that `draw` uses: `sampler`, possibly with added randomizations."""
+        """Return the sampler from which points are drawn, possibly with added randomizations."""
         return sampler
 
     def law(self, sampler: Sampler, n: int) -> Law:

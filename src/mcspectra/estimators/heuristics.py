@@ -278,7 +278,7 @@ class PowerHeuristic(Heuristic):
 
     @property
     def bounded(self) -> bool:
-        """Whether β ≥ 1. This suffices because w_t/p_t is proportional to p_t^(β−1) as p_t → 0."""
+        """Whether β ≥ 1. Then w_t/p_t is bounded: it is proportional to p_t^(β−1) as p_t → 0."""
         return self.beta >= 1.0
 
     def ratio(self, q: Array, technique: int) -> Array:

@@ -409,7 +409,7 @@ def split_mixture(
     integrand
         The integrand f, or its spec string.
     mixture
-        The mixture, a `Mixture` or `Defensive` density, or its spec. Its `selection` has no effect.
+        A mixture or defensive mixture, or its spec. Its parameter `selection` has no effect.
     most
         Largest total of the counts, which is the common denominator of the shares w_t.
 

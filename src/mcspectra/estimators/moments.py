@@ -296,8 +296,8 @@ class Moments:
         """Relative standard error of the variance, from the kurtosis of the values.
 
         Var(s²)/σ⁴ = (κ − (R−3)/(R−1))/R [Kenney & Keeping 1951].
-        Few values underestimate the kurtosis κ. Therefore κ is averaged with 3, its normal value:
-        the weight of κ is the number of values, and the weight of 3 is 20.
+        Few values underestimate the kurtosis κ. Therefore κ is averaged with 3, the normal one.
+        The weight of κ is the number of values, and the weight of 3 is 20.
         If stored sets are reused, the result is at least the error from the jackknife.
         """
         return np.maximum(self._alone_se, self._stored_errors()[0])

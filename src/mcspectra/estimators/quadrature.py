@@ -87,7 +87,7 @@ _FAR, _NEAR, _INSIDE = (30, 60, 90, 120), (20, 30, 40, 50), (8, 14, 20, 26)
 # and the rank above which a power law replaces these values
 _TOP, _RANK = 256, 8
 # Limits for a power law t^-a: a is above the first number.
-# The slope from rank 4 to 32 is above the second, times that from rank 32 to 256.
+# The slope from rank 4 to 32 exceeds the slope from rank 32 to 256, times the second number.
 # To integrate g², a is lowered to the third
 _HEAVY, _AS_POWER, _LARGEST_POWER = 0.1, 0.6, 0.47
 # Growth is unbounded if log2 |g| rises by at least this much at each step toward the plane

@@ -157,7 +157,7 @@ class AxisRule:
 
     @staticmethod
     def make(count: int, order: int, breaks: Sequence[float] = ()) -> AxisRule:
-        """Make a rule of `count` uniform nodes, `order` in each cell. Cells are cut at `breaks`."""
+        """Make a rule of `count` uniform nodes, `order` nodes per cell, and cut cells at breaks."""
         cells = count // order
         node, weight = gauss_rule(order)
         nodes = ((np.arange(cells)[:, None] + node) / cells).ravel()

@@ -1,9 +1,9 @@
 """The interface of integrands (values, integral, coefficients), and integrands of callables.
 
 The coefficients are f_m = ∫ f(x) exp(−2πi m·x) dx over [0,1)^d, for integer m.
-Classes define `_evaluate`, and `_integral` or `_fourier` if these are known exactly.
+Classes define the method `_evaluate`, and `_integral` or `_fourier` if exact values are known.
 Otherwise composite Gauss-Legendre quadrature is used. For the coefficients it uses an FFT.
-`integral_source` and `fourier_source` report the method.
+The attributes `integral_source` and `fourier_source` report the method.
 Each integrand stores results of quadrature in its `IntegrandCache`.
 Therefore an integrand must always give the same values.
 """
@@ -217,7 +217,7 @@ class Integrand(Component, ABC):
 
     @property
     def integral_source(self) -> str:
-        """``"exact"``, or the method of `integral`. See `integral_accuracy` for its error."""
+        """``"exact"``, or the method that computed the integral (see `integral_accuracy`)."""
         return "exact" if self._integral() is not None else "quadrature"
 
     def fourier(self, m: object) -> Array:
@@ -281,7 +281,7 @@ class Integrand(Component, ABC):
 
     @property
     def fourier_source(self) -> str:
-        """``"exact"`` or the method of `fourier`."""
+        """``"exact"``, or the method that computes the Fourier coefficients."""
         probe = self._fourier(np.zeros((1, self.dims)))
         return "exact" if probe is not None else "FFT of composite Gauss-Legendre quadrature"
 

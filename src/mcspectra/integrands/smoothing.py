@@ -66,7 +66,7 @@ def smoothed(
     Returns
     -------
     Integrand
-        The smoothed f: `SmoothedStep` for a step, otherwise `EdgeSmoothed` or `BoxSmoothed`.
+        The smoothed f. A step becomes a `SmoothedStep`, others `EdgeSmoothed` or `BoxSmoothed`.
 
     Raises
     ------

@@ -113,9 +113,9 @@ def closed_form_power(
     ----------
     sampler, n
         Sampler (or spec string) and number of points. Each sampler may be followed by a shift.
-        Supported samplers are random, regular grids, lattices, Latin hypercubes, nets,
-        orthogonal arrays of strength 2, jittered, multi-jittered, determinantal sets,
-        and grids whose points are displaced at random.
+        Supported samplers are random, jittered, multi-jittered, regular grids, lattices and nets.
+        Latin hypercubes, orthogonal arrays of strength 2 and determinantal sets are supported.
+        Grids whose points are displaced at random are also supported.
     frequencies
         Real frequencies ν, shape (..., d), in cycles per unit.
         Frequencies must be integers if a shift is applied, or if sets wrap around the torus.

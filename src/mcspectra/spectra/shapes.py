@@ -277,7 +277,7 @@ def low_frequency_exponent(
     Returns
     -------
     xarray.Dataset
-        ``low_frequency_exponent``, and its 95 % interval on the dim bound.
+        ``low_frequency_exponent``, and its 95 % interval, whose ends are on the dim ``bound``.
         ``exponent_fit_chi2`` measures how badly the line fits, as χ² per degree of freedom.
         If this χ² exceeds 1, the interval is widened by √χ².
         The attributes ``up_to``, ``lengths`` and ``directions`` describe the fit.
