@@ -238,7 +238,7 @@ def options_of(struct: Any) -> tuple[Option, ...]:
     for field in kind.fields:
         about, extra = _annotation(field.type)
         given = field.default
-        if field.default_factory is not msgspec.NODEFAULT:  # for example a new list each time
+        if field.default_factory is not msgspec.NODEFAULT:  # the factory makes a new default
             given = field.default_factory()
         found.append(Option(field.name, field.type, given, about, extra))
     return tuple(found)

@@ -144,7 +144,7 @@ def power_spectrum(
     Multiply power by n for the convention of UTK, where the power of random points is 1.
     The cost is O(n log^d(1/eps) + M log M) for a pair of realizations with M frequencies.
     Memory does not depend on the number of realizations. A thread takes at most 100 M bytes.
-    Points take up to 64 MB more; in the direct engine, points and phases do.
+    Points take up to 64 MB more. In the direct engine, this includes phases.
     If two sets of points take more than 64 MB, the limit is 100 n d bytes instead.
 
     Examples

@@ -233,7 +233,7 @@ def wedge_means(spectrum: xr.Dataset, wedges: int = 12) -> xr.Dataset:
         Angles are in degrees, at the centers of the wedges.
         Values are NaN for wedges without frequencies.
         If the spectrum has another number of wedges and a density, errors are NaN.
-        Without a density, errors then treat frequencies as uncorrelated.
+        In a spectrum without density, errors then treat frequencies as uncorrelated.
     """
     half = _HalfSpectrum.of(spectrum)
     wedges = as_integer("wedges", wedges, least=1, most=MAX_WEDGES)
