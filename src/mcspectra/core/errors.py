@@ -312,7 +312,7 @@ def writing(
 def warn(message: str, category: type[Warning]) -> None:
     """Warn at the line that called the package: the first frame outside of the package's files.
 
-    Python 3.12 has `skip_file_prefixes` for this.
+    In Python 3.12, the argument `skip_file_prefixes` of `warnings.warn` does this.
     A fixed number of frames to skip would have to change with the code.
     """
     frame = sys._getframe(1)

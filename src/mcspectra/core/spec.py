@@ -66,7 +66,7 @@ class Component(Drawable):
     Subclasses are dataclasses. `spec` lists the fields that differ from their defaults.
     When an instance is created, its fields from `mcspectra.core.fields` are checked first.
     Then the method `_check` checks the whole instance.
-    A class declares `name` if its name in specs is not its own name in kebab case.
+    A class declares `name` if its name in specs differs from the class's name in kebab case.
     """
 
     name: ClassVar[str] = _NameOfClass()  # type: ignore[assignment]

@@ -103,7 +103,7 @@ def count_ordered_pairs(
 ) -> None:
     """Count non-toroidal distances of ordered pairs. Point a adds only to bins up to last[a].
 
-    coordinates (d, n) are in ascending order along the first axis. counts is (bins,).
+    The n points, coordinates (d, n), ascend along the first axis. The result counts is (bins,).
     """
     n = coordinates.shape[1]
     work = _scratch()

@@ -421,7 +421,7 @@ def _over_directions(half: _HalfSpectrum, label: Array, lengths: Array) -> _LowF
     own, k = mean[label[several]], count[label[several]]
     spread = (half.power[several] - own) ** 2 * k / (k - 1)
     excess = float(np.mean((spread - half.se[several] ** 2) / own**2)) if several.any() else 0.0
-    # Some lengths have several directions, such as those of (3, 4) and (5, 0).
+    # Some lengths occur in several directions. For example, (3, 4) and (5, 0) have equal lengths.
     # If every length has only one direction, unequal powers appear as a misfit of the line.
     if half.grid.dims == 1 or (excess <= _ISOTROPIC and whole.chi2 <= _SUSPECT):
         return whole

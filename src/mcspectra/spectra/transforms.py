@@ -414,7 +414,7 @@ class Transform:
         return rows, row_factors, factors
 
     def _new_plan(self, shape: tuple[int, ...]) -> Any:
-        """Return a plan that spreads onto a fine grid."""
+        """Return a FINUFFT plan that spreads points onto a fine grid."""
         import finufft
 
         # With spread_sort=2, FINUFFT sorts the points or not, depending on their density.
