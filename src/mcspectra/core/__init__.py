@@ -1,1 +1,1 @@
-"""Foundations: errors, checks, random streams, spec strings, registries, point-set files."""
+"""Foundations: errors, checks, random streams, spec strings, registries and point-set files."""

@@ -1,10 +1,10 @@
-"""Numba kernel that reads the numbers of UTK text with correct rounding, without checks.
+"""Numba kernel that reads the numbers of UTK text. They are rounded correctly, but not checked.
 
 A decimal number w/10^k with at most 19 digits and k ≤ 22 is divided in twice float64 precision.
 In this division, w, 10^k and the remainder of the first quotient are exact.
-The sum of both quotients is correctly rounded, with rare exceptions.
-The exceptions lie within about 2^-40 of the midpoint of two neighboring float64 numbers.
-The kernel leaves these exceptions, and numbers of other forms, to the caller.
+The sum of both quotients is correctly rounded, except in rare cases.
+In these cases it lies within about 2^-40 of the midpoint of two neighboring float64 numbers.
+The kernel leaves such numbers, and numbers of other forms, to the caller.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ __all__ = ["parse_lines"]
 _NEWLINE, _RETURN, _TAB, _SPACE = 10, 13, 9, 32
 _PLUS, _MINUS, _POINT, _HASH, _ZERO = 43, 45, 46, 35, 48
 _LAST = 126  # last printable character of ASCII
-_SPLIT = 2.0**27 + 1.0  # splits a float64 into halves whose products are exact
+_SPLIT = 2.0**27 + 1.0  # splits a float64 into two halves whose products are exact
 _DOUBT = 1.0 + 2.0**-40
-_DIGITS = 19  # largest number of digits that always fits into 64 bits
+_DIGITS = 19  # largest number of digits for which every number fits into 64 bits
 _POWERS = 10.0 ** np.arange(23)  # powers of ten that are exact
 
 
@@ -49,35 +49,35 @@ def _quotient(w: np.uint64, power: float) -> float:
 
 @kernel
 def parse_lines(text: Array, values: Array, runs: Array, hard: Array) -> tuple[int, int, int, int]:
-    """Read lines of numbers from the bytes `text`; return the number of entries of each output.
+    """Read lines of numbers from the bytes `text`. Return the number of entries of each output.
 
     Parameters
     ----------
     text
-        uint8, whole lines.
+        Bytes of whole lines, as uint8.
     values
-        float64, the numbers in the order of the text.
+        The numbers in the order of the text, as float64.
     runs
-        int64 (K, 4), one row for each run of lines without a comment.
-        A row holds four numbers. First comes the number of the first line with numbers, from 0.
-        Then come the index of the first value and the index after the last value.
-        The last number is the count of numbers per line.
-        A comment between runs has a row of its own, with the count 0.
+        int64 (K, 4): one row for each run of lines between comments.
+        A row has four entries. The first is the index of the first line with numbers, from 0.
+        The next two are the index of the first value and the index after the last value.
+        The last entry is the number of values per line.
+        A comment between runs has its own row, with 0 values per line.
     hard
-        int64 (N, 3), one row for each value that the caller has to read.
-        A row holds the index of the value, its first byte, and the byte after it.
+        int64 (N, 3): one row for each value that the caller has to read.
+        A row holds the index of the value, the position of its first byte, and that after its last.
 
     Returns
     -------
     tuple of int
-        Number of lines, and numbers of entries that were written to `values`, `runs` and `hard`.
-        The first is −1 if the text is not printable ASCII, or not made of numbers and comments.
-        The first is also −1 if the lines do not have equally many numbers.
+        Number of lines, and numbers of entries in the three outputs `values`, `runs` and `hard`.
+        The number of lines is −1 if the text is not printable ASCII, or has words outside comments.
+        It is also −1 if lines of one run have different numbers of values.
     """
     bad = (-1, 0, 0, 0)
     line = count = used = left = 0
-    width = 0  # numbers per line in the current run of lines; 0 before a run starts
-    on_line = 0  # count of numbers read from this line
+    width = 0  # number of values per line in the current run, or 0 before a run starts
+    on_line = 0  # number of values read from this line
     i, size = 0, text.size
     while i < size:
         byte = text[i]

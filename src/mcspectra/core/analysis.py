@@ -1,22 +1,22 @@
-"""Analyses: one declaration for each question about an estimator with a sampler.
+"""Analyses: each question about an estimator with a sampler is declared once, as a struct.
 
 An `Analysis` is a frozen struct whose fields are its options.
-The method `need` returns the cost, and the method `reduction` returns the computation.
+Its method `need` returns the cost, and its method `reduction` returns the computation.
 Python functions, study files, commands, the explorer and the docs are derived from the struct.
 A result is checked against the variables that the struct declares.
-`ANALYSES` finds analyses by name. Other packages add analyses by the entry points
-``mcspectra.analyses``.
+`ANALYSES` finds analyses by name.
+Other packages add analyses by the entry points ``mcspectra.analyses``.
 
-All analyses are computed in the same way. A `Reduction` splits realizations into blocks.
-The number and limits of the blocks depend only on the size of the problem.
-Each block gives a state. States merge in a fixed binary tree over the blocks (`MergeTree`).
-A *chunk* is an aligned run of 2^k blocks, which is a node of the tree.
-The tree is the same whether one thread computes all blocks, or many machines compute chunks.
-Therefore one thread and many machines give results with the same bits.
+All analyses are computed in the same way. A `Reduction` divides realizations into blocks.
+The number and the limits of the blocks depend only on the size of the problem.
+The result of each block is called its *state*. States are merged in a fixed binary tree.
+A *chunk* is an aligned run of 2^k blocks, which is a node of this tree (`MergeTree`).
+The tree is the same if one thread computes all blocks, or if many machines compute chunks.
+Therefore results have the same bits in both cases.
 
-Some analyses make later draws depend on earlier results, for example to stop at a precision.
-Such an analysis is a generator, which yields lists of reductions and receives the merged states.
-The generator returns the dataset of the analysis.
+In some analyses, later draws depend on earlier results, for example to stop at a precision.
+The `reduction` of such an analysis is a generator.
+It yields lists of reductions, receives the merged states, and returns the dataset.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ __all__ = [
     "whole",
 ]
 
-# Option names that analyses cannot use, because commands, functions or study files already use them
+# Option names that analyses cannot use, because commands, functions or study files use them
 _TAKEN = frozenset(
     {
         "debug",
@@ -100,10 +100,10 @@ State = TypeVar("State")
 Result = TypeVar("Result")
 
 Chunk: TypeAlias = tuple[int, int]
-"""First block of a chunk, and the number of blocks in the chunk.
+"""First block of a chunk, and number of blocks in the chunk.
 
-The number of blocks is a power of two that divides the first block.
-The last chunk may have fewer blocks.
+The number of blocks is a power of two that divides the index of the first block.
+Only the last chunk may have fewer blocks.
 """
 
 
@@ -115,10 +115,10 @@ class Subject:
     Attributes
     ----------
     estimator
-        The estimator, or a list if the analysis takes `several`.
-        None if the analysis is about point sets or a scene.
+        The estimator, or a list if the analysis takes several estimators.
+        None if the analysis is about point sets or about a scene.
     sampler
-        The sampler; a list if the analysis takes `several`.
+        The sampler, or a list if the analysis takes several samplers.
     density
         Importance density of the points, for analyses of point sets.
         The default is the density of the estimator, if it has only one.
@@ -130,12 +130,12 @@ class Subject:
 
     @property
     def estimators(self) -> list[Any]:
-        """The estimators, one or more."""
+        """The estimators, as a list of at least one."""
         return _listed(self.estimator)
 
     @property
     def samplers(self) -> list[Any]:
-        """The samplers, one or more."""
+        """The samplers, as a list of at least one."""
         return _listed(self.sampler)
 
 
@@ -147,9 +147,9 @@ class Need:
     Attributes
     ----------
     cost
-        Work in arbitrary units, about proportional to time, such as evaluations of the integrand.
+        Work in arbitrary units that are about proportional to time, such as evaluations.
     memory
-        Maximum number of bytes of memory, without the program itself.
+        Maximum number of bytes of memory, not counting the program itself.
     evaluations
         Minimum number of evaluations of the integrand.
     """
@@ -160,35 +160,35 @@ class Need:
 
 
 class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A question about an estimator with a sampler. Subclasses are final; their fields are options.
+    """A question about an estimator with a sampler. Subclasses are final, and fields are options.
 
-    The first line of a subclass's docstring is its summary everywhere.
+    The first line of the docstring of a subclass is used as its summary everywhere.
 
     Attributes
     ----------
     function
-        Name of the public function of the analysis in `mcspectra`; empty if there is none.
+        Name of the analysis' public function in `mcspectra`. It is empty if there is none.
         The name is dotted if the function is in a package.
     verb
-        Command of the analysis on the command line; empty without a command.
+        Command of the analysis on the command line. It is empty if there is none.
     split
-        Value of ``--split`` that chooses this analysis, if several analyses share the command.
+        Value of ``--split`` that selects this analysis, if several analyses share one command.
     about
         Subject: an estimator with a sampler, a sampler with an optional density, or a scene.
     several
         Parts of the subject that may be lists: ``"estimator"``, ``"sampler"``, or both.
     variables
         Names of the result's variables in `mcspectra.core.results.VARIABLES`.
-        A variable that this registry lacks is given as a `Variable`.
+        A variable that this registry does not contain is given as a `Variable`.
     provenance
-        Attributes of the result: ``estimator`` and ``sampler`` hold their spec strings.
-        ``stream_key`` holds the key of the stream.
-        The value of an option is held by the attribute with the option's name.
+        Names of attributes of the result: ``estimator`` and ``sampler`` hold their spec strings.
+        The attribute ``stream_key`` holds the key of the random stream.
+        An option's value is in the attribute that has the name of the option.
     companions
         Further analyses that a study computes for the same table, such as points for a spectrum.
     pictured
         Whether the first screen of a report shows the analysis.
-        A study computes such analyses first, so that an interrupted study has a report.
+        A study computes such analyses first, so that a study that was interrupted has a report.
     """
 
     function: ClassVar[str] = ""
@@ -202,16 +202,16 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     pictured: ClassVar[bool] = False
 
     def need(self, subject: Subject) -> Need:  # noqa: ARG002
-        """Return the cost and memory of the analysis of a subject, and reject impossible requests.
+        """Return the cost and memory of the analysis of a subject. Reject impossible requests.
 
-        The options were already checked (`mcspectra.core.options.checked`).
+        The options were already checked (see `mcspectra.core.options.checked`).
         This method rejects options that do not fit the subject.
-        Examples are too many dims, or point counts that the sampler cannot make.
+        For example, there may be too many dims, or the sampler cannot make this number of points.
 
         Raises
         ------
         McspectraError
-            If the subject and the options do not fit; the message is one sentence.
+            If the subject and the options do not fit. The message is one sentence.
         """
         return Need()
 
@@ -223,7 +223,7 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         subject
             A subject (estimator, sampler or scene) that `need` accepted.
         stream
-            Random numbers of all realizations.
+            Source of the random numbers of all realizations.
         """
         raise AnalysisError(
             f"{type(self).__name__} has no reduction; define this method, which returns the "
@@ -234,8 +234,8 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         """Return the reduction with this key: a sum over blocks of realizations.
 
         Workers call this method without running the earlier steps.
-        The default searches the reductions of the first step.
-        Analyses override this method if later steps depend on the states of earlier steps.
+        By default, this method searches the reductions of the first step.
+        Analyses override this method if later steps depend on the states of earlier ones.
 
         Raises
         ------
@@ -253,15 +253,15 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
     @classmethod
     def of(cls, arguments: Mapping[str, Any]) -> Self:
-        """Make an analysis from the arguments of its public function, ``locals()``.
+        """Make an analysis from the arguments of its public function, which are its ``locals()``.
 
-        Arguments have the names of the options.
+        The arguments have the names of the options.
         """
         return cls(**{name: arguments[name] for name in cls.__struct_fields__})
 
     @classmethod
     def command(cls) -> str:
-        """Return the arguments of ``mcspectra`` that run the analysis; empty without a command."""
+        """Return the arguments of ``mcspectra`` that run the analysis. Empty without a command."""
         return f"{cls.verb} --split {cls.split}" if cls.split else cls.verb
 
     @classmethod
@@ -273,13 +273,13 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 class Counted(Analysis, frozen=True, kw_only=True):
     """An analysis that evaluates an integrand and counts the evaluations of a user's function.
 
-    For a Python function, the attribute ``evaluations`` of the result holds this count.
+    For a Python function, this number is the attribute ``evaluations`` of the result.
     """
 
     max_evaluations: Evaluations = None
 
     def limit(self, subject: Subject) -> int | None:  # noqa: ARG002
-        """Return the maximum number of evaluations of a function; by default `max_evaluations`."""
+        """Return the maximum number of evaluations: the option `max_evaluations`."""
         return self.max_evaluations
 
 
@@ -304,11 +304,11 @@ ANALYSES = Registry(
     ),
     base=Analysis,
 )
-"""Analyses by the names of their tables in study files."""
+"""Analyses, by the names of their tables in study files."""
 
 
 def check_names(kind: type[Analysis]) -> None:
-    """Raise an error if an option's name is also an argument of the command or the function.
+    """Raise an error if an option has the same name as an argument of the command or the function.
 
     Raises
     ------
@@ -340,19 +340,19 @@ class Reduction(Generic[State]):
     Attributes
     ----------
     kind
-        Type of the states. A state is a record of `mcspectra.core.records`, a list of records,
-        an array, a dict of arrays, or a dataset.
+        Type of the state of a block: a record or a list of records (`mcspectra.core.records`).
+        It may also be an array, a dict of arrays, or a dataset.
     block
-        Function that returns the state of the block with a given number.
+        Function that maps the index of a block to its state.
     blocks
-        Number of blocks; a block is the smallest unit of work.
+        Number of blocks. A block is the smallest unit of work.
     cost
-        Work of all blocks, in a unit that all reductions of the step share.
-        Expensive reductions start first, and progress counts by work.
+        Work of all blocks together. All reductions of a step use the same unit.
+        Reductions with more work start first, and progress is measured in work.
     key
-        Name that is unique within the analysis; it identifies stored states.
+        Name that is unique within the analysis. It identifies stored states.
     result
-        Function that makes the dataset from the state of all blocks; None if a generator makes it.
+        Function that makes the dataset from the merged state. None if a generator makes it.
     """
 
     kind: Any
@@ -366,13 +366,13 @@ class Reduction(Generic[State]):
 Steps: TypeAlias = "Generator[list[Reduction[Any]], list[Any], xr.Dataset]"
 """Type of the generator that computes an analysis step by step.
 
-For each step, the generator yields reductions and is sent their merged states.
-At the end, the generator returns the dataset.
+At each step, the generator yields reductions and is sent their merged states.
+At its end, the generator returns the dataset.
 """
 
 
 def whole(function: Callable[[], xr.Dataset]) -> Reduction[xr.Dataset]:
-    """Wrap a computation that cannot be split into blocks; the state is its dataset."""
+    """Wrap a computation that cannot be divided into blocks. Its state is its dataset."""
     import xarray as xr
 
     return Reduction(kind=xr.Dataset, block=lambda _: function(), result=lambda state: state)
@@ -384,11 +384,11 @@ def needed(analysis: Analysis, subject: Subject) -> Need:
     Raises
     ------
     AnalysisError
-        If `need` of the analysis does not return a `Need`.
+        If the method `need` of the analysis does not return a `Need`.
     ParameterError
-        If a list is given where the analysis takes one object, or if a sampler is listed twice.
+        If a list is given where the analysis takes one object, or a sampler is listed twice.
     McspectraError
-        If `need` of the analysis raises it.
+        If the method `need` of the analysis raises it.
     """
     _check_lists(analysis, subject)
     need: Any = analysis.need(subject)
@@ -426,18 +426,18 @@ def _most(analysis: Analysis, subject: Subject) -> int | None:
 
 
 def _said(analysis: Analysis) -> str | Function:
-    """Return the name of the analysis in a message: its public function, or its class."""
+    """Return the name of the analysis for messages: its public function, or its class."""
     return Function(analysis.function) if analysis.function else type(analysis).__name__
 
 
 def steps_of(analysis: Analysis, subject: Subject, stream: Stream) -> Steps:
-    """Return the generator that computes an analysis; a single `Reduction` becomes its only step.
+    """Return the generator that computes an analysis. A `Reduction` becomes its only step.
 
     Raises
     ------
     AnalysisError
-        If the analysis has no reduction or no result, or if a step has another type.
-        If two reductions of the analysis have the same key, or if one of them has no blocks.
+        If the analysis has no reduction or no result, or if a step has the wrong type.
+        If two reductions of the analysis have the same key, or if a reduction has no blocks.
     """
     name = type(analysis).__name__
     found: Any = analysis.reduction(subject, stream)
@@ -476,7 +476,7 @@ def steps_of(analysis: Analysis, subject: Subject, stream: Stream) -> Steps:
         raise AnalysisError(f"{name} gives {shown(result)} as its result; it must be a dataset.")
     if not analysis.provenance:
         return result
-    # Record the components and options
+    # Record the spec strings of the components, and the options
     components = {"estimator": subject.estimator, "sampler": subject.sampler}
     known = {name: getattr(each, "spec", None) for name, each in components.items()}
     known |= {"stream_key": f"{stream.key:#x}", **msgspec.structs.asdict(analysis)}
@@ -493,9 +493,9 @@ def _single(reduction: Reduction[State], name: str) -> Steps:
 
 
 def finished(analysis: Analysis, result: xr.Dataset, rng: RngLike = None) -> xr.Dataset:
-    """Check a result against the variables that its analysis declares; return it with the seed.
+    """Check a result against the variables that its analysis declares. Return it with its seed.
 
-    If `rng` is an integer, the attribute ``seed`` records it, so that the result can be reproduced.
+    If `rng` is an integer, the attribute ``seed`` records it, to make the result reproducible.
     Integers of at least 2^63 are recorded as text.
 
     Raises
@@ -504,7 +504,7 @@ def finished(analysis: Analysis, result: xr.Dataset, rng: RngLike = None) -> xr.
         If a variable is not declared, or has other dims or another type.
     """
     check_variables(result, type(analysis).variables, type(analysis).__name__)
-    if isinstance(rng, int | numbers.Integral):  # this includes NumPy's integers
+    if isinstance(rng, int | numbers.Integral):  # NumPy's integers are included
         return result.assign_attrs(attributes_of(seed=rng))
     return result
 
@@ -520,11 +520,11 @@ def compute(
     Raises
     ------
     ParameterError
-        If an option is out of range, or the arguments are not an `Analysis` and a `Subject`.
+        If an option is out of range, or an argument has the wrong type.
     ConfigError
-        If the analysis needs more memory than available.
+        If the analysis needs more memory than there is.
     McspectraError
-        If `needed` or `steps_of` raises this error.
+        If one of the functions that are called here, `needed` or `steps_of`, raises it.
     """
     given: tuple[Any, Any] = analysis, subject
     if not isinstance(given[0], Analysis) or not isinstance(given[1], Subject):
@@ -537,7 +537,7 @@ def compute(
         check_memory(needed(clean, subject).memory, _said(clean))
 
         def states_of(step: list[Reduction[Any]]) -> Iterator[Any]:
-            # Merge the states of all blocks; report the finished fraction of the step's cost
+            # Merge the states of all blocks. Report which fraction of the step's work is finished
             total, before = max(sum(each.cost for each in step), 1e-300), 0.0
             for each in step:
                 tree: MergeTree[Any] = MergeTree()
@@ -557,7 +557,7 @@ def compute(
 
 
 def driven(steps: Steps, states_of: Callable[[list[Reduction[Any]]], Iterable[Any]]) -> xr.Dataset:
-    """Compute an analysis from its `steps`; `states_of` returns the merged states of a step."""
+    """Compute an analysis step by step; `states_of` returns the merged states of a step."""
     states: list[Any] | None = None
     try:
         while True:
@@ -568,7 +568,7 @@ def driven(steps: Steps, states_of: Callable[[list[Reduction[Any]]], Iterable[An
 
 
 def compute_chunk(reduction: Reduction[State], chunk: Chunk) -> State:
-    """Compute the state of a chunk of a reduction in this thread."""
+    """Compute the state of one chunk of a reduction, in this thread."""
     tree: MergeTree[State] = MergeTree()
     first, count = chunk
     for index in range(first, first + count):
@@ -577,16 +577,16 @@ def compute_chunk(reduction: Reduction[State], chunk: Chunk) -> State:
 
 
 class MergeTree(Generic[State]):
-    """Merges states of blocks like a binary counter: neighboring nodes of equal size merge first.
+    """Merges states of blocks, like a binary counter: neighboring nodes of equal size merge first.
 
-    At the end, nodes of unequal size merge too, from the last blocks to the first.
+    At the end, nodes of different sizes merge as well, from the last blocks to the first.
     The tree depends only on the number of blocks, not on the chunks or their order.
-    If chunks come in order, the tree holds only log₂(blocks) states at once.
+    If chunks come in order, the tree holds only log₂(blocks) states at the same time.
 
     Attributes
     ----------
     nodes
-        Number of blocks and merged state of each node, by the number of the node's first block.
+        The number of blocks and the merged state of each node. Keys are the first blocks of nodes.
     """
 
     def __init__(self) -> None:
@@ -599,7 +599,7 @@ class MergeTree(Generic[State]):
         self._next += blocks
 
     def put(self, chunk: Chunk, state: State) -> int:
-        """Add the state of any chunk, and merge it; return the first block of the merged node."""
+        """Add and merge the state of any chunk. Return the first block of the merged node."""
         first, count = chunk
         while count & (count - 1) == 0 and self.nodes.get(first ^ count, (0,))[0] == count:
             _, other = self.nodes.pop(first ^ count)
@@ -610,7 +610,7 @@ class MergeTree(Generic[State]):
         return first
 
     def total(self) -> State:
-        """Return the state of all blocks together; there must be at least one block."""
+        """Return the state of all blocks together. There must be at least one block."""
         parts = [self.nodes[first][1] for first in sorted(self.nodes)]
         self.nodes.clear()
         total = parts.pop()
@@ -620,14 +620,14 @@ class MergeTree(Generic[State]):
 
 
 def chunks(blocks: int, size: int) -> Iterator[Chunk]:
-    """Cut blocks into chunks of `size`, a power of two; the last may be shorter."""
+    """Divide blocks into chunks of `size`, which is a power of two. The last may be shorter."""
     return ((first, min(size, blocks - first)) for first in range(0, blocks, size))
 
 
 def in_step(
     parts: Sequence[Generator[Reduction[Any], State, Result]],
 ) -> Generator[list[Reduction[Any]], list[State], list[Result]]:
-    """Run several generators together; a step consists of the next reduction of each generator.
+    """Run several generators together. Each step consists of the next reduction of each generator.
 
     The result is a list with the result of each generator, in the same order.
     """

@@ -1,9 +1,9 @@
 """A cache of arrays that take seconds to compute, in the user's cache folder.
 
-The key of an entry holds everything that the array depends on.
+The key of an entry contains everything on which the array depends.
 An entry is a file with a SHA-256 digest, the key and the array (see `mcspectra.core.records`).
-Reading an entry checks the digest and the key. A damaged entry is computed again.
-The folder is the platform's cache folder, or ``MCSPECTRA_CACHE``.
+When an entry is read, the digest and the key are checked. A damaged entry is computed again.
+The folder is the cache folder of the platform, or ``MCSPECTRA_CACHE``.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from mcspectra.core.records import pack, unpack
 
 __all__ = ["cache_folder", "cache_size", "cached_array"]
 
-_FORMAT = "2 "  # prefix of every key, so that entries of other formats have other file names
-_WORTH_KEEPING = 0.05  # in seconds; arrays that take less time are not written
-_LIMIT = 2**30  # in bytes; above this limit the oldest entries are deleted
+_FORMAT = "2 "  # prefix of every key; another format has another prefix and other file names
+_WORTH_KEEPING = 0.05  # in seconds; arrays that take less time to compute are not stored
+_LIMIT = 2**30  # in bytes; if the cache is larger, the oldest entries are deleted
 _warn_once = lru_cache(warn)
 
 
 def cache_folder() -> Path:
-    """Return the folder of the cache: ``MCSPECTRA_CACHE`` if set, otherwise the platform's own."""
+    """Return the cache folder: ``MCSPECTRA_CACHE`` if it is set, otherwise the platform's."""
     chosen = os.environ.get("MCSPECTRA_CACHE")
     if chosen:
         return Path(chosen)
@@ -47,12 +47,12 @@ def cache_size() -> tuple[int, int]:
 
 
 def cached_array(key: str, make: Callable[[], Array]) -> Array:
-    """Return the float64 array stored under `key`; compute it if missing, and store it if slow.
+    """Return the float64 array stored under `key`. If it is missing, compute it; if slow, store it.
 
     Parameters
     ----------
     key
-        Everything the array depends on, including the version of the method.
+        Everything on which the array depends, including the version of the method.
     make
         Function that computes the array if the cache has no valid entry.
 
@@ -64,8 +64,8 @@ def cached_array(key: str, make: Callable[[], Array]) -> Array:
     Warns
     -----
     CacheWarning
-        If an entry is damaged; its array is then computed again.
-        If the folder cannot be written; this warning appears only once.
+        If an entry is damaged. Its array is then computed again.
+        If the folder cannot be written. This warning appears only once.
     """
     if not (isinstance(key, str) and callable(make)):  # type: ignore[redundant-expr]
         raise ParameterError(
@@ -76,7 +76,7 @@ def cached_array(key: str, make: Callable[[], Array]) -> Array:
     file = cache_folder() / name[:2] / f"{name[2:34]}.array"
 
     # Use the entry in the file if it is valid
-    with suppress(OSError):  # the entry does not exist or cannot be read
+    with suppress(OSError):  # if the entry does not exist or cannot be read, continue
         content = file.read_bytes()
         with suppress(FileFormatError, KeyError):
             if content[:32] == hashlib.sha256(content[32:]).digest():
@@ -90,7 +90,7 @@ def cached_array(key: str, make: Callable[[], Array]) -> Array:
     if time.perf_counter() - start <= _WORTH_KEEPING:
         return made
 
-    # Store a slow result atomically: other processes read either a whole entry or nothing
+    # Store a slow result atomically: other processes can read a whole entry or none, never a part
     packed = pack({key: np.asarray(made, np.float64)})
     part = file.with_suffix(f".{os.getpid()}-{time.monotonic_ns()}.part")
     try:
@@ -107,7 +107,7 @@ def cached_array(key: str, make: Callable[[], Array]) -> Array:
 
 @lru_cache
 def _drop_oldest(folder: Path) -> None:
-    """Delete the oldest entries above the limit; runs once per process, at the first new entry."""
+    """Delete the oldest entries above the limit. This runs once per process, at its first entry."""
     total = 0
     for _, size, entry in sorted(_entries(folder), reverse=True):
         total += size
@@ -119,7 +119,7 @@ def _entries(folder: Path) -> list[tuple[float, int, Path]]:
     """Return the time, the size in bytes and the file of each entry."""
     found = []
     for entry in folder.glob("*/*.array"):
-        with suppress(OSError):  # another process has just removed it
+        with suppress(OSError):  # another process has just removed the entry
             status = entry.stat()
             found.append((status.st_mtime, status.st_size, entry))
     return found

@@ -1,4 +1,4 @@
-"""Checks of user input. Each check returns the clean value or raises one clear sentence."""
+"""Checks of user input. Each check returns the converted value, or raises one clear sentence."""
 
 from __future__ import annotations
 
@@ -37,15 +37,15 @@ __all__ = [
 Array = npt.NDArray[Any]
 
 BELOW_ONE = 1.0 - 2.0**-53
-"""Largest float64 below 1: the largest coordinate in [0,1), and the largest number of a stream."""
+"""Largest float64 below 1. It is the largest coordinate in [0,1), and the largest random number."""
 
 MAX_DIMS = 1024
-"""Largest number of dims without a more specific limit."""
+"""Largest number of dims, where no smaller limit applies."""
 
 _LONGEST_NAME, _LONGEST_PATH = 255, 4096
 
 MAX_FREQUENCY = 2.0**40
-"""Largest frequency m: phases m·x of 53-bit points keep 13 bits at this frequency."""
+"""Largest frequency m. At this frequency, phases m·x of 53-bit points still have 13 bits."""
 
 
 def is_path(value: object) -> bool:
@@ -73,7 +73,7 @@ def as_path(name: str, value: object) -> Path:
 
 
 def as_instance(name: str, value: Any, kind: Any, what: str) -> Any:
-    """Return `value` if its type is `kind`, or one of several; messages call the type `what`."""
+    """Return a value if it has one of the given types. Messages call this type `what`."""
     if isinstance(value, kind):
         return value
     raise ParameterError(Parameter(name), f" is {shown(value)}; give {what}.")
@@ -86,7 +86,7 @@ def as_instances(name: str, value: Any, kind: Any, what: str) -> list[Any]:
 
 
 def as_integer(name: str, value: object, *, least: int, most: int | None = None) -> int:
-    """Return `value` as an int within [least, most]; reject booleans and fractions."""
+    """Return `value` as an int in [least, most]. Booleans and fractions are rejected."""
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not whole and isinstance(value, float | np.floating) and float(value).is_integer():
         whole = True
@@ -109,7 +109,7 @@ def as_real(
 ) -> float:
     """Return `value` as a finite float within the given limits.
 
-    The value must be greater than `above`, at least `least`, at most `most` and less than `below`.
+    The limits `above` and `below` are strict. The values `least` and `most` are allowed.
     """
     rules = [f"greater than {above:g}"] if above is not None else []
     rules += [f"at least {least:g}"] if least is not None else []
@@ -130,7 +130,7 @@ def as_real(
 
 
 def as_reals(name: str, value: object, length: int, **limits: float | None) -> tuple[float, ...]:
-    """Return `length` finite floats from one number (repeated) or a sequence of that length."""
+    """Return `length` finite floats, from a sequence or from one number that is repeated."""
     if isinstance(value, Sequence | np.ndarray) and not isinstance(value, str):
         if len(value) != length:
             raise ParameterError(
@@ -143,7 +143,7 @@ def as_reals(name: str, value: object, length: int, **limits: float | None) -> t
 
 
 def as_choice(name: str, value: object, allowed: Sequence[str]) -> str:
-    """Return `value` if it is one of `allowed`."""
+    """Return a value if it is one of the allowed values."""
     if isinstance(value, str) and value in allowed:
         return value
     hint, close = close_match_hint(value if isinstance(value, str) else shown(value), allowed)
@@ -154,13 +154,13 @@ def as_choice(name: str, value: object, allowed: Sequence[str]) -> str:
 
 
 def as_real_array(name: str, value: object) -> Array:
-    """Return `value` as float64 if it holds integers or floats and nothing is masked.
+    """Return `value` as a float64 array, if it contains integers or floats and no masked values.
 
     Raises
     ------
     DomainError
         If it holds complex numbers, booleans, text, ragged lists or masked values.
-        NumPy would convert such values to floats and lose their meaning.
+        NumPy would convert such values to floats, and their meaning would be lost.
     """
     try:
         array = np.asarray(value)
@@ -178,7 +178,7 @@ def as_real_array(name: str, value: object) -> Array:
 
 
 def in_unit_cube(points: Array) -> bool:
-    """Whether all coordinates lie in [0,1]; false if there is a NaN."""
+    """Whether all coordinates lie in [0,1]. The result is False if one is NaN."""
     return not points.size or bool(points.min() >= 0.0 and points.max() <= 1.0)
 
 
@@ -188,7 +188,7 @@ def as_unit_points(points: object, *, dims: int | None = None, name: str = "poin
     Raises
     ------
     DomainError
-        If points are empty, not numeric, of another number of dims, not finite, or outside [0,1).
+        If points are empty, not numeric, not finite, outside [0,1), or have another number of dims.
     """
     x = as_real_array(name, points)
     if x.ndim == 0 or x.size == 0:
@@ -210,11 +210,11 @@ def as_unit_points(points: object, *, dims: int | None = None, name: str = "poin
 
 
 def distinct_points(points: Array) -> tuple[Array, Array, Array]:
-    """Return the distinct points of a set (n, d), the index of each given point, and their counts.
+    """Return the distinct points of a set (n, d), the index of each given point, and the counts.
 
-    The points are in ascending order of their coordinates.
+    The points are returned in ascending order of their coordinates.
     Coordinates below 2^-400 are rounded down to multiples of 2^-500.
-    Otherwise the square of a smaller distance would underflow.
+    Otherwise squares of the distances between such points would underflow.
     """
     places = points
     if (tiny := points < 2.0**-400).any():

@@ -1,4 +1,4 @@
-"""Precision of a mean: standard error, quantiles and 95 % intervals."""
+"""Precision of a mean: its standard error, quantiles and 95 % intervals."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = [
 ]
 
 CONFIDENCE_Z = 1.959963984540054
-"""Half width of a two-sided 95 % interval in standard errors."""
+"""Half width of a two-sided 95 % interval, in standard errors."""
 
 
 def standard_error(spread: Array, count: int) -> Array:
@@ -28,7 +28,7 @@ def standard_error(spread: Array, count: int) -> Array:
 def student_t(count: int) -> float:
     """Return the half width of the 95 % interval of a mean, in standard errors.
 
-    The mean is over `count` values; a `count` below 2 is treated as 2.
+    The mean is over `count` values. A `count` below 2 is treated as 2.
     """
     from scipy.special import stdtrit
 
@@ -39,9 +39,9 @@ def log_mean_interval(mean: Array, se: Array, count: int) -> Array:
     """Return the 95 % interval (..., 2) of a mean of nonnegative values, on a logarithmic scale.
 
     Student's t is applied to the logarithm of the mean.
-    As an example, take 4 realizations of |S|² of a Gaussian S, which is exponentially distributed.
-    In 93 % of such cases, the interval contains the mean.
-    The share is 88 % for the interval mean ± t·se, and 78 % with the normal quantile.
+    For example, take 4 realizations of |S|² with Gaussian S: |S|² is exponentially distributed.
+    The interval contains the true mean in 93 % of cases.
+    It would be 88 % for the interval mean ± t·se, and 78 % for the normal quantile.
     """
     relative = np.divide(se, mean, out=np.array(se), where=mean > 0)
     factor = np.exp(student_t(count) * relative)
@@ -49,5 +49,5 @@ def log_mean_interval(mean: Array, se: Array, count: int) -> Array:
 
 
 def rounding_floor(size: Array) -> Array:
-    """Return the variance below which estimates of this size differ by rounding: (16 ulps)²."""
+    """Return the variance below which such estimates differ only by rounding: (16 ulps)²."""
     return np.asarray((16 * np.finfo(float).eps * np.abs(size)) ** 2)

@@ -1,9 +1,9 @@
-"""Reading of untrusted files, with a limit on the memory that decoding takes.
+"""Reading of untrusted files, with a limit on the memory for decoding.
 
 A few kilobytes of a compressed format can expand to gigabytes.
-Therefore every reader computes the peak memory from the headers of the file.
-The peak memory includes decoding and the conversion to float64.
-Then the reader calls `check_decoded_size` before anything is decoded.
+Therefore each reader first computes the peak memory from the headers of the file.
+Peak memory includes the decoding and the conversion to float64.
+The reader then calls `check_decoded_size`, before it decodes anything.
 """
 
 from __future__ import annotations
@@ -35,21 +35,21 @@ __all__ = [
 ]
 
 _MOST_BYTES = 2**31
-_MOST_RATIO = 64  # largest number of bytes of memory for each byte of a file
-# Bytes of memory that any file may take: an uncompressed image of 3840 x 2160 pixels
+_MOST_RATIO = 64  # largest number of bytes of memory for each byte of the file
+# Bytes of memory that every file may take: an uncompressed image of 3840 x 2160 pixels
 _ALWAYS_READ = 2**28
-_CHUNK_BYTES = 4096  # Bytes assumed for each chunk of Zarr, because many tiny chunks take time
-# Codecs of Zarr that only compress and order numbers and texts; others may run code, such as pickle
+_CHUNK_BYTES = 4096  # bytes assumed for each chunk of Zarr, because many tiny chunks take time
+# Codecs of Zarr that only compress or reorder numbers and texts. Others, like pickle, may run code
 _CODECS = {
     *("blosc", "bytes", "bz2", "crc32c", "gzip", "lz4", "lzma", "shuffle"),
     *("transpose", "vlen-utf8", "zlib", "zstd"),
 }
-_TEXT_BYTES = 64  # Bytes of memory that are assumed for a text of unknown length
-_NPY_HEADER = 2**14  # largest header of a .npy file in bytes; NumPy itself allows 10,000 characters
+_TEXT_BYTES = 64  # bytes of memory that are assumed for a text of unknown length
+_NPY_HEADER = 2**14  # largest header of a .npy file in bytes; NumPy allows 10,000 characters
 
 
 def known_path(path: object, what: str, extensions: Sequence[str] = ()) -> Path:
-    """Return `path` as a path with one of the extensions, if given; `what` describes the file.
+    """Return `path` as a path. If extensions are given, it must have one; `what` names the file.
 
     Raises
     ------
@@ -67,13 +67,13 @@ def known_path(path: object, what: str, extensions: Sequence[str] = ()) -> Path:
 
 
 def path_to_write(path: object, what: str, extensions: Sequence[str]) -> Path | None:
-    """Check that a file can be written before the work starts; return its path, or None for None.
+    """Check before the work starts that a file can be written. Return its path, or None for None.
 
     Raises
     ------
     FileFormatError
         If the path has another extension (see `known_path`), or is a folder.
-        If the folder of the file does not exist or cannot be written.
+        If the folder of the file does not exist, or cannot be written.
     """
     if path is None:
         return None
@@ -90,7 +90,7 @@ def path_to_write(path: object, what: str, extensions: Sequence[str]) -> Path | 
 def opened(
     path: object, what: str, extensions: Sequence[str] = ()
 ) -> Iterator[tuple[IO[bytes], int, str, str]]:
-    """Open a file for a parser; yield its stream, size, name for messages, and extension.
+    """Open a file for a parser. Yield its stream, size, name for messages, and extension.
 
     Raises
     ------
@@ -112,13 +112,13 @@ def opened(
         raise FileFormatError(f"There is no file {file}; give the path of {what}.") from None
     except Exception as error:  # noqa: BLE001 - parsers raise any error for a broken file
         said = f"it is truncated, damaged or of another format ({reason_of(error, 200)})"
-        # Use the message of the operating system, if there is one
+        # Prefer the message of the operating system
         reason = getattr(error, "strerror", None) or said
         raise FileFormatError(f"{file} cannot be read as {what}: {reason}.") from None
 
 
 def check_decoded_size(name: object, size: int, decoded: float) -> None:
-    """Reject a file of `size` bytes if reading it takes too much memory (peak `decoded` bytes).
+    """Reject a file of `size` bytes if reading takes too much memory. The peak is `decoded` bytes.
 
     Raises
     ------
@@ -134,16 +134,16 @@ def check_decoded_size(name: object, size: int, decoded: float) -> None:
 
 
 def read_npy(stream: IO[bytes], size: int, name: str, held: int | None = None) -> Array:
-    """Return the array of a .npy stream of a file of `size` bytes.
+    """Return the array of a .npy stream from a file of `size` bytes.
 
-    `held` is the number of bytes in the stream, if the stream is only a part of the file.
+    `held` is the number of bytes in the stream, if it is only a part of the file.
 
     Raises
     ------
     FileFormatError
         If the array takes too much memory, or the header announces more bytes than the file has.
     ValueError
-        If the stream is not a .npy stream, or holds Python objects.
+        If the stream is not a .npy stream, or contains Python objects.
     """
     header = io.BytesIO(stream.read(_NPY_HEADER))
     first = np.lib.format.read_magic(header) == (1, 0)
@@ -155,7 +155,7 @@ def read_npy(stream: IO[bytes], size: int, name: str, held: int | None = None) -
             f"{name} announces an array of shape {shape}, {count * dtype.itemsize} bytes, but has "
             f"{held}."
         )
-    # Peak memory: the array, a float64 copy if its type differs, and two masks
+    # Peak memory: the array, a float64 copy if the type differs, and two masks
     check_decoded_size(name, size, count * (dtype.itemsize + 8 * (dtype != np.float64) + 2))
     stream.seek(0)
     return np.asarray(np.lib.format.read_array(stream, allow_pickle=False))
@@ -164,12 +164,12 @@ def read_npy(stream: IO[bytes], size: int, name: str, held: int | None = None) -
 def read_npz(
     stream: IO[bytes], size: int, name: str, array: str, *, or_only: bool = False
 ) -> Array:
-    """Return an array of a .npz file by its name, or the only array if `or_only` is true.
+    """Return an array of a .npz file by its name. With `or_only`, it may be the only array instead.
 
     Raises
     ------
     FileFormatError
-        If there is no such array, or if NumPy does not use its compression method.
+        If there is no such array, or if its compression method is not one of NumPy's.
         If `read_npy` rejects the array.
     """
     with zipfile.ZipFile(stream) as archive:
@@ -183,7 +183,7 @@ def read_npz(
                 f"array to {array!r}."
             )
         member = archive.getinfo(f"{array}.npy")
-        # other compression methods have no size limit
+        # the sizes of other compression methods are not limited
         if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             raise FileFormatError(f"{name} is not compressed as NumPy does; use savez_compressed.")
         with archive.open(member) as content:
@@ -191,17 +191,17 @@ def read_npz(
 
 
 def check_zarr(folder: Path) -> None:
-    """Check a Zarr store of formats 2 or 3 before another reader opens it.
+    """Check a Zarr store of format 2 or 3 before another reader opens it.
 
     The reader must ignore consolidated metadata, which this function does not check.
 
     Raises
     ------
     FileFormatError
-        If the store has links, devices or pipes, an array with a codec that does more than compress
-        and order, or takes too much memory.
+        If the store has links, devices or pipes, or takes too much memory.
+        If a codec of an array does more than compress and reorder.
     ValueError, LookupError, TypeError, OSError
-        If a document of the store cannot be read.
+        If a document of the store (its JSON metadata) cannot be read.
     """
     size, decoded = 0, 0.0
     for base, *names in os.walk(folder):
@@ -218,7 +218,7 @@ def check_zarr(folder: Path) -> None:
 
 
 def _decoded_zarr(name: str, document: dict[str, Any]) -> float:
-    """Return the memory in bytes of an array of Zarr by its document; 0 for a group."""
+    """Return the memory in bytes of a Zarr array, from its metadata document; 0 for a group."""
     if document.get("node_type") == "group":
         return 0.0
     kind: Any = document.get("dtype", document.get("data_type"))
@@ -237,6 +237,6 @@ def _decoded_zarr(name: str, document: dict[str, Any]) -> float:
     grid = document.get("chunk_grid") or {"configuration": {"chunk_shape": document.get("chunks")}}
     sides = list(zip(document["shape"], grid["configuration"]["chunk_shape"], strict=True))
     chunks = math.prod(math.ceil(length / max(1, chunk)) for length, chunk in sides)
-    # A chunk is decoded as a whole, even if the array is smaller
+    # A chunk is decoded as a whole, even if the array is smaller than the chunk
     entries = math.prod(max(length, chunk) for length, chunk in sides)
     return float(max(0, entries) * max(0, int(width)) + max(0, chunks) * _CHUNK_BYTES)

@@ -1,14 +1,14 @@
-"""Display of text from outside, and of components and results in notebooks.
+"""Display of untrusted text, and of components and results in notebooks.
 
 Names, titles, paths and messages may come from an untrusted file.
 `printable` escapes characters that would control a terminal or reorder a line.
 `escape_html` and `csv_cell` also escape text that a browser or a spreadsheet would run.
-The package applies `printable` to errors and warnings when they are created.
+The package applies `printable` to errors and warnings when it creates them.
 Tables and answers become `printable` when they are printed, pages and figures when drawn.
 
-Drawing needs the modules of `mcspectra.report`, a higher layer.
-Like the classes of a registry, they are named as text and imported when first needed.
-Therefore no module imports from a higher layer, and nothing is loaded before it is displayed.
+Drawing needs modules of `mcspectra.report`, which is a higher layer.
+Like the classes of a registry, these modules are named in text and imported when first needed.
+Therefore no module imports from a higher layer, and nothing is loaded before it is needed.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ __all__ = [
     "shown",
 ]
 
-# Zero-width characters that str.isprintable accepts: fillers, and variation selectors
+# Zero-width characters that str.isprintable accepts: fillers and variation selectors
 _INVISIBLE = re.compile(
     "[\u034f\u115f\u1160\u17b4\u17b5\u180b-\u180d\u3164\uffa0\U000e0100-\U000e01ef]"
 )
@@ -51,17 +51,17 @@ _PLOTS = "mcspectra.plots.components"
 
 
 def printable(given: object, most: int | None = None, *, lines: bool = False) -> str:
-    r"""Return text from outside, or a path, in one safe line of at most `most` characters.
+    r"""Return untrusted text, or a path, in one safe line of at most `most` characters.
 
     Characters that do not print become escapes such as ``\x1b`` and ``\u202e``.
     Such characters are controls, line separators, surrogates, and zero-width characters.
-    Marks of direction and characters that Unicode has not assigned are also escaped.
-    Spaces of other widths become plain spaces. A text that is too long loses its middle.
+    Direction marks, and characters that are not assigned in Unicode, are also escaped.
+    Spaces of other widths become plain spaces. A text that is too long is cut in the middle.
 
     Parameters
     ----------
     lines
-        Whether to keep line feeds, for text of this package that quotes text from outside.
+        Whether to keep line feeds, for text of this package that quotes untrusted text.
 
     Examples
     --------
@@ -83,7 +83,7 @@ def printable(given: object, most: int | None = None, *, lines: bool = False) ->
 
 
 def shown(value: object, most: int = QUOTED) -> str:
-    """Return the ``repr`` of a value for a message, shortened and made `printable`.
+    """Return the ``repr`` of a value for a message. It is shortened and made `printable`.
 
     A long integer is replaced by its size, since Python writes at most 4300 digits.
 
@@ -125,15 +125,15 @@ def _escape(character: str) -> str:
 
 
 def escape_html(text: object) -> str:
-    """Escape text from outside for an HTML element or attribute; `printable` with lines kept."""
+    """Make untrusted text `printable`, keep its lines, and escape it for an HTML element."""
     return html.escape(printable(text, lines=True))
 
 
 def csv_cell(value: object) -> object:
-    """Return a spreadsheet cell; text that would run as a formula is prefixed with ``'``.
+    """Return a spreadsheet cell. Text that would run as a formula gets the prefix ``'``.
 
-    Text that would run begins with ``=``, ``+``, ``-``, ``@`` or a tab and is not a number.
-    Numbers and None are returned unchanged; text is `printable`.
+    Such text begins with ``=``, ``+``, ``-``, ``@`` or a tab, and is not a number.
+    Numbers and None are returned unchanged. All text is made `printable`.
     """
     if not isinstance(value, str):
         return value
@@ -148,7 +148,7 @@ def csv_cell(value: object) -> object:
 def html_of(component: object) -> str | None:
     """Return a picture and the main figures of a component as HTML, or None if this fails.
 
-    A notebook then shows the plain text instead, so that displaying an object never raises.
+    If this fails, a notebook shows plain text, so that displaying an object never raises an error.
     """
     try:
         html: str = importlib.import_module(_PICTURES).component_html(component)
@@ -158,12 +158,12 @@ def html_of(component: object) -> str | None:
 
 
 def plot_of(component: object, kind: str | None, **options: Any) -> Any:
-    """Draw a component; see `mcspectra.plots.components`."""
+    """Draw a component (see `mcspectra.plots.components`)."""
     return importlib.import_module(_PLOTS).plot(component, kind, **options)
 
 
 class Drawable:
-    """Base of components and estimators, which notebooks show and which can be plotted."""
+    """Base of components and estimators, which notebooks show as pictures and which have plots."""
 
     def _repr_html_(self) -> str | None:
         """Return a picture and the main figures as HTML, for notebooks."""
@@ -186,20 +186,20 @@ class Drawable:
             A sampler has the plots ``points`` and ``spectrum``.
             Densities and integrands have the plot ``integrand``: the function, as a curve or a map.
             An estimator also has ``strata`` (parts of the variance) and ``estimates``.
-            Default: the first of these.
+            The default is the first of these.
         n
-            Number of points. Default: about 16 in 1-D, and about 64 in more dims.
+            Number of points. The default is about 16 in 1-D, and about 64 in more dims.
         sampler
-            Sampler or spec of the points that are shown with densities and estimators.
+            Sampler, or its spec, for the points that are shown with densities and estimators.
         rng
             Seed of the points.
         axes
-            Matplotlib axes to draw into, one per panel. Default: new axes.
+            Matplotlib axes to draw into, one per panel. By default, new axes are made.
 
         Returns
         -------
         matplotlib.axes.Axes or list of matplotlib.axes.Axes
-            The axes drawn into.
+            The axes that contain the drawing.
         """
         return plot_of(self, kind, n=n, sampler=sampler, rng=rng, axes=axes)
 

@@ -1,9 +1,9 @@
-"""Latitude-longitude environment maps: radiance from all directions, as pixels on the unit square.
+"""Latitude-longitude environment maps: radiance from all directions, as pixels of the unit square.
 
 Conventions
 -----------
 x_0 gives the azimuth φ = 2π x_0, and x_1 gives the polar angle θ = π x_1.
-The first row of pixels is at +z, the last row at −z.
+The first row of pixels is next to +z, and the last row is next to −z.
 The direction is ω = (sin θ cos φ, sin θ sin φ, cos θ).
 A solid angle is dω = sin θ dθ dφ = 2π² sin(π x_1) dx.
 """
@@ -20,9 +20,9 @@ from mcspectra.core.errors import DomainError, ParameterError
 __all__ = ["directions", "environment_pixels", "row_solid_angles", "synthetic_sky"]
 
 _MOST_VALUES = 2**28  # 2 GiB, the same limit as for picture files
-# Position x_0, x_1 of the sun, sharpness (as of a von Mises-Fisher lobe), and radiance
+# The sun: position x_0, x_1, sharpness (as in a von Mises-Fisher lobe), and radiance
 _SUN = (0.62, 0.31, 14.0, 400.0)
-_PATCHES = (  # x_0, x_1, half sizes, color
+_PATCHES = (  # for each patch: x_0, x_1, two half sizes, color
     (0.15, 0.30, 0.04, 0.06, (9.0, 1.0, 0.5)),
     (0.35, 0.45, 0.05, 0.04, (0.4, 7.0, 1.0)),
     (0.85, 0.40, 0.03, 0.08, (0.5, 1.5, 12.0)),
@@ -35,7 +35,7 @@ def synthetic_sky(height: int = 32, width: int = 64) -> Array:
     Parameters
     ----------
     height, width
-        Pixels along θ and φ; at least 1.
+        Numbers of pixels along θ and φ, at least 1.
 
     Returns
     -------
@@ -73,8 +73,8 @@ def directions(x: Array) -> Array:
 def row_solid_angles(height: int) -> Array:
     """Return the fraction of the sphere that each of `height` rows covers; their sum is 1.
 
-    With θ at the row's center, ½ (cos θ_j − cos θ_{j+1}) = sin θ sin(π/2h).
-    The right side is exact, because it has no cancellation.
+    If θ is the polar angle at a row's center, ½ (cos θ_j − cos θ_{j+1}) = sin θ sin(π/2h).
+    The right side is accurate, because it has no cancellation.
     """
     height = as_integer("height", height, least=1)
     centers = (np.arange(height) + 0.5) / height
@@ -82,12 +82,12 @@ def row_solid_angles(height: int) -> Array:
 
 
 def environment_pixels(path: object, values: object) -> Array:
-    """Return radiance (h, w, channels) of a file, an array, or the synthetic sky by default.
+    """Return radiance (h, w, channels) from a file or an array; by default, the synthetic sky.
 
     Raises
     ------
     ParameterError
-        If both are given, or if pixels have another shape, are negative, not finite or too many.
+        If both are given. If pixels have another shape, are negative, not finite or too many.
     FileFormatError
         If the file is missing or cannot be read.
     """

@@ -1,13 +1,13 @@
-"""Errors and warnings: each message says what was given, what is allowed and what to do.
+"""Errors and warnings. Each message says what was given, what is allowed and what to do.
 
 Every error that a user can cause derives from `McspectraError`.
 The command line prints such an error as one sentence and exits with code 2.
-Errors about values also derive from `ValueError` or another fitting built-in class.
-Code outside this package can therefore catch them.
+Errors about values also derive from `ValueError` or another built-in class that fits.
+Code outside this package can therefore catch them by these classes.
 
-In a message, an option is a separate part (a `Parameter`), as is a public function (a `Function`).
+In a message, options and public functions are separate parts (`Parameter` and `Function`).
 For example: ``ParameterError(Parameter("bins"), " is 0; give more.")``.
-Python shows ``bins is 0; give more.``, the command line ``--bins is 0; give more.``
+Python shows ``bins is 0; give more.``; the command line shows ``--bins is 0; give more.``
 """
 
 from __future__ import annotations
@@ -70,15 +70,15 @@ __all__ = [
 
 _PACKAGE = str(Path(__file__).parents[1]) + os.sep
 _FAILING = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)
-_COORDINATES = 6  # largest number of coordinates of a point in a message
-# largest number of characters of a message; the package's own messages have at most 350
+_COORDINATES = 6  # largest number of coordinates of a point that a message shows
+# Largest number of characters of a message. The package's own messages have at most 350
 _LONGEST = 1000
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """The name of an option as a part of a message: ``bins``, or with a value ``bins=100``."""
+    """An option in a message. The text is its name ``bins``, or with a value ``bins=100``."""
 
     name: str
     value: Any = None
@@ -91,7 +91,7 @@ class Parameter:
 @final
 @dataclass(frozen=True, slots=True)
 class Function:
-    """The name of a public function as a part of a message; `mcspectra` exports this name."""
+    """A public function in a message. The text is the name that `mcspectra` exports."""
 
     name: str
 
@@ -103,8 +103,8 @@ class Function:
 class McspectraError(Exception):
     """Base class of all errors that this package raises on purpose.
 
-    `args` are the parts of the message: texts, options, functions, and other errors.
-    The parts can contain text from outside, such as names and paths.
+    `args` are the parts of the message: texts, options, functions and other errors.
+    The parts can contain untrusted text, such as names and paths.
     The message is one printable line.
     """
 
@@ -113,7 +113,7 @@ class McspectraError(Exception):
         return self.sentence(str)
 
     def sentence(self, write: Callable[[Parameter | Function], str]) -> str:
-        """Return the message; `write` formats options and functions."""
+        """Return the message. The function `write` formats options and functions."""
         parts = []
         for part in self.args:
             if isinstance(part, McspectraError):
@@ -124,7 +124,7 @@ class McspectraError(Exception):
 
 
 Part: TypeAlias = str | Parameter | Function | McspectraError
-"""A part of the message of an error."""
+"""A part of the message of an error: a text, an option, a function or another error."""
 
 
 class ParameterError(McspectraError, ValueError):
@@ -136,7 +136,7 @@ class DomainError(ParameterError):
 
 
 class CountError(ParameterError):
-    """A sampler cannot make this number of points; `nearest` holds the nearest possible counts."""
+    """A sampler cannot make this number of points. `nearest` holds the nearest possible numbers."""
 
     def __init__(self, message: Part, nearest: tuple[int, ...] = ()) -> None:
         super().__init__(message)
@@ -144,7 +144,7 @@ class CountError(ParameterError):
 
 
 class BudgetError(ParameterError):
-    """A request needs more function calls than allowed; the function was not called."""
+    """A request needs more function calls than allowed. The function was not called."""
 
 
 class DensityError(ParameterError):
@@ -156,7 +156,7 @@ class SpecError(ParameterError):
 
 
 class UnknownName(SpecError):
-    """A name is not registered; `close` holds similar registered names."""
+    """A name is not registered. `close` holds similar registered names."""
 
     def __init__(self, message: str, close: tuple[str, ...] = ()) -> None:
         super().__init__(message)
@@ -180,19 +180,19 @@ class StorageError(StoreError):
 
 
 class AnalysisError(McspectraError, TypeError):
-    """An analysis, such as another package's, breaks its contract; its author has to fix it."""
+    """An analysis, such as another package's, breaks its contract. Its author has to fix it."""
 
 
 class NoClosedForm(McspectraError, NotImplementedError):
-    """No closed form is known for this combination; simulate instead."""
+    """No closed form is known for this combination. Simulate instead."""
 
 
 class MissingDependency(McspectraError, ImportError):
-    """An optional package is needed; the message names the extra to install."""
+    """An optional package is needed. The message names the extra that installs it."""
 
 
 MEASURE_IT: tuple[Part, ...] = (Function("convergence"), " or ", Function("variance_terms"))
-"""Part of messages about a variance without a closed form: the functions that measure it."""
+"""Part of messages about a variance without a closed form: the functions that simulate it."""
 
 
 class CorrelatedFrequenciesWarning(UserWarning):
@@ -200,15 +200,15 @@ class CorrelatedFrequenciesWarning(UserWarning):
 
 
 class CacheWarning(UserWarning):
-    """An entry of the cache is damaged, or the cache cannot be written; results are the same."""
+    """A cache entry is damaged, or the cache cannot be written. Results are the same."""
 
 
 class DependentRealizationsWarning(UserWarning):
-    """Realizations of a seed are not independent: their variances and standard errors mislead."""
+    """Realizations of a seed are not independent, so variances and standard errors are wrong."""
 
 
 class MissingPackageWarning(UserWarning):
-    """A file is not written because an optional package is missing; the results are complete."""
+    """A file is not written because an optional package is missing. The results are complete."""
 
 
 class NotPowerOfTwoWarning(UserWarning):
@@ -228,11 +228,11 @@ class PreasymptoticWarning(UserWarning):
 
 
 class UndefinedRatioWarning(UserWarning):
-    """f and p are both 0 at a sample: f/p counts as 0 there, whatever its limit is."""
+    """f and p are both 0 at a sample. There f/p counts as 0, although its limit may differ."""
 
 
 class DamagedResultsWarning(UserWarning):
-    """Stored results of an earlier run are damaged; they are named and computed again."""
+    """Stored results of an earlier run are damaged. They are named and computed again."""
 
 
 class OtherVersionsWarning(UserWarning):
@@ -248,7 +248,7 @@ class IncompleteImageWarning(UserWarning):
 
 
 class SlowSamplerWarning(UserWarning):
-    """The user's program takes long to print points; the message gives the estimated time."""
+    """The user's program takes long to print points. The message gives the estimated time."""
 
 
 class NoGainWarning(UserWarning):
@@ -260,8 +260,8 @@ def close_match_hint(
 ) -> tuple[str, tuple[str, ...]]:
     """Return a hint such as `` Did you mean 'x'?``, and the names that are close to `given`.
 
-    If no name is close, the hint lists all names, or gives their number if there are many.
-    `command` prints all names; messages mention this command if there are many names.
+    If no name is close, the hint lists all names.
+    If there are many, it gives their number and mentions `command`, which prints all names.
     """
     names = sorted(allowed)
     close = tuple(difflib.get_close_matches(given, names, n=3, cutoff=0.5))
@@ -274,7 +274,7 @@ def close_match_hint(
 
 
 def point_in_words(point: Iterable[float]) -> str:
-    """Return a point as ``(0.1, 0.25)``; a long point is cut, with its total number of dims."""
+    """Return a point as ``(0.1, 0.25)``. A long point is cut, and its number of dims is added."""
     coordinates = [f"{float(c):.6g}" for c in point]
     more = len(coordinates) - _COORDINATES
     shown = ", ".join(coordinates[:_COORDINATES])
@@ -298,7 +298,7 @@ def reason_of(error: BaseException, most: int = 1000) -> str:
 def writing(
     path: str | PathLike[str], kind: type[McspectraError] = FileFormatError
 ) -> Iterator[None]:
-    """Convert an OSError that writing a file raises to an error of the class `kind`.
+    """Convert an OSError from writing a file to an error of the class `kind`.
 
     If the disk is full or fails, the error is a StorageError: the input is not the cause.
     """
@@ -310,10 +310,10 @@ def writing(
 
 
 def warn(message: str, category: type[Warning]) -> None:
-    """Warn at the line that called the package: the first frame whose file is outside the package.
+    """Warn at the line that called the package: the first frame outside of the package's files.
 
-    Python 3.12 has `skip_file_prefixes` for this.
-    The number of frames to skip is not fixed, because it would change with the code.
+    In Python 3.12, the argument `skip_file_prefixes` of `warnings.warn` does this.
+    A fixed number of frames to skip would have to change with the code.
     """
     frame = sys._getframe(1)
     while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGE):

@@ -1,9 +1,9 @@
-"""Fields of frozen dataclasses that check and convert their values.
+"""Fields of frozen dataclasses. The fields check and convert their values.
 
 A class declares, for example, ``strength: int = whole(1, least=1, most=2)``.
-When an instance is created, `check_fields` replaces the given value by the checked value.
+When an instance is created, `check_fields` replaces each given value by the checked value.
 `mcspectra.core.spec.Component` does this for samplers, densities, integrands and similar classes.
-None stays None if it is the default.
+None stays None if it is the default of the field.
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ def checked(
 def whole(
     default: int | Any | None = dataclasses.MISSING, *, least: int, most: int | None = None
 ) -> Any:
-    """Declare a field of whole numbers from `least` to `most`."""
+    """Declare a field of whole numbers, with a smallest and a largest allowed number."""
     return checked(lambda name, given: as_integer(name, given, least=least, most=most), default)
 
 
 def real(default: float | Any | None = dataclasses.MISSING, **limits: float) -> Any:
-    """Declare a field of finite floats within the limits of `core.checks.as_real`."""
+    """Declare a field of finite floats, with the same limits as in `core.checks.as_real`."""
     return checked(lambda name, given: as_real(name, given, **limits), default)
 
 
 def choice(*allowed: str, default: str | None = None) -> Any:
-    """Declare a field that holds one of several words; the first word is the default."""
+    """Declare a field that holds one of several words. The first word is the default."""
     return checked(lambda name, given: as_choice(name, given, allowed), default or allowed[0])
 
 
@@ -60,14 +60,14 @@ def _as_flag(name: str, given: object) -> bool:
 
 
 def each_axis(parameter: str) -> Any:
-    """Declare a property with values (d,) of a parameter that is one number or one per axis."""
+    """Declare a property: the values (d,) of a parameter, given as one number or one per axis."""
     return property(
         lambda own: np.broadcast_to(np.asarray(getattr(own, parameter), float), own.dims)
     )
 
 
 def check_fields(component: Any) -> None:
-    """Check all declared fields of an instance; `dims` comes first because others depend on it."""
+    """Check all declared fields of an instance, with `dims` first because others depend on it."""
     for field in sorted(dataclasses.fields(component), key=lambda field: field.name != "dims"):
         check, given = field.metadata.get("check"), getattr(component, field.name)
         if check and not (given is None and field.default is None):
@@ -77,6 +77,6 @@ def check_fields(component: Any) -> None:
 
 
 def settle(component: object, **values: object) -> None:
-    """Set attributes of a frozen dataclass during its creation."""
+    """Set attributes of a frozen dataclass while it is being created."""
     for name, value in values.items():
         object.__setattr__(component, name, value)

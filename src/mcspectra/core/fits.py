@@ -1,32 +1,32 @@
-"""Fits of straight lines and of rates: the slope of log variance against log n.
+"""Fits of straight lines and of rates. A rate is the slope of log variance against log n.
 
 The fits are weighted least squares.
-The weight of a variance is the inverse square of its relative standard error.
+The weight of each variance is the inverse square of its relative standard error.
 The standard errors are estimated from the realizations.
-For a straight line, the 95 % interval is therefore normal.
-If the lack of fit (χ² per degree of freedom) exceeds 1, the interval is widened by √χ².
+Therefore the 95 % interval of a straight line's slope is normal.
+Lack of fit is χ² per degree of freedom. If it exceeds 1, the interval is widened by √χ².
 If the lack of fit is significant (`LACK_OF_FIT`), the standard errors do not explain the scatter.
-The scatter is then estimated from the counts: the factor is √χ² times Student's t.
-Student's t has the degrees of freedom of the fit, which is one for three counts.
+The scatter is then estimated from the data: the factor is √χ² times Student's t.
+Student's t has the degrees of freedom of the fit, which is one if there are three counts.
 
 Curves bend at small n because of lower-order terms.
-A *window* is the number of largest counts that a fit uses.
+A *window* consists of the largest counts, to which a fit is limited.
 ``"auto"`` takes the largest window of at least three counts that passes two tests:
-no significant lack of fit (`LACK_OF_FIT`) and no significant curvature (`CURVATURE`).
+no significant lack of fit (`LACK_OF_FIT`), and no significant curvature (`CURVATURE`).
 The test of curvature has one degree of freedom, whereas χ² spreads a bend over all of them.
 Therefore the test of curvature also detects small bends.
-The noise may still hide a bend in an accepted window.
-The interval therefore uses the scatter even for χ² below 1, if the scatter makes it wider.
-``"auto"`` is not the default because it loses precision for a straight line.
+Noise may still hide a bend in a window that passes both tests.
+Therefore the interval uses the scatter also for χ² below 1, if this makes the interval wider.
+``"auto"`` is not the default, because it loses precision if the line is straight.
 
-In simulations, the standard errors were 6 % (500 realizations), for counts 4, 16, … 1024.
-For a straight line, the intervals of ``"auto"`` hold the asymptotic rate in 98 % of the cases.
-For a disk of radius 0.27 off the center and jittered points, 97 % of the intervals hold the rate.
-For a Gaussian and jittered points with a random shift, 86 % of the intervals hold the rate.
-For this Gaussian, the exact slope is −1.42 … −1.50 here, and no test can detect this bend.
-A curve that bends up to its last count is not extrapolated.
+In simulations, counts were 4, 16, … 1024 and standard errors were 6 % (500 realizations).
+For a straight line, 98 % of the intervals of ``"auto"`` contain the asymptotic rate.
+For jittered points and a disk of radius 0.27 off the center, 97 % of intervals contain the rate.
+For a Gaussian and jittered points with a random shift, 86 % of the intervals contain the rate.
+For this Gaussian the exact slope is −1.42 … −1.50, and no test can detect such a small bend.
+If a curve still bends at its last counts, its rate is not extrapolated.
 An example is a disk centered on the strata, with slope −1.39 between the last two counts.
-Exact variances at the same counts are better evidence.
+Exact variances at the same counts would show the rate better.
 """
 
 from __future__ import annotations
@@ -59,21 +59,21 @@ __all__ = [
 ]
 
 LACK_OF_FIT = 0.05
-"""Significance level of χ² below which a window of counts is rejected as bent."""
+"""Significance level of χ². If a window of counts is below this level, it is rejected as bent."""
 
 CURVATURE = 0.1
-"""Significance level of a quadratic term in log n below which a window is rejected as bent."""
+"""Significance level of a quadratic term in log n. Windows below it are rejected as bent."""
 
 UNRESOLVED = "not resolved: use five or more counts, more realizations or larger counts"
-"""Text that replaces a rate whose interval is too wide; results keep the number."""
+"""Text that replaces a rate whose interval is too wide. Results keep the number."""
 
-_WIDEST = 0.5  # largest half interval of a reported rate, so that −1 and −2 are distinguished
+_WIDEST = 0.5  # largest half-width of a reported rate's interval: it separates −1 from −2
 _LEAST = 3  # smallest number of counts that can show lack of fit
 
 
 @dataclass(frozen=True)
 class LineFit:
-    """The line level + slope · (x − center), with its goodness of fit.
+    """The line level + slope · (x − center), and how well it fits.
 
     Attributes
     ----------
@@ -83,12 +83,12 @@ class LineFit:
         Weighted means of x and y. The line passes through this point.
         The error of the level is independent of the error of the slope.
     spread
-        Σ w (x − center)²: the inverse variance of the slope if the weights are inverse variances.
+        Σ w (x − center)². If weights are inverse variances, it is the slope's inverse variance.
     residuals
-        Values of y minus the line, with shape (N,).
+        Differences between y and the line, with shape (N,).
     chi2
         Lack of fit, Σ w residual² per degree of freedom.
-        The value is about 1 for a straight line, and NaN for two points.
+        The value is about 1 for a straight line. It is NaN for two points.
     """
 
     slope: float
@@ -99,7 +99,7 @@ class LineFit:
     chi2: float
 
     def at(self, x: Array | float, slope: float | None = None) -> Array:
-        """Return values of the line at x; `slope` replaces the fitted slope about the center."""
+        """Return values of the line at x. If given, `slope` replaces the fitted slope."""
         return np.asarray(self.level + (self.slope if slope is None else slope) * (x - self.centre))
 
 
@@ -109,7 +109,7 @@ def line_fit(x: Array, y: Array, weight: Array) -> LineFit:
     Parameters
     ----------
     x, y
-        Coordinates (N,), at least two different x.
+        Coordinates (N,), with at least two different x.
     weight
         Inverse variance of each y, (N,).
     """
@@ -128,9 +128,9 @@ def line_fit(x: Array, y: Array, weight: Array) -> LineFit:
 class LineFits:
     """Many lines log V = level + rate · (log n − center), fitted by `line_fits`: arrays (S, …).
 
-    The center is the weighted mean of log n, where the errors of level and rate are independent.
-    A rate is NaN if it was fitted to fewer than two values, or if `known` is false for the line.
-    The field chi2 is the lack of fit per degree of freedom, NaN for two values.
+    The center is the weighted mean of log n, at which the errors of level and rate are independent.
+    A rate is NaN if it was fitted to fewer than two values, or if the line is not `known`.
+    The field chi2 is the lack of fit per degree of freedom. It is NaN for two values.
     """
 
     rate: Array
@@ -145,21 +145,21 @@ class LineFits:
         return LineFits(**{name: getattr(self, name)[rows] for name in self.__dataclass_fields__})
 
     def at(self, n: float) -> tuple[Array, Array]:
-        """Return log variance at `n` and its standard error."""
+        """Return the log variance at `n`, and its standard error."""
         step = np.log(n) - self.centre
         return self.level + self.rate * step, np.hypot(self.level_se, self.rate_se * step)
 
 
 def line_fits(x: Array, y: Array, weight: Array, known: Array) -> LineFits:
-    """Fit many lines at once, with standard errors widened by lack of fit as in `fit_rate`.
+    """Fit many lines at once. Lack of fit widens the standard errors, as in `fit_rate`.
 
     Parameters
     ----------
     x, y, weight
-        Coordinates and the inverse variance of each y, which broadcast to (S, N, …).
+        Coordinates, and the inverse variance of each y. They broadcast to (S, N, …).
         Values of weight 0 are ignored.
     known
-        Whether a line can be fitted to the remaining values, (S, …).
+        For each line, whether enough values remain to fit it, (S, …).
     """
     from scipy.special import chdtrc, stdtrit
 
@@ -189,7 +189,7 @@ def line_fits(x: Array, y: Array, weight: Array, known: Array) -> LineFits:
 
 
 def _over_values(values: Array) -> Array:
-    """Sum over the second axis term by term, in the same order for any number of lines."""
+    """Sum over the second axis term by term. The order is the same for any number of lines."""
     return np.asarray(functools.reduce(np.add, np.moveaxis(values, 1, 0)))
 
 
@@ -200,8 +200,8 @@ class RateFit:
     Attributes
     ----------
     rate, interval
-        Slope and its 95 % interval, widened by lack of fit.
-        NaN if fewer than two variances were fitted.
+        Slope and its 95 % interval, widened if there is lack of fit.
+        They are NaN if fewer than two variances were fitted.
     first_n
         Smallest fitted count.
     chi2
@@ -220,7 +220,7 @@ def is_resolved(low: float, high: float) -> bool:
 
 
 def check_window(fit_last: int | str | None, counts: int) -> None:
-    """Raise ParameterError if a window has more counts than the data."""
+    """Raise ParameterError if a window has more counts than there are in the data."""
     if isinstance(fit_last, int) and fit_last > counts:
         raise ParameterError(
             Parameter("fit_last"), f" is {fit_last}; give at most {counts}, the number of counts."
@@ -236,12 +236,12 @@ def fit_rate(
     ----------
     ns, variance, relative_se, floor
         Counts, variances and their relative standard errors, all of shape (N,).
-        Variances below `floor` are rounding noise and are ignored.
+        Variances below `floor` come from rounding, and are ignored.
     window
-        Number of largest counts to fit; None fits all.
-        ``"auto"`` takes the largest window of three or more counts that passes two tests.
-        These counts must have no significant χ² (`LACK_OF_FIT`) and no curvature (`CURVATURE`).
-        If no window passes, ``"auto"`` takes the last three counts.
+        Number of largest counts to fit. None fits all counts.
+        ``"auto"`` takes the largest window of three or more counts that passes two tests:
+        no significant χ² (`LACK_OF_FIT`), and no significant curvature (`CURVATURE`).
+        If no window passes both tests, ``"auto"`` takes the last three counts.
     """
     start = -window if isinstance(window, int) else 0
     ns, variance, relative_se, floor = (a[start:] for a in (ns, variance, relative_se, floor))
@@ -253,7 +253,7 @@ def fit_rate(
 
     first = 0
     while len(x) - first > _LEAST:
-        # Test for lack of fit to a straight line, in general and for a quadratic term
+        # Test whether a straight line fits: by all deviations, and by a quadratic term
         own, weight = x[first:], se[first:] ** -2.0
         residual = line_fit(own, y[first:], weight).residuals / se[first:]
         straight = line_fit(own, (own - own.mean()) ** 2, weight).residuals / se[first:]
@@ -268,9 +268,9 @@ def fit_rate(
 def fit_rates(
     ns: Array, variance: Array, relative_se: Array, floor: Array, window: int | str | None = None
 ) -> dict[str, Array]:
-    """Fit every column of arrays (N, …); return the fields of `RateFit` as arrays.
+    """Fit each column of arrays (N, …). Return the fields of `RateFit` as arrays.
 
-    The fields have shape (…), and the interval has shape (…, 2).
+    The fields have the shape (…), and the interval has the shape (…, 2).
     """
     columns = (a.reshape(len(ns), -1).T for a in (variance, relative_se, floor))
     fits = [fit_rate(ns, v, r, f, window) for v, r, f in zip(*columns, strict=True)]
@@ -281,7 +281,7 @@ def fit_rates(
 
 
 def _line(x: Array, y: Array, se: Array, *, chosen: bool = False) -> RateFit:
-    """Fit y against x by weighted least squares; a `chosen` window uses the scatter of the data."""
+    """Fit y against x by weighted least squares. A `chosen` window uses the scatter of the data."""
     if len(x) < 2:
         return RateFit()
     fit = line_fit(x, y, se**-2.0)
@@ -298,7 +298,7 @@ def widening(degrees: int, chi2: float) -> float:
 
 
 def _quantile(degrees: int, chi2: float, *, chosen: bool) -> float:
-    """Return half the slope's interval, in units of its standard error without lack of fit."""
+    """Return half the interval of a slope, in units of the standard error without lack of fit."""
     if not degrees:
         return CONFIDENCE_Z
     from scipy.special import chdtrc, stdtrit

@@ -10,15 +10,15 @@ from mcspectra.core.errors import ParameterError
 __all__ = ["as_vector", "check_light", "norm", "triangle_angle"]
 
 _LARGEST = 1e9
-# A light has no area if the sine of the angle between its edges is smaller than this limit.
-# The same limit applies to the ratio of an edge to the distance
+# If the sine of the angle between the edges of a light is below this limit, the light has no area.
+# The same limit applies to the length of an edge divided by the distance
 _FLAT = 1e-9
-# Smallest height of a point above the plane of a light, relative to the largest distance to it
+# Smallest height of a point above a light's plane, divided by the largest distance to the light
 _GRAZING = 1e-6
 
 
 def as_vector(name: str, value: object) -> tuple[float, float, float]:
-    """Return three finite floats of at most 1e9 from a sequence of three.
+    """Return three finite floats, of at most 1e9 in magnitude, from a sequence of three.
 
     Raises
     ------
@@ -46,14 +46,14 @@ def _vectors(v: Array) -> Array:
 
 
 def check_light(what: str, corner: Array, edge0: Array, edge1: Array) -> float:
-    """Return the height of the origin above the plane of a light; corner and edges have shape (3,).
+    """Return the height of the origin above the plane of a light. The vectors have shape (3,).
 
     Parameters
     ----------
     what
         Name of the light for error messages.
     corner
-        One corner, relative to the lit point.
+        One corner, relative to the illuminated point.
     edge0, edge1
         The two edges from this corner.
 
@@ -61,7 +61,7 @@ def check_light(what: str, corner: Array, edge0: Array, edge1: Array) -> float:
     ------
     ParameterError
         If the light has no area or is too small for its distance.
-        If it lies in a plane with the point: the height is below 1e-6 of the largest distance.
+        If the point lies in the light's plane: its height is below 1e-6 of the largest distance.
     """
     corner, edge0, edge1 = map(_vectors, (corner, edge0, edge1))
     lengths = norm(np.stack([edge0, edge1]))

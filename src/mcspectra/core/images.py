@@ -1,16 +1,17 @@
-"""Images from files: float64 (height, width, channels), row 0 at the top.
+"""Images from files, as float64 (height, width, channels). Row 0 is at the top.
 
 Conventions
 -----------
-An image has h rows and w columns. The pixel in row i and column j covers the points x for which
+An image has h rows and w columns.
+The pixel in row i and column j contains the points x that satisfy
 ``j/w <= x[..., 0] < (j+1)/w`` and ``i/h <= x[..., 1] < (i+1)/h``.
-The coordinate x[..., 0] runs to the right.
-The coordinate x[..., 1] runs *down* from the top row, as film coordinates do.
+The coordinate x[..., 0] increases to the right.
+The coordinate x[..., 1] increases *down* from the top row, as film coordinates do.
 
 Radiometry needs linear values.
-PNG and JPEG files hold values encoded by the sRGB transfer function (IEC 61966-2-1).
-`read_image` decodes these values; ``linear=True`` keeps the values of files with other data.
-EXR and NumPy files are linear already and are never changed.
+PNG and JPEG files contain values that are encoded for sRGB (IEC 61966-2-1).
+`read_image` decodes these values. ``linear=True`` keeps the values of files with other data.
+Values in EXR and NumPy files are already linear, and are never changed.
 """
 
 from __future__ import annotations
@@ -66,7 +67,7 @@ REC709 = np.array([0.2126, 0.7152, 0.0722])
 _EXR_LINE = re.compile(rb"\(EXR_ERR_\w+\) |^Warning: Exception raised reading pixel data")
 _PRINTING = threading.Lock()
 _MOST_RINGS = 64
-_ENTRIES = 2**20  # number of pixels that are converted at a time
+_ENTRIES = 2**20  # number of pixels that are converted at the same time
 
 
 def read_image(
@@ -83,33 +84,33 @@ def read_image(
     path
         A file with one of the extensions `IMAGE_EXTENSIONS`.
 
-        * PNG, JPEG: gray gives 1 channel, color 3. Values run from 0 to 1.
-          Alpha is dropped, not multiplied in.
-          From color PNG of 16 bits, Pillow reads only 8 bits; gray keeps its 16 bits.
-        * EXR: the channels R, G, B of the first layer that has them, otherwise the first Y.
-          The unnamed layer comes first. Only pixels of the data window are read.
+        * PNG, JPEG: gray images have 1 channel, color images have 3. Values run from 0 to 1.
+          Alpha is dropped, and not multiplied in.
+          For color PNG of 16 bits, Pillow reads only 8 bits. Gray PNG keeps its 16 bits.
+        * EXR: the channels R, G, B of the first layer that has them. Otherwise the first Y.
+          The layer without a name is the first. Only pixels of the data window are read.
         * PFM: 1 or 3 channels, unchanged.
         * ``.npy``, ``.npz``: shape (height, width) or (height, width, channels), values unchanged.
           A ``.npz`` file must hold an array called ``image`` or a single array.
     linear
         Whether to use the values of PNG and JPEG unchanged, as if they were linear.
     layer
-        Layer of an EXR file to read: its R, G, B, or its Y, or its only channel.
+        Layer of an EXR file to read: its R, G, B, or else its Y, or else its only channel.
     finite
         Whether to reject pixels that are NaN or infinite.
 
     Raises
     ------
     FileFormatError
-        If the file does not exist, is a folder, has an unknown extension, is broken or truncated.
+        If the file does not exist, is a folder, is broken, or has an unknown extension.
         If it has no pixels or no such layer, or if pixels are NaN or infinite.
-        If pixels need more memory than `mcspectra.core.decoding` allows for a file of this size.
+        If pixels need more memory than `mcspectra.core.decoding` allows for files of this size.
     MissingDependency
-        If the file is an EXR file, and OpenEXR is not installed.
+        If the file is an EXR file and OpenEXR is not installed.
 
     Notes
     -----
-    Only parsers for these formats open the file; NumPy files are read without pickle.
+    Each file is opened only by the parser for its format. NumPy files are read without pickle.
     """
     with opened(path, "an image", IMAGE_EXTENSIONS) as (stream, size, file, extension):
         match extension:
@@ -140,7 +141,7 @@ def read_image(
 
 
 def check_picture_size(path: str | PathLike[str]) -> None:
-    """Reject a PNG, JPEG or EXR file whose pixels would take too much memory in another library.
+    """Reject a PNG, JPEG or EXR file if its pixels would take too much memory in another library.
 
     Other files, and those whose header cannot be read, are accepted.
 
@@ -167,7 +168,7 @@ def check_picture_size(path: str | PathLike[str]) -> None:
 def luminance(image: Array) -> Array:
     """Return the Rec. 709 luminance (height, width) of an image (height, width, 1 or 3).
 
-    Y = 0.2126 R + 0.7152 G + 0.0722 B is computed from linear values (ITU-R BT.709).
+    The luminance of linear values is Y = 0.2126 R + 0.7152 G + 0.0722 B (ITU-R BT.709).
     A single channel is returned unchanged.
 
     Raises
@@ -185,11 +186,11 @@ def luminance(image: Array) -> Array:
 
 
 def _pillow_head(stream: IO[bytes]) -> PillowImage:
-    """Open a PNG or JPEG stream with Pillow; only the header is read."""
+    """Open a PNG or JPEG stream with Pillow, and read only the header."""
     from PIL.JpegImagePlugin import JpegImageFile
     from PIL.PngImagePlugin import PngImageFile
 
-    # Image.open is not used: it warns about large sizes, or rejects them with other messages
+    # Image.open is not used, because it warns about large sizes or rejects them in its own words
     is_png = stream.read(1) == b"\x89"
     stream.seek(0)
     return (PngImageFile if is_png else JpegImageFile)(stream)
@@ -199,14 +200,14 @@ def _read_pillow(stream: IO[bytes], size: int, name: str, linear: bool) -> Array
     """Return values in [0,1] of PNG and JPEG, (height, width, 1 or 3)."""
     image = _pillow_head(stream)
     mode, (width, height) = image.mode, image.size
-    # Peak memory: Pillow's picture, its copy, a channel and its bytes, and the float64 channels
+    # Peak memory: Pillow's picture, its copy, one channel and its bytes, and all float64 channels
     channels = 3 if mode == "P" else len(image.getbands())
     check_decoded_size(name, size, width * height * (8 + 8 * channels))
     if mode not in ("L", "LA", "RGB", "RGBA") and not mode.startswith("I"):
-        # Convert palettes to RGBA, because Pillow warns about their alpha if they become RGB
+        # Convert palettes to RGBA. Pillow would warn about their alpha if they became RGB
         image = image.convert({"1": "L", "P": "RGBA"}.get(mode, "RGB"))
 
-    # Convert values by a table of all 8-bit (or, for gray, 16-bit) values
+    # Convert values by a table of all possible values: of 8 bits, or of 16 bits for gray
     most = 65535 if mode.startswith("I") else 255
     levels = np.arange(most + 1) / most
     if not linear:  # undo the sRGB transfer function (IEC 61966-2-1)
@@ -222,7 +223,7 @@ def _read_pillow(stream: IO[bytes], size: int, name: str, linear: bool) -> Array
 
 
 def _read_pfm(stream: IO[bytes], size: int, name: str) -> Array:
-    """Return values (height, width, 1 or 3) of a portable float map, stored bottom row first."""
+    """Return values (height, width, 1 or 3) of a portable float map, which begins at the bottom."""
     kind, width, height, scale = b" ".join(stream.readline(99) for _ in range(3)).split()
     shape = int(height), int(width), {b"Pf": 1, b"PF": 3}[kind]
     count = math.prod(shape)
@@ -245,7 +246,7 @@ def load_openexr() -> Any:
 
 
 def exr_attributes(path: str | PathLike[str]) -> dict[str, object]:
-    """Return the header attributes of an EXR file by name; the first part has priority.
+    """Return the header attributes of an EXR file by name. The first part of the file has priority.
 
     Raises
     ------
@@ -258,7 +259,7 @@ def exr_attributes(path: str | PathLike[str]) -> dict[str, object]:
 
 
 def exr_layer(path: str | PathLike[str]) -> str:
-    """Return the layer of an EXR file that `read_image` takes by default; empty if unnamed.
+    """Return the layer of an EXR file that `read_image` takes by default: '' if unnamed.
 
     Raises
     ------
@@ -274,9 +275,9 @@ def exr_layer(path: str | PathLike[str]) -> str:
 def _exr_file(name: str, *, header_only: bool) -> Any:
     """Open an EXR file and suppress the messages that OpenEXR prints for a broken file.
 
-    OpenEXR prints these messages to standard output, where results go, partly through Python.
-    The messages contain the name of the file without escaping its control characters.
-    Lines that other threads print during this time are printed afterwards.
+    OpenEXR prints these messages to standard output, and partly through Python's stdout.
+    Results also go there. The messages contain the file's name with its control characters.
+    If other threads print lines during this time, these lines are printed afterwards.
     """
     OpenEXR = load_openexr()
 
@@ -289,7 +290,7 @@ def _exr_file(name: str, *, header_only: bool) -> Any:
         for descriptor in (1, 2):
             try:
                 saved = os.dup(descriptor)
-            except OSError:  # standard output is closed, so nothing can be printed
+            except OSError:  # if standard output is closed, nothing can be printed
                 continue
             held = stack.enter_context(tempfile.TemporaryFile())
             os.dup2(held.fileno(), descriptor)
@@ -306,8 +307,8 @@ def _exr_file(name: str, *, header_only: bool) -> Any:
 
 
 def _put_back(descriptor: int, saved: int, held: IO[bytes], name: str) -> None:
-    """Restore a file descriptor, and print the held lines that are not from OpenEXR."""
-    ctypes.CDLL(None).fflush(None)  # flush the buffers of C, which hold OpenEXR's lines
+    """Restore a file descriptor. Print the lines that were held back, except those of OpenEXR."""
+    ctypes.CDLL(None).fflush(None)  # flush the buffers of C, which contain OpenEXR's lines
     os.dup2(saved, descriptor)
     held.seek(0)
     lines = held.read().replace(os.fsencode(name), b"").splitlines(keepends=True)
@@ -316,7 +317,7 @@ def _put_back(descriptor: int, saved: int, held: IO[bytes], name: str) -> None:
 
 
 def _exr_head(name: str) -> tuple[set[str], int, int]:
-    """Return channel names, bytes of all values, and pixels of the largest part of a header."""
+    """From a header, return channel names, bytes of all values, and pixels of the largest part."""
     OpenEXR = load_openexr()
     head = _exr_file(name, header_only=True)
     listed: set[str] = set()
@@ -337,7 +338,7 @@ def _exr_head(name: str) -> tuple[set[str], int, int]:
 def _read_exr(name: str, size: int, layer: str | None) -> Array:
     listed, stored, largest = _exr_head(name)
     names = _picture_channels(name, listed, layer)
-    # The memory holds float64 values and a mask
+    # Memory is needed for float64 values and a mask
     check_decoded_size(name, size, stored + 9 * len(names) * largest)
     parts = _exr_file(name, header_only=False).parts
     planes = {name: c.pixels for part in reversed(parts) for name, c in part.channels.items()}
@@ -347,7 +348,7 @@ def _read_exr(name: str, size: int, layer: str | None) -> Array:
 
 
 def _picture_channels(name: str, listed: set[str], layer: str | None) -> list[str]:
-    """Return R, G, B, or else Y, of the first layer that has them; the unnamed one comes first."""
+    """Return R, G, B, or else Y, of the first layer that has them. Unnamed layers come first."""
     layers = sorted({channel.rpartition(".")[0] for channel in listed})
     if layer is not None and layer not in (*layers, *listed):
         raise FileFormatError(
@@ -359,7 +360,7 @@ def _picture_channels(name: str, listed: set[str], layer: str | None) -> list[st
         for cs in ("RGB", "Y")
         for each in (layers if layer is None else [layer])
     ]
-    if layer is not None:  # take the channel of this name, or the layer's only channel
+    if layer is not None:  # take the channel of this name, or the only channel of the layer
         own = [c for c in listed if c.rpartition(".")[0] == layer]
         offers += [[layer], own[:1] if len(own) == 1 else [""]]
     names = next((offer for offer in offers if listed.issuperset(offer)), None)
@@ -373,14 +374,14 @@ def _picture_channels(name: str, listed: set[str], layer: str | None) -> list[st
 
 @final
 class Rings:
-    """Rings of radial frequency for `numpy.fft.rfft2`, of equal width up to 1/2 cycle per pixel.
+    """Rings of radial frequency for `numpy.fft.rfft2`, of equal widths, up to 1/2 cycle per pixel.
 
     Attributes
     ----------
     radius
         Central radius of each ring, in cycles per pixel.
     sizes
-        Number of frequencies in each ring; NaN if there are no frequencies.
+        Number of frequencies in each ring. It is NaN if there are none.
     """
 
     def __init__(self, height: int, width: int) -> None:
@@ -388,7 +389,7 @@ class Rings:
         across = np.fft.rfftfreq(width)
         distance = np.hypot(np.fft.fftfreq(height)[:, None], across)
         self._ring = np.minimum((distance * 2 * count).astype(int), count).ravel()
-        # Columns with positive frequencies also represent the frequencies of opposite sign
+        # Columns of positive frequencies also represent the frequencies of opposite sign
         both = np.where((across > 0) & (across < 0.5), 2.0, 1.0)
         self._weight = np.broadcast_to(both, distance.shape)
         sizes = np.bincount(self._ring, self._weight.ravel(), count + 1)
@@ -401,7 +402,7 @@ class Rings:
         return np.asarray(sums[:-1] / self.sizes)
 
     def sums(self, power: Array, rows: slice) -> Array:
-        """Return the sums of power (…, rows, x) over each ring, for some rows of frequencies.
+        """Return the sums of the power (…, rows, x) over each ring, for some rows of frequencies.
 
         The last sum is that of the frequencies outside all rings.
         """

@@ -1,4 +1,4 @@
-"""Estimates and checks of memory before an analysis allocates it."""
+"""Estimates of the memory of an analysis, and checks before memory is allocated."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from mcspectra.core.errors import ConfigError, Function
 
 __all__ = ["available_memory", "check_memory", "memory_of", "shown_bytes"]
 
-_COPIES = 4  # copies of the points: as drawn, warped, and with values and weights
-_GRIDS = 8  # complex arrays over the frequencies: transform, sums, squares, coefficients
+_COPIES = 4  # number of copies of the points: as drawn, warped, and with values and weights
+_GRIDS = 8  # number of complex arrays over the frequencies: transform, sums, squares, coefficients
 _NUMBERS = 2**21  # float64 numbers in a block of realizations (see core.parallel)
 _BASE = 2**20
 
@@ -17,12 +17,12 @@ _BASE = 2**20
 def memory_of(n: int, dims: int, techniques: int = 1, frequencies: int = 0) -> int:
     """Return the maximum number of bytes that an analysis of n points allocates.
 
-    The memory of the program itself is not included.
+    The memory of the program itself is not counted.
 
     Parameters
     ----------
     n, dims, techniques
-        Points per technique, number of dims, and total points of all techniques divided by n.
+        Points per technique, number of dims, and points of all techniques divided by n.
     frequencies
         Size of the frequency grid.
     """
@@ -31,7 +31,7 @@ def memory_of(n: int, dims: int, techniques: int = 1, frequencies: int = 0) -> i
 
 
 def available_memory() -> int:
-    """Return the bytes of memory of this machine; 2^62 if the system does not report them."""
+    """Return the bytes of memory of this machine, or 2^62 if the system does not report them."""
     try:
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     except (AttributeError, OSError, ValueError):
@@ -46,12 +46,12 @@ def check_memory(needed: int, what: str | Function) -> None:
     needed
         Bytes needed.
     what
-        Subject of the message: a function, or a text such as ``"convergence with n = 10"``.
+        The consumer of the memory: a function, or a text such as ``"convergence with n = 10"``.
 
     Raises
     ------
     ConfigError
-        If `needed` exceeds the memory; the message holds the estimate.
+        If `needed` exceeds the memory. The message contains the estimate.
     """
     most = available_memory()
     if needed > most:

@@ -1,8 +1,8 @@
-"""Options of analyses: declared once as annotations of a struct; this module reads and checks them.
+"""Options of analyses. Each is declared once, as an annotation in a struct, and is checked here.
 
 The annotation of a field (`msgspec.Meta`) holds the meaning and the limits of its option.
 The field holds the option's default.
-Python functions, study files, commands, the explorer and the docs derive their interfaces from it.
+Python functions, study files, commands, the explorer and the docs use these annotations.
 Each interface passes a value to `Option.check` or a text to `Option.read`.
 """
 
@@ -48,7 +48,7 @@ __all__ = [
     "whole_number",
 ]
 
-# Limits above this number only keep values within 64 bits, and messages omit them
+# Limits above this number only keep values within 64 bits. Messages do not mention them
 _NO_LIMIT = 2**31
 _LISTS = (inspect.VarTupleType, inspect.TupleType)
 _SORTS: Mapping[type, Any] = {  # Python types that fit each type of option
@@ -70,8 +70,8 @@ Evaluations = Annotated[
     ),
 ]
 
-# Options that several analyses share. `flag` and `metavar` in `extra` are for the command line.
-# `python` marks options that also accept Python objects such as arrays; the analysis checks these.
+# Options that several analyses use. The entries `flag` and `metavar` describe the command line.
+# The entry `python` marks options that also accept Python objects, which the analysis checks
 COUNT = Meta(
     ge=1, le=2**62, description="Points of each technique.", extra={"flag": "-n", "metavar": "N"}
 )
@@ -134,12 +134,12 @@ class Option:
     kind
         Type with its limits, as an object of `msgspec.inspect`.
     default
-        Default value; `msgspec.NODEFAULT` if the option is required.
+        Default value, or `msgspec.NODEFAULT` if the option is required.
     meaning
         Description of the option in one sentence.
     extra
         Further entries of the annotation: ``flag``, ``metavar``, ``choices``, ``unit``, ``help``.
-        The entry ``help`` describes a flag whose name differs from the option.
+        The entry ``help`` describes a flag if its name differs from that of the option.
     """
 
     name: str
@@ -160,12 +160,12 @@ class Option:
 
     @property
     def choices(self) -> tuple[str, ...]:
-        """Allowed texts of the option; empty if any text is allowed, or if no text is allowed."""
+        """Allowed texts of the option. Empty if any text is allowed, or this is not a text."""
         return _words(_kinds(self.kind)) or tuple(self.extra.get("choices", ()))
 
     @property
     def item_choices(self) -> tuple[str, ...]:
-        """Allowed texts of list items; empty if any text is allowed, or this is not a list."""
+        """Allowed texts of list items. Empty if any text is allowed, or this is not a list."""
         return _words(self._items)
 
     @property
@@ -175,13 +175,13 @@ class Option:
 
     @property
     def lists_texts(self) -> bool:
-        """Whether the option is a list of texts, which may contain commas."""
+        """Whether the option is a list of texts, each of which may contain commas."""
         texts = inspect.StrType | inspect.LiteralType
         return any(isinstance(kind, texts) for kind in self._items)
 
     @property
     def _items(self) -> list[inspect.Type]:
-        """Types of the items without limits, if the option may be a list."""
+        """Types of the items of a list, without their limits. Empty if the option is not a list."""
         lists = [each for each in _kinds(self.kind) if isinstance(each, _LISTS)]
         return [item for each in lists for item in _kinds(_item(each))]
 
@@ -193,10 +193,10 @@ class Option:
         value
             The value to check.
         label
-            Subject of the error message; by default the name of the option.
+            Subject of the error message. The default is the name of the option.
         from_file
             Whether the value comes from a file. Such a value cannot be an array.
-            Messages about such values give the index of list items, from 0.
+            Messages about values from files give the index of list items, from 0.
 
         Raises
         ------
@@ -219,7 +219,7 @@ class Option:
         return clean
 
     def read(self, text: str, label: str | None = None) -> Any:
-        """Return the clean value of a text from the command line or a form.
+        """Return the converted value of a text from the command line or a form.
 
         Raises
         ------
@@ -231,21 +231,21 @@ class Option:
 
 @functools.cache
 def options_of(struct: Any) -> tuple[Option, ...]:
-    """Return the options of a struct, in the order of its fields."""
+    """Return the options of a struct in the order of its fields."""
     kind = inspect.type_info(struct)
     assert isinstance(kind, inspect.StructType)
     found = []
     for field in kind.fields:
         about, extra = _annotation(field.type)
         given = field.default
-        if field.default_factory is not msgspec.NODEFAULT:  # such as a new list for each instance
+        if field.default_factory is not msgspec.NODEFAULT:  # the factory makes a new default
             given = field.default_factory()
         found.append(Option(field.name, field.type, given, about, extra))
     return tuple(found)
 
 
 def checked(struct: Any) -> Any:
-    """Return a struct with checked options. Public Python functions make no other check.
+    """Return a struct after a check of its options. Python functions make no other check.
 
     Raises
     ------
@@ -258,9 +258,9 @@ def checked(struct: Any) -> Any:
 
 
 def whole_number(text: str) -> int | float | str:
-    """Return the number in a text, such as 64 or 1e3; the text itself if it is not finite.
+    """Return the number in a text, such as 64 or 1e3. If it is not finite, return the text.
 
-    `as_integer` later checks whether the number is whole: it accepts 1000.0 and rejects 1.5.
+    Later, `as_integer` checks whether the number is whole: it accepts 1000.0 and rejects 1.5.
     """
     for kind in (int, float):
         with suppress(ValueError):
@@ -315,7 +315,7 @@ def _clean(label: str, kind: inspect.Type, value: Any, from_file: bool) -> Any:
                 Parameter(label), f" is {shown(value)}; give {wanted}, or {offer}."
             )
 
-    # If there are several types, choose the one that fits the value's type, whatever its limits
+    # If there are several types, choose the one that fits the value's type, even beyond its limits
     fits = [each for each in kinds if isinstance(value, _SORTS.get(type(each), ()))]
     if isinstance(value, str):  # a string is a sequence, but not a list
         fits = [each for each in fits if not isinstance(each, _LISTS)]
@@ -346,7 +346,7 @@ def _clean(label: str, kind: inspect.Type, value: Any, from_file: bool) -> Any:
             several = isinstance(value, Sequence) or (isinstance(value, np.ndarray) and value.ndim)
             if not several or isinstance(value, str | bytes):
                 raise ParameterError(Parameter(label), f" is {shown(value)}; give one flat list.")
-            # Check the length first, because a range may have any length
+            # Check the length first, because a range may be very long
             size = len(value)
             if isinstance(fitting, inspect.TupleType) and size != len(fitting.item_types):
                 raise ParameterError(

@@ -1,9 +1,9 @@
 """Linear algebra whose sums have a fixed order.
 
-BLAS splits large sums by the number of its threads, which changes the last digits of results.
-Products here use `numpy.einsum` without `optimize`, which never calls BLAS.
-`numpy.einsum` has a quarter of the speed of BLAS, but points and transforms take far more time.
-Factorizations use Householder reflections; docs/decisions/0015 compares them with NumPy's.
+BLAS divides large sums by the number of its threads, which changes the last digits of results.
+Products here use the function `numpy.einsum` without optimization, which never calls BLAS.
+It has a quarter of the speed of BLAS, but points and transforms take far more time.
+Factorizations use Householder reflections. docs/decisions/0015 compares them with NumPy's.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ def product(a: Array, b: Array) -> Array:
 
 
 def weighted_sum(weights: Array, values: Array) -> Array:
-    """Return Σ w v over all axes of the weights, which are the first axes of the values."""
+    """Return Σ w v over all axes of the weights w. The first axes of the values v are the same."""
     flat = values.reshape(weights.size, *values.shape[weights.ndim :])
     return np.asarray(np.einsum("i,i...->...", weights.ravel(), flat))
 
 
 def gram(x: Array) -> Array:
-    """Return Σ_r x_rm conj(x_rl) and Σ_r x_rm x_rl side by side, (H, 2H), for x of shape (R, H)."""
+    """Return Σ_r x_rm conj(x_rl) and Σ_r x_rm x_rl, next to each other, (H, 2H), for x (R, H)."""
     rows = np.ascontiguousarray(x.T)
     if not np.iscomplexobj(x):
         return np.tile(np.einsum("mr,lr->ml", rows, rows), 2)
@@ -45,7 +45,7 @@ def gram(x: Array) -> Array:
 
 
 def orthonormal(a: Array) -> Array:
-    """Return Q of a = Q R, (D, K): orthonormal, and the first k columns span those of a."""
+    """Return Q of a = Q R, (D, K). Q is orthonormal, and its first k columns span those of a."""
     columns: Array = a.T.copy()
     reflectors: list[Array] = []
     for j, x in enumerate(columns):
@@ -60,10 +60,10 @@ def orthonormal(a: Array) -> Array:
 
 
 def eigenpairs(a: Array) -> tuple[Array, Array]:
-    """Return descending eigenvalues (K,) and eigenvectors (K, K) of the symmetric part of a."""
+    """Return eigenvalues (K,), descending, and eigenvectors (K, K) of the symmetric part of a."""
     from scipy.linalg import eigh_tridiagonal
 
-    # Reflect from both sides until a is tridiagonal; LAPACK finds its eigenpairs without BLAS
+    # Reflect rows and columns until a is tridiagonal. LAPACK then finds the eigenpairs without BLAS
     a, reflectors = 0.5 * (a + a.T), []
     for j in range(len(a) - 2):
         v = _reflector(a[j + 1 :, j])
@@ -79,7 +79,7 @@ def eigenpairs(a: Array) -> tuple[Array, Array]:
 def _reflector(x: Array) -> Array:
     """Return v such that x − v vᵀ x is a multiple of the first unit vector.
 
-    vᵀ v is 2, or 0 for x = 0.
+    The product vᵀ v is 2, or 0 if x = 0.
     """
     v = x / (np.abs(x).max() or 1.0)
     v[0] += math.copysign(math.sqrt((v**2).sum()), v[0])
@@ -87,5 +87,5 @@ def _reflector(x: Array) -> Array:
 
 
 def _reflect(v: Array, a: Array) -> None:
-    """Subtract v vᵀ a in place from the last len(v) rows of a."""
+    """Subtract v vᵀ a from the last len(v) rows of a, in place."""
     a[len(a) - len(v) :] -= np.multiply.outer(v, np.einsum("i,i...->...", v, a[len(a) - len(v) :]))

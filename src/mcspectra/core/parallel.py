@@ -1,7 +1,7 @@
-"""Work over realizations in blocks: a fixed partition, a thread pool, and results in order.
+"""Work on blocks of realizations: a fixed partition, a thread pool, and results in order.
 
-The partition depends only on the size of the problem, never on the number of workers.
-Results of blocks come back in order, so sums have the same bits for any number of workers.
+The partition depends only on the size of the problem, and never on the number of workers.
+Results of blocks are returned in order, so sums have the same bits for any number of workers.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 Block = tuple[int, int]
-"""First realization of a block, and number of its realizations."""
+"""First realization of a block, and number of realizations in it."""
 
 MAX_REALIZATIONS = 10**9
 """Largest number of realizations of one analysis."""
 
-# Numbers in a block: 16 MiB of float64, more than any cache, far below a machine's memory
+# Numbers in a block: 16 MiB of float64. That is more than any cache, and far less than all memory
 _BLOCK_NUMBERS = 2**21
-_SLICE_NUMBERS = 2**19  # numbers in a slice: 4 MiB, one or two milliseconds of work
+_SLICE_NUMBERS = 2**19  # numbers in a slice: 4 MiB, which take one or two milliseconds
 
 
 def available_workers(workers: int | None = None) -> int:
-    """Return `workers`; by default the number of processors that this process may use."""
+    """Return `workers`. The default is the number of processors that this process may use."""
     if workers is not None:
         return as_integer("workers", workers, least=1, most=1024)
     affinity = getattr(os, "sched_getaffinity", None)
@@ -51,7 +51,7 @@ def available_workers(workers: int | None = None) -> int:
 @final
 @dataclass(frozen=True)
 class RealizationBlocks:
-    """Realizations from `first` up to `stop` (exclusive), in blocks of `size`."""
+    """The range of realizations from `first` to before `stop`, divided into blocks."""
 
     first: int
     stop: int
@@ -74,7 +74,7 @@ def realization_blocks(
     """Split realizations into blocks of about `_BLOCK_NUMBERS` numbers.
 
     The size of a block is a multiple of `multiple`.
-    There are at least `least` blocks, provided that each can have `multiple` realizations.
+    There are at least `least` blocks, if each of them can have `multiple` realizations.
     """
     size = max(1, _BLOCK_NUMBERS // max(1, numbers_each) // multiple) * multiple
     size = min(size, max(1, realizations // least // multiple) * multiple)
@@ -85,12 +85,12 @@ def slices(block: Block, numbers_each: int) -> Iterator[Block]:
     """Split a block into slices of about `_SLICE_NUMBERS` numbers.
 
     Slices limit memory and stay in a shared cache.
-    In one thread, smaller slices that fit a second-level cache are no faster.
-    With several threads, they are slower, because threads wait for Python's lock between ufuncs.
+    In one thread, smaller slices that fit into a second-level cache are not faster.
+    In several threads they are slower, because threads wait for Python's lock between operations.
     Each wait for the lock takes 0.1 ms, because an idle processor has to wake up.
-    With two threads, the parallel efficiency was 0.39 for slices of 2^16 numbers.
-    The efficiency was 0.77 for 2^18 numbers, and 0.87 for 2^19 and 2^20 numbers.
-    Two processes reach an efficiency of 0.91 to 0.95.
+    The parallel efficiency of two threads was 0.39 for slices of 2^16 numbers.
+    It was 0.77 for slices of 2^18 numbers, and 0.87 for slices of 2^19 and 2^20 numbers.
+    For two processes, the efficiency is 0.91 to 0.95.
     """
     size = max(1, _SLICE_NUMBERS // max(1, numbers_each))
     start, stop = block[0], block[0] + block[1]
@@ -100,7 +100,7 @@ def slices(block: Block, numbers_each: int) -> Iterator[Block]:
 def map_in_order(
     function: Callable[[Item], Result], items: Iterable[Item], workers: int
 ) -> Iterator[Result]:
-    """Yield ``function(item)`` in order, computed a few results ahead by `workers` threads."""
+    """Yield ``function(item)`` in order. `workers` threads compute a few results in advance."""
     if workers == 1:
         yield from map(function, items)
         return

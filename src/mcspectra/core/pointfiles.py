@@ -1,4 +1,4 @@
-"""Point-set files: UTK text and binary, npz, npy and csv, each a list of sets of points.
+"""Point-set files: UTK text and binary, npz, npy and csv. Each holds a list of point sets.
 
 ============  ====================================================================================
 ``.dat``      UTK text: one point per line, with coordinates separated by blanks.
@@ -13,13 +13,13 @@
 ============  ====================================================================================
 
 UTK is the Uni{corn|form} toolkit, https://github.com/utk-team/utk.
-The file ``include/utk/utils/PointsetIO.hpp`` of UTK defines the formats.
+The formats are defined in the file ``include/utk/utils/PointsetIO.hpp`` of UTK.
 The type code is the first byte of the second word.
-Codes 0 to 5 mean int32, int64, uint32, uint64, float and double.
-The first word shows the byte order.
-Integers are read as fractions of their type's range.
+The codes 0 to 5 mean int32, int64, uint32, uint64, float and double.
+The first word tells the byte order.
+Integers mean fractions of the range of their type.
 
-The sets of a file may differ in size. Samplers check whether coordinates lie in [0,1).
+The sets of one file may differ in size. Samplers check whether coordinates lie in [0,1).
 """
 
 from __future__ import annotations
@@ -54,17 +54,17 @@ __all__ = [
 ]
 
 EXTENSIONS = (".dat", ".bin", ".npz", ".npy", ".csv")
-"""Extensions of files that `read_points` and `write_points` support."""
+"""Extensions of point-set files that can be read and written."""
 
-# Bytes that each set adds to the memory of its coordinates, because many tiny sets take time
+# Memory in bytes for each set, in addition to its coordinates: many tiny sets take time
 _SET_BYTES = 4096
 
 # UTK text and comma-separated values
 _LONGEST_LINE = 2**22  # largest number of bytes in a line
 _BLOCK = 2**20
-_COMPILED = 2**18  # in bytes; Python reads a shorter text faster than the kernel compiles
-# Bytes of memory for each number of a text, which is stored three times as float64:
-# as read, in its set, and in the order of sets
+_COMPILED = 2**18  # in bytes; Python reads a shorter text faster than the kernel can be compiled
+# Bytes of memory for each number of a text. It is stored three times as float64:
+# as read, in its set, and in the ordered list of all sets
 _VALUE_BYTES = 24
 
 # UTK binary
@@ -81,7 +81,7 @@ def read_points(path: str | PathLike[str]) -> list[Array]:
     FileFormatError
         If the file is missing, empty, truncated or of an unknown format.
         If it takes too much memory (see `mcspectra.core.decoding`).
-        If it holds anything but finite numbers; the message names the line or the byte.
+        If it contains anything except finite numbers. The message names the line or the byte.
     """
     with opened(path, "a point set", EXTENSIONS) as (stream, size, name, extension):
         match extension:
@@ -103,7 +103,7 @@ def read_points(path: str | PathLike[str]) -> list[Array]:
                 points = points if points.ndim == 3 else points[None]
                 check_decoded_size(name, size, len(points) * _SET_BYTES)
 
-        # Split (R, n, d) into sets of float64 after a check for NaN and infinity
+        # Split (R, n, d) into sets of float64. Before that, check for NaN and infinity
         points = points.astype(np.float64, copy=False)
         good = np.isfinite(points)
         if not good.all():
@@ -116,24 +116,24 @@ def read_points(path: str | PathLike[str]) -> list[Array]:
 
 
 def matching_files(path: str | PathLike[str]) -> list[tuple[Path, int | None]]:
-    """Return the files of a path, sorted by name; numbers in names sort by value.
+    """Return the files of a path, sorted by name. Numbers in names are sorted by value.
 
     Parameters
     ----------
     path
-        A file, a folder (for all point-set files in it), or a pattern.
-        In a pattern, ``*`` and ``?`` stand for any characters.
-        ``{n}`` stands for a whole number, which is the same in all places.
+        A file, a folder (for all its point-set files), or a pattern.
+        In a pattern, ``*`` and ``?`` match any characters.
+        ``{n}`` matches a whole number, which must be the same in all places.
 
     Returns
     -------
     list
-        Each file with its number n; None if the pattern has no ``{n}``.
+        Each file with its number n. The number is None if the pattern has no ``{n}``.
 
     Raises
     ------
     FileFormatError
-        If the folder holds no point-set file, or no file matches the pattern.
+        If the folder contains no point-set file, or if no file matches the pattern.
     """
     text = str(path)
     pattern = any(mark in text for mark in ("*", "?", "{n}"))
@@ -147,7 +147,7 @@ def matching_files(path: str | PathLike[str]) -> list[tuple[Path, int | None]]:
         found: list[tuple[Path, int | None]] = [(f, n) for f, n in named if f.is_file()]
         said = f"The folder {file} holds no point set"
     else:
-        # From the matches of the shell pattern, keep those with one equal number for each {n}
+        # Keep the files that match the shell pattern and have the same number at each {n}
         words = re.escape(text).replace(r"\{n\}", r"(?P<n>[0-9]+)", 1).replace(r"\{n\}", r"(?P=n)")
         exact = re.compile(words.replace(r"\*", "[^/]*").replace(r"\?", "[^/]"))
         names = glob.glob(text.replace("[", "[[]").replace("{n}", "*"))  # noqa: PTH207 - the pattern is a whole path
@@ -165,22 +165,22 @@ def matching_files(path: str | PathLike[str]) -> list[tuple[Path, int | None]]:
 def write_points(
     path: str | PathLike[str], sets: Iterable[object], *, meta: Mapping[str, Any] | None = None
 ) -> None:
-    """Write point sets, arrays of shape (n, d), in the format of the file name's extension.
+    """Write point sets, arrays of shape (n, d). The extension of the file name selects the format.
 
     Parameters
     ----------
     path
-        File to write; an existing file is replaced.
+        File to write. An existing file is replaced.
     sets
-        One array (n, d) for each set; ``.bin``, ``.npz`` and ``.npy`` need sets of equal shape.
+        One array (n, d) for each set. In ``.bin``, ``.npz`` and ``.npy`` all have the same shape.
     meta
         Description of the points, as JSON.
-        ``.npz`` stores it, ``.dat`` stores it as a comment, and the other formats ignore it.
+        ``.npz`` stores it, ``.dat`` stores it as a comment, and other formats ignore it.
 
     Raises
     ------
     FileFormatError
-        If the extension is unknown, the sets do not fit the format, or the file cannot be written.
+        If the extension is unknown, the sets do not fit the format, or writing fails.
     """
     file = known_path(path, "a point set", EXTENSIONS)
     content = _content(file.suffix.lower(), sets, meta, str(file))
@@ -189,22 +189,22 @@ def write_points(
 
 
 def parse_dat(text: str, name: str) -> list[Array]:
-    """Read UTK text like `read_points`; `name` is the name of the text's source in messages."""
+    """Read UTK text in the same way as `read_points`. Messages call its source `name`."""
     if not isinstance(text, str):
         raise FileFormatError(f"{name} is {type(text).__name__}, not text; give lines of numbers.")
-    data = text.encode(errors="surrogatepass")  # the decoder rejects surrogates
+    data = text.encode(errors="surrogatepass")  # the decoder then rejects the surrogates
     return _read_dat(io.BytesIO(data), len(data), name)
 
 
 def format_dat(sets: Iterable[object], meta: Mapping[str, Any] | None = None) -> str:
-    """Write UTK text like `write_points`; every float64 is read back with the same bits."""
+    """Write UTK text in the same way as `write_points`. Reading gives the same bits."""
     return _content(".dat", sets, meta, "UTK text").decode()
 
 
 def _content(
     extension: str, sets: Iterable[object], meta: Mapping[str, Any] | None, name: str
 ) -> bytes:
-    """Return the bytes of a file; messages call it `name`."""
+    """Return the bytes of a file. Messages call the file `name`."""
     # Convert the sets to float64 arrays (n, d), and their description to JSON
     try:
         numbered, text = enumerate(sets), json.dumps(dict(meta or {}), default=str)
@@ -227,7 +227,7 @@ def _content(
     if not clean:
         raise FileFormatError(f"There are no sets to write to {name}; give at least one.")
 
-    # Reject sets that the format cannot hold
+    # Reject sets that the format cannot represent
     several = len(clean) > 1
     if extension in (".bin", ".npz", ".npy") and len({points.shape for points in clean}) > 1:
         raise FileFormatError(
@@ -261,22 +261,22 @@ def _content(
 
 
 def _lines_of(points: Array, blank: str, start: str = "") -> str:
-    """Return a line of text for each point."""
+    """Return lines of text, one for each point."""
     return "".join(start + blank.join(map(repr, row)) + "\n" for row in points.tolist())
 
 
-# ---- Text: UTK's, and comma- or semicolon-separated values
+# ---- Text: UTK's, or values separated by commas or semicolons
 
 
 def _read_dat(stream: IO[bytes], size: int, name: str) -> list[Array]:
     def rows() -> Iterator[tuple[int, list[str] | Array | None]]:
-        before = at = 0  # numbers of lines and of bytes before the current block
+        before = at = 0  # numbers of lines and of bytes in all earlier blocks
         for chunk in _chunks(stream, size, name):
             if size >= _COMPILED and (found := _numbers(chunk)) is not None:
                 lines, runs = found
                 for line, points in runs:
                     yield before + line, points
-            else:  # messages quote the texts of these lines
+            else:  # messages quote these lines
                 texts = _decoded(chunk, at, name)
                 lines = len(texts)
                 for number, text in enumerate(texts, before + 1):
@@ -289,11 +289,11 @@ def _read_dat(stream: IO[bytes], size: int, name: str) -> list[Array]:
 
 
 def _numbers(chunk: bytes) -> tuple[int, list[tuple[int, Array | None]]] | None:
-    """Read lines that hold only numbers; return None if any other line is among them.
+    """Read lines that contain only numbers. Return None if there is any other line.
 
-    The result is the number of lines, and a pair for each run of lines between comments.
-    A pair holds the number of the run's first line, from 1, and its points.
-    For a comment, the pair holds None instead of points.
+    The result is the number of lines, and one pair for each run of lines between comments.
+    Such a pair is the number of the first line of the run, from 1, and the points.
+    For a comment, None replaces the points.
     """
     from mcspectra.core._text_kernels import parse_lines
 
@@ -324,11 +324,11 @@ def _read_csv(stream: IO[bytes], size: int, name: str) -> list[Array]:
             line = line.strip()
             if line[:1] == "#":
                 continue
-            # "1,5;2,5" is how spreadsheets with decimal commas write two numbers.
+            # Spreadsheets with decimal commas write the two numbers 1.5 and 2.5 as "1,5;2,5"
             if at_top and ";" in line:
                 separator = ";"
             fields = (line if separator == "," else line.replace(",", ".")).split(separator)
-            # Otherwise the line can hold only numbers
+            # Elsewhere in the file, lines contain only numbers
             if at_top or column is not None or '"' in line:
                 fields = [field.strip().strip('"') for field in fields]
             if not (fields[0] or any(map(str.strip, fields))):
@@ -338,7 +338,7 @@ def _read_csv(stream: IO[bytes], size: int, name: str) -> list[Array]:
             if at_top:
                 at_top = False
                 if all(_number(field) is None for field in fields):
-                    # This line names the columns, one of which may hold the number of the set
+                    # This line names the columns. One of them may be the number of the set
                     names = [field.lower() for field in fields]
                     if "" in names:
                         raise FileFormatError(
@@ -366,7 +366,7 @@ def _read_csv(stream: IO[bytes], size: int, name: str) -> list[Array]:
 def _lines(stream: IO[bytes], size: int, name: str) -> Iterator[tuple[int, str]]:
     """Yield lines of text with their numbers, from 1.
 
-    Only the first of consecutive blank lines is returned, because there may be millions.
+    Only the first of several consecutive blank lines is returned: there may be millions of them.
     """
     number = at = 0
     blank = False
@@ -390,11 +390,11 @@ def _decoded(chunk: bytes, at: int, name: str) -> list[str]:
 
 
 def _chunks(stream: IO[bytes], size: int, name: str) -> Iterator[bytes]:
-    """Yield whole lines of text, about `_BLOCK` bytes each, after a check of their memory."""
+    """Yield whole lines of text, in blocks of about `_BLOCK` bytes, after a check of memory."""
     fields = lines = begun = 0
     while data := stream.read(_BLOCK):
         block = np.frombuffer(data, np.uint8)
-        # Count the bytes of each line that ends in this block, and of the last, incomplete line
+        # Count the bytes of each line that ends in this block, and of the incomplete last line
         ends = np.flatnonzero(block == ord("\n")) + 1
         sizes = np.diff(ends, prepend=-begun, append=len(block))
         if sizes.max() > _LONGEST_LINE:
@@ -409,7 +409,7 @@ def _chunks(stream: IO[bytes], size: int, name: str) -> Iterator[bytes]:
     stream.seek(0)
     rest = b""
     for data in itertools.chain(iter(lambda: stream.read(_BLOCK), b""), [b""]):
-        # Take all complete lines; at the end of the file, take the rest
+        # Take all complete lines. At the end of the file, also take the last line
         whole, end, rest = (rest + data).rpartition(b"\n") if data else (rest, b"\n", b"")
         if whole or (end and data):
             yield whole + end
@@ -418,10 +418,10 @@ def _chunks(stream: IO[bytes], size: int, name: str) -> Iterator[bytes]:
 def _sets_of_rows(
     rows: Iterable[tuple[int, list[str] | Array | None]], size: int, name: str
 ) -> list[Array]:
-    """Convert rows to one array per set.
+    """Convert rows to arrays, one for each set.
 
-    A row is a line number with its fields. None instead of fields starts a set.
-    Rows may also come as one array of points, with the line number of the first row.
+    A row is the number of a line with its fields. If the fields are None, a new set begins.
+    Several rows may also come as one array of points, with the line number of the first row.
     """
     sets: list[Array] = []
     points = array("d")
@@ -450,7 +450,7 @@ def _sets_of_rows(
             values = list(map(float, fields))
         except ValueError:
             values = []
-        # Reject underscores, because only Python reads 1_0 as 10.
+        # Reject underscores: only Python reads 1_0 as 10
         if not (values and math.isfinite(sum(values))) or "_" in "".join(fields):
             for text in fields:
                 value = _number(text)
@@ -473,7 +473,7 @@ def _number(text: str) -> float | None:
 
 
 def _split(points: Array, set_of_row: Array) -> list[Array]:
-    """Split points into sets; `set_of_row` holds the index of the set of each point, from 0."""
+    """Split points into sets. `set_of_row` is the index of the set of each point, from 0."""
     order = np.argsort(set_of_row, kind="stable")
     return np.split(points[order], np.cumsum(np.bincount(set_of_row))[:-1])
 
@@ -505,13 +505,13 @@ def _read_bin(stream: IO[bytes], size: int, name: str) -> Array:
             f"{announced}, that is {count * dtype.itemsize} bytes after the header, but has "
             f"{size - _HEADER_BYTES}."
         )
-    # Memory for two copies of integers: in the byte order of this machine, and shifted
+    # Memory for two copies of integers: one in this machine's byte order, and one after shifting
     copies = 1 if dtype.kind == "f" else 3
     check_decoded_size(name, size, count * (copies * dtype.itemsize + 17) + shape[0] * _SET_BYTES)
     values = np.fromfile(stream, dtype, count).reshape(shape)
-    if dtype.kind != "f":  # integers become fractions of their type's range (UTK)
+    if dtype.kind != "f":  # integers become fractions of the range of their type (UTK)
         bits = 8 * dtype.itemsize - (dtype.kind == "i")
-        # Drop bits that a double cannot hold; otherwise 2^64 - 1 would become 1.0
+        # Drop bits that do not fit into a double. Otherwise 2^64 - 1 would become 1.0
         spare = max(0, bits - 53)
         shifted = values.astype(dtype.newbyteorder("=")) >> spare
         values = np.ldexp(shifted.astype(np.float64), spare - bits)

@@ -1,6 +1,6 @@
-"""Progress of long work: workers report their progress, and listeners receive it.
+"""Progress of long work. Workers report their progress, and listeners receive the reports.
 
-Work that takes seconds calls `report` from time to time, which costs nothing without a listener.
+Long work calls `report` from time to time. Without a listener, these calls cost nothing.
 In a notebook or at Python's prompt, a progress bar appears automatically.
 The command line always shows a bar. Scripts can use `progress_bars`.
 """
@@ -21,21 +21,21 @@ from mcspectra.core.errors import ParameterError
 __all__ = ["Listener", "ProgressBars", "listening", "progress_bars", "report"]
 
 Listener: TypeAlias = Callable[[str, float], object]
-"""Function of the name of the work and its finished fraction, 0 to 1; any thread may call it."""
+"""Function that gets the name of the work and its finished fraction, 0 to 1, from any thread."""
 
 _listeners: list[Listener] = []
 
-_AFTER = 0.5  # seconds; shorter work shows no bar
+_AFTER = 0.5  # in seconds; work that is shorter shows no bar
 _BETWEEN = 0.1  # seconds between two updates of the bar
-_BETWEEN_LINES = 10.0  # seconds between two lines of progress without a terminal
+_BETWEEN_LINES = 10.0  # seconds between two lines of progress, if there is no terminal
 _LONGEST = 80  # largest number of characters of a line of progress
-# Work without a report for this number of seconds counts as abandoned, for example by an error
+# Work that has not reported for this number of seconds counts as abandoned, such as after an error
 _FORGOTTEN = 30.0
 
 
 @contextmanager
 def listening(listener: Listener) -> Iterator[None]:
-    """Call `listener` with the progress of all work inside the block, in all threads.
+    """Call `listener` with the progress of all work inside the block, from all threads.
 
     Examples
     --------
@@ -51,15 +51,15 @@ def listening(listener: Listener) -> Iterator[None]:
 
 
 def progress_bars(shown: bool = True) -> AbstractContextManager[None]:
-    """Show a bar on standard error if work inside the block takes longer than half a second.
+    """Show a bar on standard error while work inside the block takes more than half a second.
 
     Notebooks and Python's prompt always show a bar.
-    Without a terminal, a line every ten seconds reports the progress.
+    Without a terminal, the progress is written every ten seconds as a line.
 
     Parameters
     ----------
     shown
-        Whether to show bars; False hides them.
+        Whether to show bars. False hides them.
 
     Raises
     ------
@@ -84,7 +84,7 @@ def _showing() -> Iterator[None]:
 
 
 def report(what: str, fraction: float) -> None:
-    """Tell the innermost listener which `fraction` of the work `what` is done; 1 ends the work."""
+    """Tell the innermost listener that a `fraction` of the work `what` is done. 1 ends the work."""
     listeners = _listeners[-1:]
     if not listeners and _somebody_waits():
         listeners = [_automatic]
@@ -96,7 +96,7 @@ def _somebody_waits() -> bool:
     """Whether this process is a notebook, IPython, or Python's prompt."""
     if hasattr(sys, "ps1"):
         return True
-    # IPython is checked only if it has been imported; its own process always imports it.
+    # IPython counts only if it has already been imported, as its own process always does
     ipython = sys.modules.get("IPython")
     get = getattr(ipython, "get_ipython", None)
     return get is not None and get() is not None
@@ -104,25 +104,25 @@ def _somebody_waits() -> bool:
 
 @final
 class ProgressBars:
-    """A listener that draws a bar for one running work and lists all other running work next to it.
+    """A listener that draws a bar for one running work, and lists all others next to the bar.
 
     Parameters
     ----------
     closes
         Whether `close` is called at the end of the work.
-        Otherwise the bar stays after an exception, and its work is dropped after a time.
+        If not, the bar stays after an exception, and its work is forgotten after some time.
     """
 
     def __init__(self, *, closes: bool = False) -> None:
         self._closes = closes
-        # Start, time of the last report, and finished fraction of each work
+        # For each work: its start, the time of its last report, and its finished fraction
         self._under_way: dict[str, tuple[float, float, float]] = {}
         self._told_at = time.monotonic()
-        self._bar: Any = None  # progress bar of the package rich; None if no bar is shown
+        self._bar: Any = None  # progress bar of the package rich, or None if no bar is shown
         self._lock = threading.Lock()
 
     def __call__(self, what: str, fraction: float) -> None:
-        """Record that `fraction` of `what` is finished; show it if the work takes long enough."""
+        """Record that a `fraction` of `what` is finished. Show it if the work takes long enough."""
         now = time.monotonic()
         oldest = -math.inf if self._closes else now - _FORGOTTEN
         with self._lock:
@@ -152,13 +152,13 @@ class ProgressBars:
         """Erase the bar."""
         if self._bar is not None:
             self._bar.update(self._bar.task_ids[0], visible=False, refresh=True)
-            # Notebooks do not support escape codes that erase.
+            # Notebooks do not support the escape codes that erase a line
             self._bar.console.file.write(f"\r{' ' * self._bar.console.width}\r")
             self._bar.stop()
             self._bar = None
 
     def _draw(self, shown: dict[str, float]) -> None:
-        """Draw a bar for the work that began first; only this function imports rich."""
+        """Draw a bar for the work that began first. Only this function imports rich."""
         from rich.console import Console
         from rich.markup import escape
         from rich.progress import Progress, TextColumn
@@ -174,12 +174,12 @@ class ProgressBars:
                 console=Console(stderr=True, force_terminal=True, force_jupyter=False),
                 auto_refresh=False,
                 transient=True,
-                redirect_stdout=self._closes,  # other output appears above the bar
+                redirect_stdout=self._closes,  # other output then appears above the bar
                 redirect_stderr=self._closes,
             )
             self._bar.add_task(escape(first), total=1.0, **state)
             self._bar.start()
-            # show the cursor now, because the bar may never be closed
+            # Show the cursor now, because the bar may never be closed
             self._bar.console.show_cursor()
         self._bar.update(self._bar.task_ids[0], refresh=True, **state)
 

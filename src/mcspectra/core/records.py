@@ -1,9 +1,10 @@
-"""States of reductions: flat records of arrays with common rules for merging and storing.
+"""States of reductions: flat records of arrays, with common rules for merging and storing.
 
-A state is a dataclass whose fields are arrays, numbers or further records.
-Two states merge field by field.
-Records with a method `merge` use it. Moments do so, because their fields depend on each other.
-Arrays and numbers follow the rule in their annotation: `SUM`, `JOIN` or `SAME`.
+A state is a dataclass whose fields are arrays, numbers or other records.
+Two states are merged field by field.
+Records with a method `merge` use this method. For example, fields of moments depend on each other.
+For arrays and numbers, the annotation of the field names the rule.
+The rules are: add all (`SUM`), concatenate (`JOIN`), or keep one of equal values (`SAME`).
 The stored form is one buffer: a MessagePack header with names, types and shapes, then the numbers.
 The buffer contains no pickle and no code.
 """
@@ -38,26 +39,26 @@ __all__ = [
 
 @final
 class Join:
-    """Merge rule: arrays are concatenated along an axis."""
+    """Merge rule for arrays: they are concatenated along an axis."""
 
     def __init__(self, axis: int = 0) -> None:
         self.axis = axis
 
 
 SUM: TypeAlias = Annotated[Array, "sum"]
-"""Merge rule: arrays are added, in the memory of the left array."""
+"""Merge rule for arrays: they are added, in the memory of the left array."""
 
 JOIN: TypeAlias = Annotated[Array, Join(0)]
-"""Merge rule: arrays are concatenated along their first axis."""
+"""Merge rule for arrays: they are concatenated along their first axis."""
 
 SAME: TypeAlias = Annotated[Array, "same"]
-"""Merge rule: arrays are equal in all blocks, and one of them is kept."""
+"""Merge rule for arrays that are equal in all blocks: one of them is kept."""
 
 
 @final
 @dataclass
 class MeanSums:
-    """Sums over realizations of arrays and their squares, for the mean and its standard error."""
+    """Sums over realizations of arrays and of their squares, for means and standard errors."""
 
     total: SUM
     squares: SUM
@@ -74,9 +75,9 @@ class MeanSums:
         return MeanSums(np.zeros(size), np.zeros(size), 0)
 
     def mean_and_error(self, sets: int | None = None) -> tuple[Array, Array]:
-        """Return the mean over realizations and its standard error, NaN for a single realization.
+        """Return the mean over realizations and its standard error (NaN for one realization).
 
-        If `sets` is given, the realizations repeat `sets` distinct sets equally often.
+        If `sets` is given, the realizations repeat that number of distinct sets equally often.
         """
         mean, count = self.total / self.count, self.count
         independent = count if sets is None else min(count, sets)
@@ -87,12 +88,12 @@ _MAGIC = b"mcs1"
 _Shape: TypeAlias = tuple[Annotated[int, msgspec.Meta(ge=0)], ...]
 _Kind: TypeAlias = Annotated[str, msgspec.Meta(pattern=r"^[<>|][biufcU]\d{1,9}$")]
 _HEADER = msgspec.msgpack.Decoder(tuple[msgspec.Raw, list[tuple[_Kind, _Shape]]])
-_MOST_LETTER = 0x10FFFF  # largest code point of Unicode
+_MOST_LETTER = 0x10FFFF  # largest code point in Unicode
 _UNIONS = (Union, UnionType)
 
 
 def merged(left: Any, right: Any) -> Any:
-    """Return the merged state of two neighboring nodes; may reuse the memory of `left`."""
+    """Return the merged state of two neighboring nodes. This may reuse the memory of `left`."""
     own = getattr(left, "merge", None)
     if own is not None:
         return own(right)
@@ -117,7 +118,7 @@ def merged(left: Any, right: Any) -> Any:
 
 @functools.cache
 def _rules(kind: Any) -> dict[str, Any]:
-    """Return the merge rule of every field of a record; None for a record with its own `merge`."""
+    """Return the merge rule of each field of a record. If it has its own `merge`, return None."""
     hints = get_type_hints(kind, include_extras=True)
     rules: dict[str, Any] = {}
     for field in fields(kind):
@@ -137,7 +138,7 @@ def pack(state: Any) -> bytes:
     Raises
     ------
     TypeError
-        If a state holds Python objects, or an attribute is not a number, a text or a list of these.
+        If a state contains Python objects, or an attribute has a type that cannot be stored.
     """
     arrays: list[Array] = []
 
@@ -169,7 +170,7 @@ def pack(state: Any) -> bytes:
 
 
 def _attributes(attributes: Mapping[Any, Any]) -> dict[str, Any]:
-    """Return the attributes; only numbers, texts and lists of these can be restored."""
+    """Return the attributes. Only numbers, texts and lists of these can be restored later."""
     for name, value in attributes.items():
         if not isinstance(value, str | int | float | list | tuple | dict | np.generic):
             raise TypeError(
@@ -181,13 +182,13 @@ def _attributes(attributes: Mapping[Any, Any]) -> dict[str, Any]:
 def unpack(kind: Any, payload: bytes) -> Any:
     """Return the state that `pack` stored.
 
-    `kind` is the type of the state: a record, ``list[record]``, an array or a dict.
+    `kind` is the type of the state: a record, ``list[record]``, an array, or a dict of arrays.
     The function allocates nothing larger than the payload.
 
     Raises
     ------
     FileFormatError
-        If the bytes are damaged, or hold a state of another type.
+        If the bytes are damaged, or contain a state of another type.
     """
     try:
         if payload[:4] != _MAGIC:

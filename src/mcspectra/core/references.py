@@ -1,4 +1,4 @@
-r"""Cited works: the entries of ``references.bib``; docstrings cite their keys as [Key]\_."""
+r"""Cited works: the entries of ``references.bib``. Docstrings cite their keys as [Key]\_."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["ADDRESS", "FILE", "address", "bibtex", "entries", "works", "written_
 
 FILE = Path(__file__).with_name("references.bib")
 ADDRESS = re.compile(r"https://\S*[^\s.,:;]")
-"""Web addresses in a text, without full stops and commas that follow them."""
+"""Pattern of web addresses in a text, without full stops and commas after them."""
 
 _ENTRY = re.compile(r"^@\w+\{(?P<key>\w+),\n(?P<fields>.*?)^\}", re.MULTILINE | re.DOTALL)
 _FIELD = re.compile(r"^\s*(\w+)\s*=\s*\{(.*?)\},?\s*$", re.MULTILINE)
@@ -29,7 +29,7 @@ _SITES = {"doi": "https://doi.org/", "eprint": "https://arxiv.org/abs/", "url": 
 
 
 def entries(source: str) -> dict[str, dict[str, str]]:
-    """Return the fields of each entry of a BibTeX file by its key, as plain text."""
+    """Return the fields of each entry of a BibTeX file as plain text, by the key of the entry."""
     return {
         entry["key"]: {name.lower(): _plain(text) for name, text in _FIELD.findall(entry["fields"])}
         for entry in _ENTRY.finditer(source)
@@ -47,7 +47,7 @@ def _plain(text: str) -> str:
 
 @lru_cache(maxsize=1)
 def works() -> dict[str, dict[str, str]]:
-    """Return the fields of each work of ``references.bib`` by its key, as plain text."""
+    """Return the fields of each work in ``references.bib`` as plain text, by the work's key."""
     return entries(FILE.read_text(encoding="utf-8"))
 
 
@@ -58,12 +58,12 @@ def bibtex(key: str) -> str:
 
 
 def address(fields: dict[str, str]) -> str:
-    """Return the web address of a work, made from its DOI if it has one; otherwise ``""``."""
+    """Return the web address of a work, if possible made from its DOI. If unknown, it is ``""``."""
     return next((site + fields[name] for name, site in _SITES.items() if name in fields), "")
 
 
 def written_out(text: str) -> str:
-    r"""Return `text` with authors, year, title and address for each [Key]\_; keep unknown keys."""
+    r"""Return `text` with authors, year, title and address instead of each known [Key]\_."""
 
     def work(found: re.Match[str]) -> str:
         if found[1] not in works():

@@ -1,8 +1,8 @@
-"""Registries: map names in spec strings to classes, which are loaded on first use.
+"""Registries: they map names in spec strings to classes, which are loaded on first use.
 
-Built-in classes are ``"module:Class"`` strings, so that listing names imports nothing.
+Built-in classes are given as text, ``"module:Class"``, so that listing names imports nothing.
 Other packages add names by the entry points in `Registry.group`.
-A built-in name always has priority.
+If a built-in class has the same name, it has priority.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ DEFAULT_DIMS = 2
 
 
 class Registry(Mapping[str, str]):
-    """Registry of the names of one kind of component.
+    """Registry of the names of one kind of component, such as samplers.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class Registry(Mapping[str, str]):
     builtin
         Mapping from name to ``"module:Class"``.
     base
-        Base class of all registered classes. None if functions are registered instead.
+        Base class of all registered classes. It is None if functions are registered instead.
     """
 
     def __init__(
@@ -70,9 +70,9 @@ class Registry(Mapping[str, str]):
         Raises
         ------
         UnknownName
-            If the name is not registered; the message suggests close names.
+            If the name is not registered. The message suggests similar names.
         MissingDependency
-            If the module needs a package that is not installed or is broken.
+            If the module needs a package that is not installed, or that is broken.
         """
         target = self._builtin.get(name) or self._targets().get(name)
         if target is None:
@@ -84,7 +84,7 @@ class Registry(Mapping[str, str]):
             found: Any = getattr(importlib.import_module(module), attribute)
         except MissingDependency:
             raise
-        except (Exception, SystemExit) as error:  # the other package's code may raise anything
+        except (Exception, SystemExit) as error:  # code of other packages may raise anything
             raise MissingDependency(
                 f"The {self.kind} {shown(name)} ({target}) cannot be loaded: {reason_of(error)}."
             ) from error
@@ -99,11 +99,11 @@ class Registry(Mapping[str, str]):
     def build(self, call: Call, dims: int | None = None) -> Any:
         """Create the component that `call` describes.
 
-        `dims` is the number of dims in its context; a ``dims=`` in the call must agree with it.
+        `dims` is the number of dims in the context. A ``dims=`` in the call must agree with it.
         """
         cls = self.load(call.name)
         allowed = inspect.signature(cls).parameters
-        # The field of a parameter such as radius is radius_ if the plain name is already used
+        # A parameter such as radius has the field radius_ if the plain name is already used
         arguments = {
             f"{key}_" if f"{key}_" in allowed else key: value
             for key, value in call.arguments.items()
@@ -139,14 +139,14 @@ class Registry(Mapping[str, str]):
 
 
 def classes_of(modules: Mapping[str, str]) -> dict[str, str]:
-    """Return names of classes of this package, mapped to ``"module:Class"``, for a registry.
+    """Return names of this package's classes, mapped to ``"module:Class"``, for a registry.
 
     Parameters
     ----------
     modules
         Classes of each module, separated by blanks.
-        By default, the name is the class's own in kebab case, as for ``RandomRotation``.
-        A different name is given explicitly, as in ``disk=DiskDensity``.
+        By default, the name is that of the class in kebab case, as for ``RandomRotation``.
+        A different name is written explicitly, as in ``disk=DiskDensity``.
     """
     found = {}
     for module, classes in modules.items():
@@ -157,7 +157,7 @@ def classes_of(modules: Mapping[str, str]) -> dict[str, str]:
 
 
 def optional_package(name: str, extra: str, need: str) -> Any:
-    """Load an optional package, or a module of it; return the package.
+    """Load an optional package, or one of its modules. Return the package.
 
     Parameters
     ----------
@@ -185,5 +185,5 @@ def optional_package(name: str, extra: str, need: str) -> Any:
 
 @functools.lru_cache(maxsize=64)
 def _registered(group: str, path: tuple[str, ...]) -> dict[str, str]:  # noqa: ARG001
-    """Return names that other packages register; a search per `sys.path` takes ten milliseconds."""
+    """Return names that other packages register. The search takes ten milliseconds per path."""
     return {each.name: each.value for each in entry_points(group=group)}

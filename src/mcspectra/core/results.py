@@ -1,8 +1,8 @@
-"""Names of all result variables, and the function that makes a labeled dataset of them.
+"""Names of all variables in results, and the function that makes labeled datasets of them.
 
-Every variable of a result is registered here once, with its meaning, unit, dims and type.
-`dataset` attaches meaning and unit to the variables as attributes.
-`dataset` also attaches the provenance (seed, versions, spec strings) to the whole dataset.
+Each variable of a result is registered here once, with its meaning, unit, dims and type.
+`dataset` gives each variable its meaning and unit as attributes.
+It also gives the whole dataset its provenance: seed, versions and spec strings.
 `check_variables` compares a result with the declaration of its analysis.
 """
 
@@ -38,20 +38,20 @@ __all__ = [
 
 
 class Variable(NamedTuple):
-    """A registered variable of results.
+    """A variable of results, as it is registered.
 
     Attributes
     ----------
     meaning, units
-        Values of the attributes ``long_name`` and ``units``.
+        Texts of the attributes ``long_name`` and ``units``.
     dims
-        Dims of the variable in order. None if the dims vary.
-        ``m`` stands for m0, m1, …; a dim that ends in ``?`` is optional.
-        The dims estimator, sampler and channel may be added.
+        Dims of the variable, in order. None if the dims vary.
+        ``m`` stands for m0, m1, …; a dim whose name ends in ``?`` is optional.
+        The dims estimator, sampler and channel may be added to any variable.
     kind
-        Types of numbers as NumPy's letters: ``f`` float, ``i`` integer, ``c`` complex, ``b`` bool.
+        Types of numbers, in NumPy's letters: ``f`` float, ``i`` integer, ``c`` complex, ``b`` bool.
     name
-        Name of a variable that is not in `VARIABLES`, such as one of another package.
+        Name of a variable that is not in `VARIABLES`, for example one of another package.
     """
 
     meaning: str
@@ -333,7 +333,7 @@ VARIABLES: Mapping[str, Variable] = {
     },
     **_VARIABLES,
 }
-"""Variables by name; ``_se`` marks standard errors and ``_ci`` intervals of other variables."""
+"""Variables by name. Names in ``_se`` are standard errors, and names in ``_ci`` are intervals."""
 
 
 def dataset(
@@ -343,9 +343,9 @@ def dataset(
     drop: Collection[str] = (),
     **provenance: Any,
 ) -> xr.Dataset:
-    """Make a dataset of registered variables, name -> (dims, values), with provenance attributes.
+    """Make a dataset of registered variables, name -> (dims, values), and provenance attributes.
 
-    Dims in `drop` have one value, such as the channel of a scalar; they are removed.
+    Dims in `drop` have a single value, such as the channel of a scalar. They are removed.
     """
     import xarray as xr
 
@@ -362,12 +362,12 @@ def dataset(
 
 
 def coordinate(dim: str, values: Any, meaning: str) -> tuple[str, Any, dict[str, str]]:
-    """Return a coordinate of dimensionless numbers along a dim."""
+    """Return a coordinate along a dim, of numbers without unit."""
     return dim, values, {"long_name": meaning, "units": "1"}
 
 
 def attributes_of(**provenance: Any) -> dict[str, str | int | float]:
-    """Convert attributes to types that every storage format holds; drop attributes that are None.
+    """Convert attributes to types that every storage format supports. Drop those that are None.
 
     The storable types are 64-bit numbers, strings and JSON text.
     """
@@ -385,7 +385,7 @@ def attributes_of(**provenance: Any) -> dict[str, str | int | float]:
 
 
 def strict_json(value: Any) -> Any:
-    """Convert a value to strict JSON: arrays become lists, NaN null, paths and ``inf`` text."""
+    """Convert a value to strict JSON: arrays to lists, NaN to null, paths and ``inf`` to text."""
     if isinstance(value, Mapping):
         return {str(key): strict_json(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -419,7 +419,7 @@ def check_variables(result: xr.Dataset, declared: Sequence[str | Variable], anal
             raise AnalysisError(
                 f"{analysis}: {name} holds {values.dtype}, but {shown(about.kind)} is declared."
             )
-        # Match the dims with a pattern: m stands for any of m0, m1, …, and dims with ? are optional
+        # Compare the dims with the declared ones: m means m0, m1, …, and dims with ? are optional
         found = [str(d) for d in values.dims if d not in _FREE_DIMS or d in (about.dims or ())]
         pattern = ""
         for dim in about.dims or ():
@@ -435,7 +435,7 @@ def check_variables(result: xr.Dataset, declared: Sequence[str | Variable], anal
 
 @functools.cache
 def package_versions() -> dict[str, str]:
-    """Return the versions of this package and of the packages that affect its numbers."""
+    """Return the versions of this package and of all packages that affect its numbers."""
     found = {}
     for name in ("mcspectra", "numpy", "scipy", "numba", "finufft"):
         try:

@@ -1,7 +1,7 @@
 """Spec strings ``name(key=value, ...) | name(...)`` for the command line, TOML and Python.
 
 Names are in kebab case.
-Values are Python literals read by `ast.literal_eval`; no code is evaluated.
+Values are Python literals that `ast.literal_eval` reads. No code is evaluated.
 `parse` converts text to `Call`s, and `format_call` converts a component back to text.
 """
 
@@ -25,20 +25,20 @@ _NAME = re.compile(r"[a-z][a-z0-9]*(?:-[a-z0-9]+)*")
 _CAPITALS = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")  # boundary between words of a class name
 _WORD = re.compile(r"[A-Za-z_][\w.-]*")
 _NO_NUMBERS = ("nan", "inf", "infinity")
-# Components that run code, each with the parameter that its positional argument sets
+# Components that run code, each with the parameter that a positional argument sets
 _FIRST = {"command": "run", "python": "function"}
 _MAX_LENGTH = 20_000
 _FOLDERS = re.compile(
     r"""(?:\w+=)?(['"])[^'"]*/(?=[^'"/]+\1)"""
-)  # matches the folders of a quoted file name, and the parameter's name
+)  # matches the folders of a quoted file name, with the name of the parameter if it is given
 _MARK = re.compile(
     r"""'(?:[^'\\]|\\.)*'|"(?:[^"\\]|\\.)*"|['"()\[\]{}|]""", re.DOTALL
-)  # a quoted text is one token
+)  # a quoted text counts as one token
 
 
 @dataclass(frozen=True)
 class Call:
-    """One ``name(key=value, ...)`` of a spec string."""
+    """One part ``name(key=value, ...)`` of a spec string."""
 
     name: str
     arguments: dict[str, Any]
@@ -49,36 +49,36 @@ class Call:
 
 
 def kebab_case(name: str) -> str:
-    """Return the name of a class in spec strings: ``latin-hypercube`` for LatinHypercube."""
+    """Return the name that a class has in spec strings: ``latin-hypercube`` for LatinHypercube."""
     return _CAPITALS.sub("-", name).lower()
 
 
 class _NameOfClass:
-    """Descriptor that returns the class's own name in kebab case."""
+    """Descriptor that returns the name of its class in kebab case."""
 
     def __get__(self, component: object, cls: type) -> str:
         return kebab_case(cls.__name__)
 
 
 class Component(Drawable):
-    """Common base of samplers, randomizations, densities and integrands: a name and a spec string.
+    """Base of samplers, randomizations, densities and integrands, with a name and a spec string.
 
     Subclasses are dataclasses. `spec` lists the fields that differ from their defaults.
-    When an instance is created, fields declared by `mcspectra.core.fields` are checked first.
-    Then `_check` checks the whole instance.
-    A class declares `name` if its spec name is not its own name in kebab case.
+    When an instance is created, its fields from `mcspectra.core.fields` are checked first.
+    Then the method `_check` checks the whole instance.
+    A class declares `name` if its name in specs differs from the class's name in kebab case.
     """
 
     name: ClassVar[str] = _NameOfClass()  # type: ignore[assignment]
     costly: ClassVar[bool] = False
-    """Whether drawing the component would take seconds; notebooks then show no picture."""
+    """Whether drawing the component would take seconds. If so, notebooks show no picture."""
 
     def __post_init__(self) -> None:
         check_fields(self)
         self._check()
 
     def _check(self) -> None:
-        """Check combinations of parameters; each field has been checked on its own."""
+        """Check combinations of parameters. Each field has already been checked alone."""
 
     @property
     def spec(self) -> str:
@@ -97,7 +97,7 @@ def parse_chain(text: str) -> list[Call]:
     Raises
     ------
     SpecError
-        If `text` is not a string, is empty, unbalanced, or of another form.
+        If `text` is not a string, or is empty, unbalanced, or of another form.
     """
     if not isinstance(text, str):
         raise SpecError(f"The spec is {shown(text)}; give a string such as 'jittered | shift'.")
@@ -107,7 +107,7 @@ def parse_chain(text: str) -> list[Call]:
 
 
 def parse(text: str) -> Call:
-    """Read one ``name(...)``; a chain with ``|`` is an error."""
+    """Read one ``name(...)``. A chain with ``|`` is an error."""
     calls = parse_chain(text)
     if len(calls) != 1:
         raise SpecError(
@@ -117,7 +117,7 @@ def parse(text: str) -> Call:
 
 
 def short_spec(text: str) -> str:
-    """Return a short spec for figures; a part gets its ``name=``, and files lose their folders."""
+    """Return a short spec for figures: the ``name=`` of each part, or its text without folders."""
     try:
         parts = zip(parse_chain(text), _split(text), strict=True)
         return " | ".join(
@@ -129,7 +129,7 @@ def short_spec(text: str) -> str:
 
 
 def format_call(component: object) -> str:
-    """Write a dataclass component as ``name(key=value)`` with all non-default fields."""
+    """Write a dataclass component as ``name(key=value)``, without fields that have the default."""
     given = []
     for field in dataclasses.fields(component):  # type: ignore[arg-type]
         if field.name == "dims" or not field.init:
@@ -204,7 +204,7 @@ def _parse_call(part: str, whole: str) -> Call:
     if first and len(tree.args) == 1:
         keywords.insert(0, (first, tree.args[0]))
     elif tree.args:
-        # Do not use ast.unparse, which recurses and fails on deep nesting.
+        # ast.unparse is not used, because it recurses and fails on deep nesting
         nameless = ast.get_source_segment(source, tree.args[0]) or "a value"
         written = printable(nameless, QUOTED)
         raise SpecError(
@@ -228,7 +228,7 @@ def _parse_call(part: str, whole: str) -> Call:
 
 
 def _literal_advice(value: str) -> str:
-    """Return advice for a value that is not a literal; usually a word lacks its quotes."""
+    """Return advice for a value that is not a literal. Usually a word lacks its quotes."""
     constants = {"true": "True", "false": "False", "none": "None"}
     if value.lower() in constants:
         return f"write {constants[value.lower()]}"

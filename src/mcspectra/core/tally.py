@@ -1,11 +1,11 @@
-"""Counts and limits of evaluations of users' functions; each call is counted before it is made.
+"""Counts and limits of evaluations of users' functions. Calls are counted before they are made.
 
-`counting` opens a tally, which counts all evaluations inside its block.
-The block includes this thread and the threads of `mcspectra.core.parallel`.
+`counting` opens a tally: a counter of all evaluations inside its block.
+This includes evaluations in this thread and in threads of `mcspectra.core.parallel`.
 Tallies can be nested.
-A limit is checked before the function is called.
-After a rejected call, work may continue, for example with another method of a prediction.
-In this case the result is discarded: `EvaluationTally.check` raises an error at the end.
+The limit is checked before the function is called.
+After a rejected call, work may continue, for example when a prediction tries another method.
+The result is then discarded: at the end, `EvaluationTally.check` raises an error.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ _lock = threading.Lock()
 @final
 @dataclass
 class EvaluationTally:
-    """Number of evaluations of a computation, and their limit `most`; None for no limit."""
+    """Number of evaluations of a computation, and its limit `most`. None means no limit."""
 
     what: str | Function
     most: int | None = None
     outer: EvaluationTally | None = None
     made: int = 0
-    # Number of rejected evaluations, which would have exceeded the limit
+    # Largest total of evaluations that a rejected call would have reached
     refused: int = 0
 
     def foresee(self, evaluations: int) -> None:
-        """Raise BudgetError if further `evaluations` would exceed the limit."""
+        """Raise BudgetError if `evaluations` more would exceed the limit."""
         if self.most is not None and self.made + evaluations > self.most:
             self.refused = max(self.refused, self.made + evaluations)
             self.check()
@@ -59,7 +59,7 @@ _innermost: ContextVar[EvaluationTally | None] = ContextVar("tally", default=Non
 
 @contextmanager
 def counting(what: str | Function, most: int | None = None) -> Iterator[EvaluationTally]:
-    """Count the evaluations inside the block; `most` is their limit, at least 1, or None."""
+    """Count the evaluations inside the block. `most` is their limit, at least 1, or None."""
     most = None if most is None else as_integer("max_evaluations", most, least=1)
     tally = EvaluationTally(what, most, _innermost.get())
     token = _innermost.set(tally)
@@ -75,7 +75,7 @@ def spend(evaluations: int) -> None:
     Raises
     ------
     BudgetError
-        If an open tally would exceed its limit; then no tally counts these evaluations.
+        If an open tally would exceed its limit. In this case, no tally counts the evaluations.
     """
     with _lock:
         tally = _innermost.get()

@@ -1,8 +1,8 @@
-"""Access to files and code from untrusted text: one policy for studies, specs and the explorer.
+"""Access to files and code that untrusted text names. Studies, specs and the explorer use it.
 
-Text is data: a spec is parsed, never evaluated. But a spec may name code to run and files to read.
-A `Trust` allows the code that the caller names, and files in folders that the caller names.
-Links are resolved first. A study can also read its own folder.
+Text is data: a spec is parsed and never evaluated. But it may name code to run or files to read.
+A `Trust` allows the code and the files in folders that the caller names.
+Links are resolved before the check. A study can also read its own folder.
 The process has one Trust, `process_trust`.
 The options ``--allow-code`` and ``--allow-path`` extend this Trust.
 The function `mcspectra.samplers.allow_code` also extends this Trust.
@@ -34,7 +34,7 @@ __all__ = [
 ]
 
 CODE = {"command": "run", "python": "function"}
-"""Samplers that run code, with the name of the parameter that holds the code."""
+"""Samplers that run code, each with the name of the parameter that contains the code."""
 
 FILE_KEYS = (
     "path",
@@ -44,35 +44,35 @@ FILE_KEYS = (
     "generating_matrices",
     "generating_vector",
 )
-"""Parameters that name files: point sets, images, Mitsuba plugins, nets, QMCPy generators."""
+"""Parameters that name files: point sets, images, Mitsuba plugins, nets and QMCPy generators."""
 
 FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 """Form of a function name: ``module:function``."""
 
 _NAMED = re.compile(
     rf"{FUNCTION.pattern}|.*[/{{].*", re.DOTALL
-)  # two forms: a command, or the path of a program
+)  # a command has two forms: the whole command, or the path of a program
 
 
 @final
 @dataclass(frozen=True)
 class Trust:
-    """Files and code that untrusted text may use; by default no files and no code.
+    """Files and code that untrusted text may use. By default there are none.
 
     Parameters
     ----------
     code
-        Functions ``module:function`` that specs ``python('module:function')`` may name.
-        Commands, or only their programs, that specs ``command('./mine {n} {seed}')`` may run.
-        Modules are searched on Python's path (PYTHONPATH), not in a study's folder.
-        A program is named with its path.
+        Functions ``module:function``, which specs ``python('module:function')`` may name.
+        Commands, or only their programs, which specs ``command('./mine {n} {seed}')`` may run.
+        Modules are searched for on Python's path (PYTHONPATH), not in a study's folder.
+        Programs are given with their paths.
     folders
-        Folders whose files may be read, including subfolders.
+        Folders whose files may be read, including those in subfolders.
 
     Raises
     ------
     ConfigError
-        If code has another form, or a folder is not a path.
+        If code has another form, or if a folder is not a path.
     """
 
     code: tuple[str, ...] = ()
@@ -96,14 +96,14 @@ class Trust:
                 raise ConfigError(f"--allow-path is {shown(folder)}; give the path of a folder.")
 
     def widened(self, code: Iterable[str] = (), folders: Iterable[Path] = ()) -> Trust:
-        """Return a Trust that also allows this code and these folders."""
+        """Return a Trust that additionally allows this code and these folders."""
         return Trust(
             tuple(dict.fromkeys((*self.code, *code))),
             tuple(dict.fromkeys((*self.folders, *folders))),
         )
 
     def runs(self, call: Call) -> bool:
-        """Whether a part of a spec names no code, or only allowed code."""
+        """Whether a part of a spec names no code, or only code that is allowed."""
         text = call.arguments.get(CODE.get(call.name, ""))
         if not isinstance(text, str) or text in self.code:
             return True
@@ -115,7 +115,7 @@ class Trust:
         Raises
         ------
         ConfigError
-            If the code is not allowed; the message names the option that allows it.
+            If the code is not allowed. The message names the option that allows it.
         """
         if not self.runs(call):
             text = call.arguments[CODE[call.name]]
@@ -126,35 +126,35 @@ class Trust:
             )
 
     def reads(self, path: str | os.PathLike[str]) -> bool:
-        """Whether a file lies in an allowed folder, after links are resolved."""
+        """Whether a file lies in an allowed folder after links are resolved."""
         try:
             place = Path(path).resolve()
             return any(place.is_relative_to(root.resolve()) for root in self.folders)
-        # The links form a loop, or the value is not a path
+        # the links form a loop, or the value is not a path
         except (OSError, RuntimeError, ValueError):
             return False
 
     @property
     def reads_all(self) -> bool:
-        """Whether every file of this machine may be read."""
+        """Whether all files of this machine may be read."""
         return self.reads(Path.cwd().anchor)
 
     def check_scene_file(self, file: Path, named: str, where: str) -> None:
-        """Raise an error if a scene names a file outside the folders, whether it exists or not.
+        """Raise an error if a scene names a file outside the folders. The file need not exist.
 
         Parameters
         ----------
         file
-            Location of the file.
+            Location of the file on this machine.
         named
-            File name as written in the scene.
+            Name of the file, as written in the scene.
         where
-            XML element and file in which the name occurs.
+            XML element that contains the name, and the file of this element.
 
         Raises
         ------
         ConfigError
-            If the file is outside the folders; the message names the option that allows it.
+            If the file is outside the folders. The message names the option that allows it.
         """
         if not self.reads(file):
             raise ConfigError(
@@ -164,7 +164,7 @@ class Trust:
             )
 
     def check_scene_spec(self, text: str, where: str) -> None:
-        """Raise an error if a spec in a scene names files or code, even in a nested spec.
+        """Raise an error if a spec in a scene names files or code, also in nested specs.
 
         Raises
         ------
@@ -200,7 +200,7 @@ def reach_of(value: Any, key: str = "") -> str | None:
 
 
 def words_of(command: object) -> list[str]:
-    """Return the program and the arguments of a command; empty if the text is not a command."""
+    """Return the program and the arguments of a command, or nothing if it is not a command."""
     try:
         return shlex.split(command) if isinstance(command, str) else []
     except ValueError:
@@ -211,11 +211,11 @@ _process = Trust()
 
 
 def process_trust() -> Trust:
-    """Return the Trust for text that this process reads."""
+    """Return the Trust for all text that this process reads."""
     return _process
 
 
 def allow(code: Iterable[str] = (), folders: Iterable[Path] = ()) -> None:
-    """Also allow this code and these folders for text that this process reads."""
+    """Additionally allow this code and these folders for text that this process reads."""
     global _process
     _process = _process.widened(code, folders)

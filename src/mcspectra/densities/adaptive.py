@@ -1,17 +1,17 @@
-"""Adaptive quadrature of possibly divergent integrals over the unit cube, with a record of levels.
+"""Adaptive quadrature over the unit cube of integrals that may diverge, with a record of levels.
 
 Method
 ------
 The domain starts as equal cells.
-A cell is *resolved* if a Gauss-Legendre rule on it agrees with the same rule on its 2^d halves.
-Other cells are split, level by level.
+A Gauss-Legendre rule on a cell is compared with the same rule on the 2^d halves of the cell.
+If the results agree, the cell is *resolved*. Other cells are split, level by level.
 The unresolved part at level L lies within about 2^-L of the singularities and jumps.
-The integral U_L over this part is roughly a sum over dyadic shells.
+The integral U_L over this part is approximately a sum over dyadic shells around them.
 Therefore U_L shows the kind of singularity.
-Next to f ~ r^-a along a line, U_L shrinks like 2^{-(1-a)L}.
+If f ~ r^-a next to a line, U_L shrinks like 2^{-(1-a)L}.
 If the integral diverges, U_L stays constant or grows.
 
-Everything here is deterministic: fixed points, fixed offsets, no seed.
+The quadrature is deterministic: it uses fixed points and fixed offsets, and no seed.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ __all__ = [
 
 # The orders of the Gauss rules are even, so that no node is the center of a cell.
 # The orders of the two axes differ, so that no node lies on the diagonal of a cell.
-# A node at such a place could hit an isolated 0 of the density
+# A node at such a place could coincide with an isolated 0 of the density
 _ORDERS = {1: (8,), 2: (6, 4)}
 _DEPTH = {1: 36, 2: 28}
 _FULL_DEPTH = {1: 6, 2: 2}  # at least 4096 cells, so that nodes do not miss narrow steps
 MOST_CELLS = 2**16
-"""Splitting ends at this number of cells of a level; 1.6 million evaluations in 2-D."""
+"""At this number of cells in a level, splitting ends. In 2-D this takes 1.6 million evaluations."""
 _RELATIVE = 1e-10
 _ABSOLUTE = 1e-13  # tolerance relative to the whole integral
 _FORCED_DEPTH = {1: 16, 2: 8}
@@ -53,11 +53,11 @@ _FORCED_DEPTH = {1: 16, 2: 8}
 CELLS = {1: 64, 2: 16}
 """Default number of starting cells along each axis, by dims."""
 SETS, SET_SIZE = 32, 4096
-"""Number of shifted low-discrepancy sets, whose spread estimates the error, and points per set."""
-_SLOWEST = 0.98  # largest ratio of levels: p ~ r^a with a > 0.97 counts as divergent
+"""Number of shifted low-discrepancy sets, whose spread estimates the error, and their size."""
+_SLOWEST = 0.98  # largest ratio between levels: p ~ r^a with a > 0.97 counts as divergent
 _NEGLIGIBLE = 1e-6
-_SHRINKING = 0.8  # largest ratio of volumes of levels; ½ next to a line, ¼ next to a point
-_FIRST_LEVELS = 4  # first levels, left out of ratios: they also split cells merely near a zero
+_SHRINKING = 0.8  # largest ratio of volumes of levels: it is ½ next to a line, ¼ next to a point
+_FIRST_LEVELS = 4  # ratios omit these levels, which also split cells that are only near a zero
 _WINDOW = 8
 _TAIL = 256
 _LARGEST_TAIL_INDEX = 1.0 - 3.0 / math.sqrt(_TAIL)
@@ -65,12 +65,12 @@ _LARGEST_TAIL_INDEX = 1.0 - 3.0 / math.sqrt(_TAIL)
 
 @dataclass(frozen=True)
 class Quadrature:
-    """Integrals over the starting cells, row-major (k^d,), and the record of levels.
+    """Integrals over the starting cells, row-major (k^d,), and a record of all levels.
 
     `errors` bounds the error of each integral.
-    `totals` has the estimate of the whole integral after each level.
-    `unresolved` is the part of each total from cells where the rules disagree.
-    `volumes` is the volume of these cells.
+    `totals` holds the estimate of the whole integral after each level.
+    `unresolved` is the part of each total that comes from cells where the rules disagree.
+    `volumes` is the total volume of these cells.
     """
 
     cells: Array
@@ -81,7 +81,7 @@ class Quadrature:
 
     @property
     def isolated(self) -> bool:
-        """Whether the integral is infinite or resolved, or its unresolved cells shrink quickly."""
+        """Whether the integral is infinite or resolved, or unresolved cells shrink quickly."""
         if not math.isfinite(self.totals[-1]) or self.unresolved[-1] == 0:
             return True
         volumes = self.volumes
@@ -89,9 +89,9 @@ class Quadrature:
 
     @property
     def ratio(self) -> float:
-        """Ratio of the unresolved parts of successive levels; 0 if everything is resolved.
+        """Ratio of the unresolved parts of successive levels. It is 0 if everything is resolved.
 
-        The ratio compares sums over the last levels with sums over the levels before.
+        The ratio compares the sum over the last levels with that over as many earlier levels.
         Ratios of single levels vary, because the position of a zero within its cell changes.
         """
         parts = self.unresolved
@@ -102,7 +102,7 @@ class Quadrature:
 
     @property
     def limit(self) -> float:
-        """Limit of the totals; infinite if the unresolved part does not shrink."""
+        """Limit of the totals. It is infinite if the unresolved part does not shrink."""
         last = self.totals[-1]
         if not math.isfinite(last):
             return math.inf
@@ -112,7 +112,7 @@ class Quadrature:
 
     @property
     def bounds(self) -> Array:
-        """`errors` plus the estimated sum of all deeper levels, a geometric series."""
+        """`errors` plus the estimate for all deeper levels, which form a geometric series."""
         return 2.0 * self.errors / (1.0 - min(self.ratio, _SLOWEST))
 
 
@@ -138,11 +138,11 @@ def integrate(
         Points (M, d) where narrow peaks may be.
         Cells that contain one of these points are always split to level 16 (8 in 2-D).
     most_cells
-        Number of cells of a level at which splitting ends.
+        Splitting ends when a level has this number of cells.
 
     Notes
     -----
-    The cost in 1-D is at most 36 levels of 2^16 cells with 8 evaluations each.
+    In 1-D, the cost is at most 36 levels of 2^16 cells with 8 evaluations each.
     In 2-D, it is at most 28 levels with 24 evaluations per cell.
     """
     corners = _grid(cells, dims)
@@ -182,10 +182,10 @@ def integrate(
 def mean_or_infinity(
     function: Callable[[Array], Array], dims: int, *, most_cells: int = MOST_CELLS
 ) -> float:
-    """Return the integral of a function ≥ 0 in d dims, infinite if it appears to diverge.
+    """Return the integral of a function ≥ 0 in d dims. It is infinite if it appears to diverge.
 
     The notes of `mcspectra.densities.reciprocal_integral` describe the accuracy.
-    `most_cells` limits the number of cells of a level, as in `positive_integral`.
+    `most_cells` limits the number of cells in a level, as in `positive_integral`.
     """
     if dims <= 2:
         with np.errstate(over="ignore", invalid="ignore"):
@@ -195,7 +195,7 @@ def mean_or_infinity(
     values = function(recurrences(dims).reshape(-1, dims))
     if not np.isfinite(values).all():
         return math.inf
-    # Hill's estimate of the tail index shows whether the tail is too heavy for a mean
+    # Hill's estimate of the tail index tells whether the tail is too heavy for a mean
     tail = np.sort(values)[-_TAIL - 1 :]
     index = float(np.log(tail[1:] / tail[0]).mean())
     return math.inf if index > _LARGEST_TAIL_INDEX else float(values.mean())
@@ -213,7 +213,7 @@ def positive_integral(
     dims
         Number of dims d, 1 or 2.
     most_cells
-        Number of cells of a level at which splitting ends.
+        Splitting ends when a level has this number of cells.
 
     Returns
     -------
@@ -222,9 +222,9 @@ def positive_integral(
         If the unresolved part does not shrink, the integral is infinite and the error is 0.
         Poles r^-a with a > 0.97 count as divergent.
         See `mcspectra.densities.reciprocal_integral`.
-        If the rest of a geometric series was added, the last change of this sum gives the error.
-        The last change is extrapolated with the ratio of the series.
-        The series is only approximate where poles cross.
+        If the remainder of a geometric series was added, the last change of the limit is the error.
+        The ratio of the series extrapolates this change.
+        Where poles cross, the levels form only approximately a geometric series.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         found = integrate(function, dims, cells=CELLS[dims], most_cells=most_cells)
@@ -242,13 +242,13 @@ def positive_integral(
 
 
 def recurrences(dims: int, key: int = 0) -> Array:
-    """Return point sets (32, 4096, d) : additive recurrences by `golden_vector`, each shifted."""
+    """Return 32 point sets (32, 4096, d): additive recurrences by `golden_vector`, each shifted."""
     shifts = Stream(key).uniforms(0, SETS, dims)[:, None, :]
     return np.asarray((shifts + np.arange(SET_SIZE)[:, None] * golden_vector(dims)) % 1.0)
 
 
 def _aitken(a: float, b: float, c: float) -> float:
-    """Return the limit of a geometric series with these last sums; c if sums are not geometric."""
+    """Return the limit of a geometric series with last sums a, b, c; c if it is not geometric."""
     steady = 0 < abs(c - b) < abs(b - a)
     return c + (c - b) ** 2 / ((b - a) - (c - b)) if steady else c
 
@@ -270,7 +270,7 @@ def _gauss(function: Callable[[Array], Array], corners: Array, side: int) -> Arr
 
 
 def _holding(corners: Array, points: Array, side: int) -> Array:
-    """Return which of the cells (M, d) of edge 1/side contain one of `points`."""
+    """Return which of the cells (M, d) of edge 1/side contain at least one of `points`."""
     inside = np.minimum((points * side).astype(np.int64), side - 1)
     steps = side ** np.arange(corners.shape[-1])[::-1]
     return np.isin(corners @ steps, inside @ steps)

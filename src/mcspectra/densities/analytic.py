@@ -1,7 +1,7 @@
-"""Densities in closed form: products over the dims, with one parameter for all dims or per dim.
+"""Products of 1-D densities in closed form, with one parameter for all dims or one per dim.
 
 The cdf of uniform, linear, power, exponential, cosine and tent densities has a closed-form inverse.
-The cdf of truncated normals is inverted by logarithms of the normal cdf.
+The cdf of truncated normals is inverted through logarithms of the normal cdf.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ __all__ = [
 
 _MAX_SIGMAS = 100.0
 _MAX_SIGMA = 100.0
-# For a closer to −1, more than 1 in 1000 samples u^(1/(a+1)) underflow
+# If a is closer to −1 than this, more than 1 in 1000 of the samples u^(1/(a+1)) underflow
 _LEAST_EXPONENT = -0.99
 _MOST_EXPONENT = 1000.0
 _MOST_RATE = 700.0  # exp(710) is infinite
@@ -81,8 +81,8 @@ class Linear(_Separable):
 
     Notes
     -----
-    The cdf of one dim is low·x + s x²/2 with low = 1 − s/2 = p(0).
-    Its inverse is 2u / (low + √D) with D = low² + 2 s u.
+    In one dim, the cdf is low·x + s x²/2 with low = 1 − s/2 = p(0).
+    The inverse of the cdf is 2u / (low + √D) with D = low² + 2 s u.
     For s < 0, D is written as high² − 2 s (1 − u) with high = p(1).
     Both forms are sums of positive terms, so there is no cancellation for s → 0 or s = ±2.
     """
@@ -102,7 +102,7 @@ class Linear(_Separable):
 
     def _pdf(self, x: Array) -> Array:
         s = self._slopes
-        # Both forms start from the end with lower density
+        # Both forms start from the end where the density is lower
         line = np.where(s >= 0, (1.0 - 0.5 * s) + s * x, (1.0 + 0.5 * s) - s * (1.0 - x))
         return bounded_product(line, self.spec)
 
@@ -119,11 +119,11 @@ class Linear(_Separable):
 
 
 class _Normals(NamedTuple):
-    """Constants of truncated normals, one value per dim, shape (d,).
+    """Constants of truncated normals, with one value per dim: shape (d,).
 
     `flip` marks dims that are reflected, x → 1 − x, so that `mean` is at least 0.
-    `low` and `high` are z at x = 0 and x = 1.
-    log_low and log_high are log Φ(low) and log Φ(high), with the normal cdf Φ.
+    `low` and `high` are the values of z = (x − mean)/σ at x = 0 and x = 1.
+    log_low and log_high are log Φ(low) and log Φ(high), where Φ is the normal cdf.
     log_mass is the logarithm of Φ(high) − Φ(low).
     """
 
@@ -137,28 +137,28 @@ class _Normals(NamedTuple):
     log_mass: Array
 
     def score(self, x: Array) -> Array:
-        """Return z at points x (..., d)."""
+        """Return z = (x − mean)/σ at points x (..., d)."""
         return np.asarray((np.where(self.flip, 1.0 - x, x) - self.mean) / self.sigma)
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class TruncatedNormal(_Separable):
-    """Product of normal densities cut to [0,1) and rescaled.
+    """Product of normal densities, each cut to [0,1) and rescaled.
 
     Attributes
     ----------
     mean
-        Mean before truncation: one number or one per dim. It may be up to 100 sigma outside [0,1].
+        Mean before truncation: one number or one per dim. It may be up to 100 σ outside [0,1].
     sigma
         Standard deviation before truncation, above 0 and at most 100: one number or one per dim.
 
     Notes
     -----
     With z = (x − mean)/σ and the normal cdf Φ, the cdf is [Φ(z) − Φ(z₀)]/[Φ(z₁) − Φ(z₀)].
-    Logarithms of Φ extend the cdf far into the left tail.
+    The computation uses logarithms of Φ, which are accurate far into the left tail.
     If the mean is below 0, the density is reflected, so the right tail is never used.
-    Rounding of u causes errors of about 1e-14 at 10 sigma, and 1e-12 at 100 sigma.
+    Rounding of u causes errors of about 1e-14 at 10 σ, and of 1e-12 at 100 σ.
     """
 
     mean: float | tuple[float, ...] = per_dim(0.5)
@@ -211,7 +211,7 @@ class TruncatedNormal(_Separable):
         c = self._normal
         share = np.where(c.flip, 1.0 - u, u)
         ratio = np.exp(c.log_low - c.log_high)
-        with np.errstate(divide="ignore"):  # at share 0 and ratio 0, the logarithm and z are −∞
+        with np.errstate(divide="ignore"):  # if share and ratio are 0, the logarithm and z are −∞
             log_cdf = c.log_high + np.log(share + (1.0 - share) * ratio)
         z = np.clip(ndtri_exp(np.minimum(log_cdf, 0.0)), c.low, c.high)
         x = np.clip(c.mean + c.sigma * z, 0.0, 1.0)
@@ -247,17 +247,17 @@ class Power(_Separable):
         return self._each("exponent")
 
     def reciprocal_integral(self) -> float:
-        """Return Π 1/(1 − a²), infinite if an exponent is 1 or more."""
+        """Return Π 1/(1 − a²). It is infinite if an exponent is 1 or more."""
         a = self._exponents
         return float(np.prod(1.0 / ((1.0 - a) * (1.0 + a)))) if (a < 1).all() else math.inf
 
     def _pdf(self, x: Array) -> Array:
         a = self._exponents
-        # 0^a is infinite for a < 0. Finite values may overflow, at x = 1e-320 or in products
+        # For a < 0, 0^a is infinite. Finite values may overflow, at x = 1e-320 or in products
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             factors = (a + 1.0) * x**a
             product = factors.prod(axis=-1)
-        # Points at which the product over dims is 0 · ∞ have no volume
+        # Points at which the product over dims is 0 · ∞ have measure 0
         return np.asarray(np.where(np.isnan(product), 0.0, product))
 
     def _sample(self, u: Array) -> Array:
@@ -270,25 +270,25 @@ class Power(_Separable):
 @final
 @dataclass(frozen=True, kw_only=True)
 class Exponential(_Separable):
-    """Product of exponential densities cut to [0,1), p(x) = Π_i r_i exp(−r_i x_i)/(1 − exp(−r_i)).
+    """Product of densities p(x) = Π_i r_i exp(−r_i x_i)/(1 − exp(−r_i)): exponentials cut to [0,1).
 
     Attributes
     ----------
     rate
         Rate r, from −700 to 700: one number for all dims or one per dim.
-        Below 0 the density rises; at 0 it is uniform.
+        If r is below 0, the density rises. If r is 0, the density is uniform.
     """
 
     rate: float | tuple[float, ...] = per_dim(1.0, least=-_MOST_RATE, most=_MOST_RATE)
 
     @cached_property
     def _flat(self) -> Array:
-        """Whether each rate is so small that its dim counts as uniform."""
+        """For each dim, whether its rate is so small that the density counts as uniform."""
         return np.abs(self._each("rate")) < _NO_RATE
 
     @cached_property
     def _rates(self) -> Array:
-        """Rates of all dims, with the value 1 for flat dims."""
+        """Rates of all dims; flat dims have the value 1."""
         return np.where(self._flat, 1.0, self._each("rate"))
 
     def reciprocal_integral(self) -> float:
@@ -305,7 +305,7 @@ class Exponential(_Separable):
 
     def _sample(self, u: Array) -> Array:
         r = self._rates
-        with np.errstate(divide="ignore"):  # at rate 700, u = 1 gives x = ∞, which is clipped later
+        with np.errstate(divide="ignore"):  # with rate 700, u = 1 gives x = ∞, clipped below
             return np.where(self._flat, u, np.log1p(u * np.expm1(-r)) / -r)
 
     def _invert(self, x: Array) -> Array:
@@ -320,10 +320,10 @@ class CosineWeighted(_Separable):
 
     Notes
     -----
-    Two meanings of *cosine-weighted* agree here.
+    The term *cosine-weighted* has two meanings, which agree here.
     In flatland, x = ½ + θ/π is the angle of a direction above a line, with p(θ) = cos θ/2.
-    On the hemisphere with cos θ/π by solid angle, the polar angle has the density sin 2θ.
-    In the coordinate x = 2θ/π, the density sin 2θ is the density p(x) of this class.
+    On the hemisphere with cos θ/π by solid angle, the polar angle θ has the density sin 2θ.
+    In the coordinate x = 2θ/π, the density sin 2θ becomes the density p(x) of this class.
     The warp θ = arcsin √u is the warp of Malley's method [Pharr2016]_ (§13.6.3).
     The density is 0 at both ends, and ∫1/p diverges.
     """
@@ -348,7 +348,7 @@ class CosineWeighted(_Separable):
 @final
 @dataclass(frozen=True, kw_only=True)
 class Tent(_Separable):
-    """Product of tents: each rises linearly from 0 at 0 to 2 at its peak and falls to 0 at 1.
+    """Product of tents. Each tent rises linearly from 0 to 2 at its peak and then falls to 0.
 
     Attributes
     ----------
@@ -364,13 +364,13 @@ class Tent(_Separable):
 
     @cached_property
     def _sides(self) -> tuple[Array, Array]:
-        """Lengths of the rising and the falling side; length 0 is replaced by 1."""
+        """Lengths of the rising and the falling side. A length of 0 is replaced by 1."""
         c = self._peaks
         return np.where(c > 0, c, 1.0), np.where(c < 1, 1.0 - c, 1.0)
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """The peak, in x and in u, because the cdf at the peak equals its position."""
+        """The peak, as a position in x and in u: the cdf at the peak equals its position."""
         return tuple((c,) if 0 < c < 1 else () for c in self._peaks.tolist())
 
     def reciprocal_integral(self) -> float:
@@ -378,11 +378,11 @@ class Tent(_Separable):
         return math.inf
 
     def _rising(self, x: Array) -> Array:
-        """Whether x (or u) is on the rising side; the cdf at the peak equals its position."""
+        """Whether x (or u) is on the rising side. The cdf at the peak equals its position."""
         return np.asarray((x < self._peaks) | (self._peaks == 1))
 
     def _heights(self, x: Array) -> tuple[Array, Array]:
-        """Return the heights of the rising and the falling line at x, relative to the peak."""
+        """Return the heights of the rising and the falling line at x, divided by the peak's."""
         left, right = self._sides
         return np.minimum(x, left) / left, np.minimum(1.0 - x, right) / right
 

@@ -1,9 +1,9 @@
-"""The interface of importance densities: pdf, sample, invert; densities given by functions.
+"""The interface of importance densities (pdf, sample, invert), and densities given by functions.
 
-A `Density` is a warp T with its pdf. T maps the unit cube (primary space, u) to itself (domain, x).
+A `Density` is a warp T with its pdf. T maps u in the unit cube (primary space) to x in the domain.
 The methods are ``x = sample(u)``, ``u = invert(x)`` and ``pdf(x) = |det dT/du|^-1``.
-The public methods check their points once.
-Implementations define `_pdf`, `_sample` and `_invert`, which trust plain arrays.
+The public methods check their points once. They then call `_pdf`, `_sample` or `_invert`.
+Implementations define these private methods, which get plain arrays and do not check them.
 A `Wrapper` is a density that creates another density and forwards all calls to it.
 """
 
@@ -56,12 +56,12 @@ __all__ = [
 ]
 
 _LARGEST_LOGARITHM = float(np.log(np.finfo(float).max))
-_PROBE = 5  # number of points of the first call; odd and small to find wrong shapes
+_PROBE = 5  # number of points of the first call; a small odd number reveals wrong shapes
 _SAME = 1e-9
 
 
 def per_dim(default: float, **limits: float) -> Any:
-    """Declare a field of one real number for all dims or one per dim, stored in the given form."""
+    """Declare a field of one real number, for all dims or per dim, stored in the given form."""
 
     def check(name: str, given: Any, dims: int) -> Any:
         as_reals(name, given, dims, **limits)
@@ -78,7 +78,7 @@ class Density(Component, ABC):
     dims
         Number of dimensions d.
     warps
-        Names that the parameter ``warp`` allows: warps T of the same pdf. Often empty.
+        Names that the parameter ``warp`` allows. Each names a warp T of the same pdf. Often empty.
     """
 
     dims: int
@@ -86,11 +86,11 @@ class Density(Component, ABC):
 
     @property
     def primary_dims(self) -> int:
-        """Number of dims of u: `dims`, or more if extra coordinates choose a part."""
+        """Number of dims of u: `dims`, or more if extra coordinates select a part of a mixture."""
         return self.dims
 
     def pdf(self, x: object) -> Array:
-        """Return the density at points x (..., d): float64 (...), integral 1 over [0,1)^d."""
+        """Return the density at points x (..., d) as float64 (...). Its integral is 1."""
         return self._pdf(as_points(x, self.dims, "x"))
 
     def sample(self, u: object) -> Array:
@@ -125,11 +125,11 @@ class Density(Component, ABC):
 
     @property
     def one_to_one(self) -> bool:
-        """Whether each x has at most one u, except on a set of measure zero."""
+        """Whether each x comes from at most one u, except on a set of measure zero."""
         return True
 
     def preimages(self, x: object) -> Array:
-        """Return all known primary points (k', primary_dims) that map to points x (k, d)."""
+        """Return all known primary points (k', primary_dims) that T maps to points x (k, d)."""
         return self.invert(x) if self.has_inverse else np.empty((0, self.primary_dims))
 
     @property
@@ -142,16 +142,16 @@ class Density(Component, ABC):
         return np.empty((0, self.dims))
 
     def reciprocal_integral(self) -> float:
-        """Return ∫ 1/p over [0,1)^d, infinite if it diverges.
+        """Return ∫ 1/p over [0,1)^d, which is infinite if the integral diverges.
 
         For random points, this integral equals 1 + n Var(S_0).
 
-        The value is exact if an implementation has a closed form, and a quadrature otherwise.
+        The value is exact if the class has a closed form; otherwise it comes from a quadrature.
         """
         return reciprocal_integral(self)
 
     def check(self) -> None:
-        """Test that pdf, sample and invert are consistent (see `check_density`)."""
+        """Test whether pdf, sample and invert are consistent (see `check_density`)."""
         check_density(self)
 
     @abstractmethod
@@ -197,13 +197,13 @@ class Density(Component, ABC):
         dims
             Number of dims d.
         normalize
-            Whether to divide a pdf without `sample` by its integral.
+            Whether to divide the pdf by its integral, if `sample` is not given.
 
         Raises
         ------
         DensityError
             If a function is not callable, fails, or returns a wrong shape.
-            If functions are not consistent (see `check`), or if further functions are needed.
+            If functions are not consistent (see `check`), or if another function is needed.
 
         Examples
         --------
@@ -239,7 +239,7 @@ class Density(Component, ABC):
         made = FunctionDensity(
             dims=dims, pdf_function=pdf, sample_function=sample, invert_function=invert
         )
-        # Call all functions on a few points, with one and with two leading axes
+        # Call all functions on a few points, first with one and then with two leading axes
         for shape in [(_PROBE, made.dims), (_PROBE, 2, made.dims)]:
             u = np.linspace(0.2, 0.8, int(np.prod(shape))).reshape(shape)
             made._pdf(u)
@@ -301,7 +301,7 @@ class _ByFunctions(Density):
 
     @property
     def spec(self) -> str:
-        """``function`` with the name of the pdf; this spec cannot be parsed."""
+        """The text ``function`` with the name of the pdf. It cannot be parsed as a spec."""
         called = getattr(self.pdf_function, "__name__", "")
         return f"function({called})" if called.isidentifier() else "function"
 
@@ -365,12 +365,12 @@ class NumericalDensity(_ByFunctions):
 
     Instances are made by `Density.from_functions`.
     The pdf is called with read-only float64 arrays (..., d) of points within the domain.
-    In 2-D every sampled point costs a few hundred evaluations.
+    In 2-D, each sampled point costs a few hundred evaluations of the pdf.
 
-    Details of the pdf, such as a peak, a gap or a box, are resolved if they are wide enough.
-    The least width is 2^-18 in 1-D, and 1/500 along both axes in 2-D.
-    Narrower details and their mass may be missed.
-    If mass is missed, `normalize` divides by an integral that is too small.
+    Details of the pdf, such as a peak, a gap or a box, are resolved if they are wide enough:
+    at least 2^-18 in 1-D, and at least 1/500 along both axes in 2-D.
+    Narrower details may be missed, together with their probability mass.
+    In that case, `normalize` divides by an integral that is too small.
     If the integral is known, ``normalize=False`` detects missing mass.
     A density with ``sample=`` does not have this problem.
 
@@ -389,7 +389,7 @@ class NumericalDensity(_ByFunctions):
         If the integral of the pdf is not 1 (to 1e-9) and `normalize` is False.
         If the pdf is negative, not finite within (0,1)^d, or too rough or steep.
         In 2-D, jumps or kinks along lines that are not axis-parallel are too rough.
-        In 1-D, poles are too steep except at 0, where floats are dense.
+        In 1-D, poles are too steep, except a pole at 0, where floats are dense.
     """
 
     dims: int = whole(1, least=1, most=2)
@@ -409,11 +409,11 @@ class NumericalDensity(_ByFunctions):
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """Cdf at jumps and kinks; in 2-D of axis 1 only, since breaks of axis 0 vary by row."""
+        """Cdf at jumps and kinks. In 2-D only those of axis 1: breaks of axis 0 vary by row."""
         return self._warp.breaks
 
     def zero_points(self) -> Array:
-        """Return the centers of cells in which the pdf (2-D: the marginal) is 0."""
+        """Return the centers of cells in which the pdf is 0. In 2-D, use the marginal pdf."""
         return self._warp.zero_points()
 
     @cached_property
@@ -421,7 +421,7 @@ class NumericalDensity(_ByFunctions):
         return NumericalWarp(self._raw, self.dims, self.spec)
 
     def _raw(self, x: Array) -> Array:
-        """Return the values of the pdf, including poles."""
+        """Return the values of the pdf. At poles they are infinite."""
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             return self._call("pdf", x)
 
@@ -458,7 +458,7 @@ def plain(value: Any) -> Any:
 
 
 def bounded_product(factors: Array, spec: str) -> Array:
-    """Return the product over the last axis of finite factors ≥ 0, without partial overflow.
+    """Return the product of finite factors ≥ 0 over the last axis. No partial product overflows.
 
     Raises
     ------
@@ -468,7 +468,7 @@ def bounded_product(factors: Array, spec: str) -> Array:
     with np.errstate(over="ignore", invalid="ignore"):
         product = np.asarray(factors.prod(axis=-1))
     overflown = ~np.isfinite(product)
-    if overflown.any():  # perhaps only a partial product overflows
+    if overflown.any():  # maybe only a partial product overflows
         with np.errstate(divide="ignore"):
             product[overflown] = exponential(np.log(factors[overflown]).sum(axis=-1), spec)
     return product
@@ -493,7 +493,7 @@ def exponential(logarithm: Array, spec: str) -> Array:
 def divide_by_density(
     values: Array, pdf: Array, x: Array, spec: str, *, constant: bool = False
 ) -> Array:
-    """Return values/pdf, 0 where both are 0; values (...) or (..., channels).
+    """Return values/pdf, or 0 if both are 0. Values are (...) or (..., channels).
 
     If samples are not randomized, a pdf that is 0 on a face or a line can be 0 at a sample.
     For example, many sequences start at the origin.
@@ -501,22 +501,22 @@ def divide_by_density(
     Parameters
     ----------
     values, pdf, x
-        Values of f or of a constant, values of p, and the samples (..., d).
+        Values of f or of a constant, values of p at the samples, and the samples (..., d).
     spec
         Name of the estimator in messages.
     constant
-        Whether the values are a constant; values/pdf is then a weight, not an estimate.
+        Whether the values are a constant. Then values/pdf is a weight, and not an estimate.
 
     Raises
     ------
     DensityError
-        If pdf is 0 at a sample where the value is not.
+        If the pdf is 0 at a sample where the value is not 0.
 
     Warns
     -----
     UndefinedRatioWarning
         If the values and the pdf are both 0 at a sample.
-        Python's default filter shows the warning once, since the text is the same for all blocks.
+        By default Python shows the warning once, since its text is the same for all blocks.
     """
     scaled = pdf if values.ndim == pdf.ndim else pdf[..., None]
     zero = pdf <= 0
@@ -540,7 +540,7 @@ def divide_by_density(
 
 
 def reciprocal_integral(density: Density) -> float:
-    """Return ∫1/p over [0,1)^d, infinite if it diverges.
+    """Return ∫1/p over [0,1)^d, which is infinite if the integral diverges.
 
     Parameters
     ----------
@@ -551,21 +551,21 @@ def reciprocal_integral(density: Density) -> float:
     -----
     In 1-D and 2-D, adaptive quadrature splits the cells around zeros of p.
     The module `mcspectra.densities.adaptive` describes this quadrature.
-    Let p ~ r^a at distance r from a zero.
-    Near this zero, the unresolved part of ∫1/p shrinks by a constant ratio per level.
+    Let p ~ r^a at the distance r from a zero.
+    Near this zero, each level shrinks the unresolved part of ∫1/p by a constant ratio.
     The ratio is 2^{a−1} next to a point in 1-D or a line in 2-D.
     The ratio is 2^{a-2} next to a point in 2-D.
-    The integral diverges if the ratio reaches 1.
+    If the ratio is 1 or more, the integral diverges.
     Ratios above 0.98 count as divergent, so a > 0.97 cannot be distinguished from 1.
-    The rest of the geometric series is added (Aitken). Cells with p = 0 make the integral infinite.
+    The remainder of the geometric series is added (Aitken). If p = 0 in a cell, ∫1/p is infinite.
     Relative errors are about 1e-7 in 1-D, and 1e-4 in 2-D if p jumps along curves.
 
-    In three or more dims, and in 2-D if p jumps all over the domain, the method is a heuristic.
+    In three or more dims, and in 2-D if p jumps in many places, the method is a heuristic.
     The heuristic takes the mean of 1/p over 131 072 low-discrepancy points.
-    Hill's method estimates the tail index a from the largest 256 values of 1/p.
+    Hill's method estimates the tail index a of 1/p from its largest 256 values.
     A variable whose tail falls like v^(-1/a) has an infinite mean for a ≥ 1.
-    The result is infinite if the estimated a exceeds 0.81 (three standard errors below 1).
-    A zero of p in less than about 1e-5 of the domain is missed.
+    The result is infinite if the estimate of a exceeds 0.81, three standard errors below 1.
+    The method misses a zero of p that fills less than about 1e-5 of the domain.
     """
     if not isinstance(density, Density):
         raise DensityError(f"{shown(density)} is not a density; give what mcs.density makes.")

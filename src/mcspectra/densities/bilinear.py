@@ -1,11 +1,11 @@
 """Piecewise bilinear densities in two dims, by continuous marginal-conditional inversion.
 
-Between four nodes p(x) = Σ_ij v_ij B_i(x_0) B_j(x_1), with linear B, so p is continuous.
+Between four nodes, p(x) = Σ_ij v_ij B_i(x_0) B_j(x_1) with linear B, so p is continuous.
 The warp T is also continuous where the marginal density is above 0.
-T_1 inverts the marginal cdf, which is quadratic in each interval of knots.
+T_1 inverts the marginal cdf, which is quadratic between two knots.
 T_0 inverts the cdf along the line x_1 = T_1.
-This cdf is a blend of the cdfs of two rows of nodes, and it is also quadratic.
-The primary-space integrand jumps only where f jumps, and has kinks at the borders of intervals.
+This cdf is a blend of the cdfs of two rows of nodes, and it is also quadratic between knots.
+The primary-space integrand jumps only where f jumps. It has kinks where x passes a knot.
 In contrast, every warp of a piecewise constant table jumps (`mcspectra.densities.tabulated`).
 """
 
@@ -29,12 +29,12 @@ __all__ = ["Bilinear"]
 
 
 class _Tables(NamedTuple):
-    """Tables of a bilinear density, as the kernels take them.
+    """Tables of a bilinear density, in the form that the kernels take.
 
-    The knots `xs` (w,) and `ys` (h,) run from 0 to 1. `nodes` (h, w) is the density at the knots.
-    `sums` (h, w) has the integrals along each row from 0 to each knot.
-    Such integrals are exact for functions that are linear between knots.
-    `rows` (h,) integrates ``sums[:, -1]`` along the columns, from 0 to 1.
+    The knots `xs` (w,) and `ys` (h,) run from 0 to 1. There `nodes` (h, w) is the density.
+    `sums` (h, w) has the integrals along each row, from 0 to each knot.
+    These integrals are exact, because the density is linear between knots.
+    `rows` (h,) has the integrals of ``sums[:, -1]`` along x_1, from 0 to each knot.
     """
 
     xs: Array
@@ -47,16 +47,16 @@ class _Tables(NamedTuple):
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Bilinear(Density):
-    """Bilinear between values at nodes, given by rows of a table (2-D).
+    """2-D density that interpolates bilinearly between values at nodes, the rows of a table.
 
     Attributes
     ----------
     values
-        Relative density at each node, at least 0, in any scale.
+        Relative density at each node, at least 0. The scale is arbitrary.
         Its shape is (h, w), with x_0 along a row and x_1 from the first row to the last.
     nodes
         ``"centers"``: node (i, j) is the center of cell (i, j) of h × w equal cells, like pixels.
-        The outermost values continue to the borders.
+        The outermost values extend to the borders.
         ``"corners"``: nodes lie at j/(w−1) and i/(h−1), ends included; h and w are at least 2.
     periodic
         Whether x_0 wraps around from the last column to the first; only for ``"centers"``.
@@ -89,12 +89,12 @@ class Bilinear(Density):
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """The marginal cdf at the knots, where the slope of T changes, as breaks of axis 1."""
+        """The marginal cdf at the knots, as breaks of axis 1: the slope of T changes there."""
         inside = np.unique(self._tables.rows[1:-1])
         return (), tuple(inside[(inside > 0) & (inside < 1)].tolist())
 
     def zero_points(self) -> Array:
-        """Return the centers of the rectangles between four nodes that are all 0."""
+        """Return the centers of rectangles whose four corner nodes are all 0."""
         xs, ys, nodes = self._tables[:3]
         filled = nodes > 0
         rows = filled[:-1] | filled[1:]
@@ -114,7 +114,7 @@ class Bilinear(Density):
                 np.concatenate([[0.0], (np.arange(k) + 0.5) / k, [1.0]]) for k in (width, height)
             )
             nodes = np.pad(table, ((1, 1), (1, 1)), mode="edge")
-        if self.periodic:  # both ends get the average of the last and the first center
+        if self.periodic:  # both ends get the average of the first and the last node
             nodes[:, 0] = nodes[:, -1] = (nodes[:, 1] + nodes[:, -2]) / 2
         sums = _integrals(xs, nodes)
         rows = _integrals(ys, sums[:, -1])
@@ -139,7 +139,7 @@ class Bilinear(Density):
 
 
 def _integrals(knots: Array, values: Array) -> Array:
-    """Integrate along the last axis from the first knot; trapezoids are exact for linear pieces."""
+    """Integrate along the last axis from the first knot. Trapezoids are exact for linear pieces."""
     out = np.zeros_like(values)
     areas = np.diff(knots) * (values[..., :-1] + values[..., 1:]) / 2
     np.cumsum(areas, axis=-1, out=out[..., 1:])
@@ -159,9 +159,10 @@ def _fraction(knots: Array, i: int, x: float) -> float:
 
 @kernel
 def _solve(a: float, b: float, share: float) -> float:
-    """Return t in [0,1] such that `share` of the integral of the line from a to b lies below t.
+    """Return t in [0,1] such that `share` of the integral of a linear function lies below t.
 
-    This is the root of (b − a) t²/2 + a t = share (a + b)/2, in the form without cancellation.
+    The function is a at 0 and b at 1.
+    The result is the root of (b − a) t²/2 + a t = share (a + b)/2, without cancellation.
     """
     scale = max(a, b)
     if scale <= 0.0 or share <= 0.0:
@@ -173,19 +174,19 @@ def _solve(a: float, b: float, share: float) -> float:
 
 @kernel
 def _held(a: float, b: float, t: float) -> float:
-    """Integral from 0 to t of the line from a at 0 to b at 1."""
+    """Integral from 0 to t of the linear function that is a at 0 and b at 1."""
     return float(t * (a + 0.5 * t * (b - a)))
 
 
 @kernel
 def _mixed(table: Array, j: int, t: float, i: int) -> float:
-    """Interpolate entry i linearly between the rows j and j+1 of `table`."""
+    """Interpolate column i of `table` linearly between the rows j and j+1."""
     return (1.0 - t) * table[j, i] + t * table[j + 1, i]  # type: ignore[no-any-return]
 
 
 @kernel
 def _place(knots: Array, i: int, t: float) -> float:
-    """Return the point at t in interval i, never in the next interval."""
+    """Return the point at the fraction t of interval i, never in the next interval."""
     x = knots[i] + t * (knots[i + 1] - knots[i])
     return float(min(max(x, knots[i]), below(knots[i + 1])))
 
@@ -201,13 +202,13 @@ def _evaluate(xs: Array, ys: Array, nodes: Array, x: Array, out: Array) -> None:
 
 @kernel
 def _column(xs: Array, nodes: Array, sums: Array, j: int, t: float, u: float) -> float:
-    """Return x_0 such that the share u of the mass at t between rows j and j+1 lies below x_0."""
+    """Return the x_0 below which the line at t, between rows j and j+1, has the share u of mass."""
     total = _mixed(sums, j, t, xs.size - 1)
-    if total <= 0.0:  # a line without mass is mapped to itself, as in `_flatten`
+    if total <= 0.0:  # a line without mass is mapped to itself, the same as in `_flatten`
         return u
     target = min(u * total, below(total))
     low, size = 0, xs.size - 1
-    while size > 1:  # same as `last_at_most`, but for a blend of two rows
+    while size > 1:  # same as `last_at_most`, but with a blend of two rows
         half = size >> 1
         low += half * (_mixed(sums, j, t, low + half) <= target)
         size -= half

@@ -1,15 +1,15 @@
-"""Densities made of densities: products over groups of dims, mixtures, and defensive mixtures.
+"""Densities made from other densities: products over groups of dims, mixtures, defensive mixtures.
 
 Selection of a part
 -------------------
-A mixture p = Σ_t w_t p_t [OwenZhou2000]_ has two ways in which one point chooses its part:
+In a mixture p = Σ_t w_t p_t [OwenZhou2000]_, a point can choose its part in two ways:
 
-* ``"coordinate"``: one coordinate of u chooses the part and is stretched for further use.
+* ``"coordinate"``: one coordinate of u chooses the part, and is then stretched and used again.
   Dims and strata are kept, but the warp and g(u) = f/p jump at the borders of the shares w_t.
   Because of these jumps, jittered and low-discrepancy points converge more slowly.
-* ``"extra"``: a further, last coordinate chooses the part. Each part gets all other coordinates.
+* ``"extra"``: an additional last coordinate chooses the part, which gets all other coordinates.
   The estimator needs a sampler of d+1 dims, and g still jumps along the last dim.
-* A *deterministic split* draws n w_t points of each part.
+* A third way is a *deterministic split*, which draws n w_t points of each part.
   A split is not a warp of one point, but several techniques with the balance heuristic.
   See `mcspectra.estimators.split_mixture`.
 """
@@ -46,12 +46,12 @@ from mcspectra.densities.registry import DENSITIES, as_density, density
 __all__ = ["Defensive", "Mixture", "Product"]
 
 _MAX_PARTS = 1024
-_PLACES = 4  # positions that are tried on the other axes for each zero of a part
+_PLACES = 4  # number of positions on the other axes that are tried for each zero of a part
 _SELECTIONS = ("coordinate", "extra")
 
 
 def _as_parts(given: Any, dims: int) -> tuple[Density, ...]:
-    """Convert a list of densities and spec strings; specs without dims get `dims` dims."""
+    """Convert a list of densities and spec strings. Specs without dims get `dims` dims."""
     if not isinstance(given, list | tuple) or not 0 < len(given) <= _MAX_PARTS:
         raise ParameterError(
             f"parts is {given!r:.80}; give a list of 1 to {_MAX_PARTS} densities or spec strings."
@@ -73,7 +73,7 @@ def _as_part(part: Any, dims: int) -> Density:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Product(Density):
-    """Product of densities, p(x) = Π_j p_j(x of part j): the parts use consecutive axes.
+    """Product of densities, p(x) = Π_j p_j(x_j), where each part p_j takes the next dims x_j of x.
 
     Attributes
     ----------
@@ -92,7 +92,7 @@ class Product(Density):
 
     @property
     def dims(self) -> int:  # type: ignore[override]
-        """Number of dims: the sum over the parts."""
+        """Number of dims: the sum of the parts' dims."""
         return sum(part.dims for part in self.parts)
 
     @property
@@ -101,7 +101,7 @@ class Product(Density):
 
     @property
     def spec(self) -> str:
-        """Spec string; it states the dims of each part."""
+        """Spec string, with the dims of each part."""
         return f"{self.name}(parts=[{', '.join(repr(_with_dims(part)) for part in self.parts)}])"
 
     @property
@@ -120,7 +120,7 @@ class Product(Density):
         return self.lifted([part.zero_points() for part in self.parts])
 
     def lifted(self, points: Sequence[Array]) -> Array:
-        """Place points of each part (k_j, d_j) at a few positions on the other axes: (Σk_j, d)."""
+        """Return the points (k_j, d_j) of all parts in d dims, at some places on other axes."""
         found = []
         for own, given in zip(self._domain, points, strict=True):
             turn = np.arange(len(given))[:, None] % _PLACES
@@ -130,7 +130,7 @@ class Product(Density):
         return np.concatenate(found)
 
     def reciprocal_integral(self) -> float:
-        """Return the product of the parts' integrals."""
+        """Return ∫ 1/p, which is the product of the parts' integrals."""
         return float(math.prod(part.reciprocal_integral() for part in self.parts))
 
     @cached_property
@@ -160,7 +160,7 @@ def _slices(sizes: list[int]) -> tuple[slice, ...]:
 
 
 def _with_dims(part: Density) -> str:
-    """Return the spec of a part; it states the dims if they are not 1 and the class allows any."""
+    """Return the spec of a part, with its dims if these are not 1 and the class allows any."""
     spec, takes = part.spec, "dims" in inspect.signature(type(part)).parameters
     if part.dims == 1 or not takes or part.name == "function":
         return spec
@@ -171,24 +171,24 @@ def _with_dims(part: Density) -> str:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Mixture(Density):
-    """Mixture of densities, p = Σ_t w_t p_t, in which one coordinate of u chooses the part.
+    """Mixture of densities, p = Σ_t w_t p_t. One coordinate of u chooses the part.
 
     Attributes
     ----------
     dims
-        Number of dims. The default is the parts' number, or 2 for spec strings without ``dims``.
+        Number of dims. The default is that of the parts, or 2 for spec strings without ``dims``.
     parts
         Densities p_t or spec strings.
     weights
-        Relative shares w_t, above 0, in any scale; equal by default.
+        Relative shares w_t, above 0. The scale is arbitrary. All are equal by default.
     selection
         How a point chooses its part, ``"coordinate"`` or ``"extra"``.
     axis
-        Coordinate that chooses the part if `selection` is ``"coordinate"``; else the last one.
+        The coordinate that chooses the part, for ``"coordinate"``. Otherwise the last one chooses.
 
     Notes
     -----
-    The warp is not one-to-one, because each x may come from any part, so there is no inverse.
+    The warp is not one-to-one, because x may come from any of the parts. It has no inverse.
     The pdf does not depend on the selection.
     """
 
@@ -205,7 +205,7 @@ class Mixture(Density):
                 "mcspectra.estimators.split_mixture(integrand, mixture)."
             )
         as_choice("selection", self.selection, _SELECTIONS)
-        # Determine the dims of all parts, which must agree; no part may need an extra coordinate
+        # Determine the dims. All parts must have the same; no part may need an extra coordinate
         parts = _as_parts(self.parts, _dims_of(self.parts, self.dims))
         given: int | None = self.dims
         dims = parts[0].dims if given is None else int(given)
@@ -232,14 +232,14 @@ class Mixture(Density):
 
     @property
     def primary_dims(self) -> int:
-        """d, or d + 1 with an extra coordinate."""
+        """Number of coordinates of u: d, or d + 1 with an extra coordinate."""
         return self.dims + (self.selection == "extra")
 
     has_inverse = one_to_one = False
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """Borders of the shares on the axis that chooses the part, and all breaks of the parts."""
+        """Borders of the shares, on the axis that chooses the part; and all breaks of the parts."""
         found: list[set[float]] = [set() for _ in range(self.primary_dims)]
         found[self._chooser].update(self._borders[1:-1].tolist())
         for t, part in enumerate(self.parts):
@@ -249,8 +249,8 @@ class Mixture(Density):
         return tuple(tuple(sorted(b for b in axis if 0 < b < 1)) for axis in found)
 
     def preimages(self, x: object) -> Array:
-        """Return primary points of all parts with an inverse, if a coordinate chooses the part."""
-        if self.selection == "extra":  # a whole line of u maps to each x and part
+        """Return the points u of all parts that map to x. There are none with ``"extra"``."""
+        if self.selection == "extra":  # every x has a whole line of u for each part
             return np.empty((0, self.primary_dims))
         found = [part.preimages(x) for part in self.parts]
         for t, u in enumerate(found):
@@ -258,7 +258,7 @@ class Mixture(Density):
         return np.concatenate(found)
 
     def zero_points(self) -> Array:
-        """Return zeros of any part that are zeros of the mixture."""
+        """Return the zeros of parts at which the whole mixture is 0."""
         zeros = np.concatenate([part.zero_points() for part in self.parts])
         return np.asarray(zeros[self._pdf(zeros) == 0])
 
@@ -303,7 +303,7 @@ class Mixture(Density):
         return np.asarray(np.minimum(sums, 1.0))
 
     def _place(self, t: int, v: Any) -> Any:
-        """Return the place of coordinate v in [0,1) of part t on the axis that chooses the part."""
+        """Return the coordinate of u that selects part t and is then stretched to v in [0,1)."""
         low, high = self._borders[t : t + 2]
         return low + v * (high - low)
 
@@ -311,7 +311,7 @@ class Mixture(Density):
 @final
 @dataclass(frozen=True, kw_only=True)
 class Defensive(Wrapper):
-    """Mixture of a density with a share of the uniform one, so that 1/p is at most 1/share.
+    """Mixture of a density with a share of the uniform density, so that 1/p is at most 1/share.
 
     A mixture is *defensive* if it has a part that is large enough everywhere [Hesterberg1995]_.
 
@@ -324,7 +324,7 @@ class Defensive(Wrapper):
     share
         Share of the uniform density, above 0 and below 1.
     selection, axis
-        As in `Mixture`. The coordinate chooses the uniform part at its upper end.
+        Same as in `Mixture`. The upper end of the coordinate chooses the uniform part.
     """
 
     dims: int = None  # type: ignore[assignment]  # the density's own

@@ -13,10 +13,10 @@ from mcspectra.densities.adaptive import CELLS, SET_SIZE, SETS, integrate, recur
 
 __all__ = ["check_density"]
 
-_SPREADS = 7.0  # limit in standard errors; false alarms: 7e-8 per cell, 2e-5 for 256 cells
-# If the mean count of a cell is k + q, all sets have the count k with probability (1 − q)^32.
-# This probability is below 7e-8 for q > 0.4.
-# If the counts of the sets differ, their standard error covers the deviation.
+_SPREADS = 7.0  # limit in standard errors; a false alarm has probability 7e-8 per cell
+# Let the mean count of a cell be k + q. All sets have the count k with probability (1 − q)^32.
+# For q > 0.4 this probability is below 7e-8.
+# If the sets have different counts, their standard error already covers the deviation.
 _ALIKE = 0.4
 _ROUND_TRIP = 1e-6
 _INTEGRAL = 1e-4
@@ -28,7 +28,7 @@ _OUTLIERS = 0.02  # largest fraction of points that may lie next to a jump of th
 
 
 class Checkable(Protocol):
-    """Methods of `mcspectra.densities.Density` that are compared with each other."""
+    """The methods of `mcspectra.densities.Density` that are compared with each other."""
 
     @property
     def dims(self) -> int: ...
@@ -61,30 +61,30 @@ def check_density(density: Checkable) -> None:
     Notes
     -----
     * pdf is finite and not negative at 4096 points, and its integral is 1 to 1e-4.
-    * sample stays in [0,1]; invert(sample(u)) = u to 1e-6, plus the effect of rounding of x on u.
+    * sample stays in [0,1]. invert(sample(u)) = u to 1e-6, plus the effect on u of rounding x.
     * Samples follow the pdf, which is tested in one of three ways.
 
     In 1-D and 2-D, points of 32 shifted sets of 4096 points are counted in cells.
-    There are 64 (16 × 16) cells, and larger cells of 2, 4, … times the edge.
-    The shares of the cells are compared with the integrals of the pdf.
-    The bound is 7 standard errors, plus the error of the quadrature.
-    For a cell with the same count in all sets, 0.4/4096 is added to the bound.
-    In 1-D this detects a mass of 1/2 that is wrong by 0.1 %, and a mass of 1/64 wrong by 2 %.
+    There are 64 cells (16 × 16 in 2-D), and larger cells of 2, 4, … times the edge.
+    The share of points in each cell is compared with the integral of the pdf over it.
+    The two may differ by 7 standard errors, plus the error of the quadrature.
+    If all sets have the same count in a cell, 0.4/4096 is added to this bound.
+    In 1-D this detects a mass of 1/2 that is wrong by 0.1 %, or a mass of 1/64 wrong by 2 %.
     Errors within a cell are not detected.
 
-    In three or more dims, cells are too coarse, so |det ∂T/∂u| · p(T(u)) = 1 is tested instead.
-    The test uses central differences at 512 points. 2 % of the points may fail, because of jumps.
+    In three or more dims, cells are too coarse. There the test is that |det ∂T/∂u| · p(T(u)) = 1.
+    It uses central differences at 512 points. Because of jumps, 2 % of the points may fail.
 
     If the warp is not one-to-one (`Density.one_to_one`), each axis is divided into 8 slabs.
     The share of the points in a slab is compared with the mean of the pdf over the slab.
-    Both values come from the same points. This test detects only wrong marginals.
+    Both numbers come from the same points. This test detects only wrong marginals.
 
     A density with errors below these bounds passes.
     Peaks narrower than 2^-20 of the domain (2^-12 in 2-D) are not resolved.
     """
     if not hasattr(density, "_pdf"):
         raise DensityError(f"{density!r:.80} is not a density; give what mcs.density makes.")
-    with np.errstate(all="ignore"):  # values that are not finite are reported below
+    with np.errstate(all="ignore"):  # values that are not finite are reported later
         x = recurrences(density.dims)[0]
         p = density._pdf(x)
         for bad, what in ((~np.isfinite(p), "not finite"), (p < 0, "negative")):
@@ -105,7 +105,7 @@ def check_density(density: Checkable) -> None:
                 f"u = {point_in_words(u[outside][0])}."
             )
         x = np.minimum(x, BELOW_ONE)
-        # Test invert against sample, and the pdf against sample, so that the wrong one can be named
+        # Compare invert with sample and the pdf with sample, so that messages name the wrong one
         loop = _round_trip(density, u[0], x[0])
         if density.dims <= 2:
             problem = _mass_problem(density, x)
@@ -146,13 +146,13 @@ def _mass_problem(density: Checkable, x: Array) -> str | None:
     pdf = integrate(density._pdf, dims, cells=side, points=x[0, :: 4 ** (dims - 1)])
     total = pdf.limit if pdf.isolated else pdf.totals[-1]
     if not abs(total - 1.0) <= _INTEGRAL + float(pdf.bounds.sum()):
-        mean, error = _mean(density)  # quadrature can fail if p jumps at many places
+        mean, error = _mean(density)  # quadrature may fail if p jumps at many places
         if not abs(mean - 1.0) <= min(error, _LARGEST_BOUND):
             return (
                 f"The pdf of {density.spec} integrates to {total:.6g} over the unit domain, "
                 "not to 1"
             )
-    # Compute the share of each set in each of side^d cells, row-major
+    # Compute the share of the points of each set in each of side^d cells, row-major
     index = np.minimum((x * side).astype(np.int64), side - 1) @ side ** np.arange(dims)[::-1]
     counts = [np.bincount(cells, minlength=side**dims) for cells in index]
     shares = np.stack(counts) / x.shape[1]
@@ -175,7 +175,7 @@ def _mass_problem(density: Checkable, x: Array) -> str | None:
 
 
 def _doubled(cells: Array, side: int, dims: int) -> Array:
-    """Merge 2^d cells into one by sums: (..., side^d) to (..., (side/2)^d)."""
+    """Merge groups of 2^d cells by sums: (..., side^d) becomes (..., (side/2)^d)."""
     grid = cells.reshape(*cells.shape[:-1], *(side // 2, 2) * dims)
     sums = grid.sum(axis=tuple(range(-1, -2 * dims, -2)))
     return np.asarray(sums.reshape(*cells.shape[:-1], -1))

@@ -1,12 +1,12 @@
-"""The disk, and directions on the lat-long square: hemisphere and sphere, each with two warps.
+"""The disk, the hemisphere and the sphere of directions on a lat-long square. Each has two warps.
 
 With the solid angle dω = sin θ dθ dφ, a density q per steradian is p(x) = q |∂ω/∂x| on the square.
-This p falls to 0 at the poles, so ∫1/p diverges logarithmically.
-But ∫f²/p does not diverge if f also contains sin θ.
+This p is 0 at the poles, so ∫1/p diverges logarithmically.
+However, ∫f²/p converges if f also contains the factor sin θ.
 
-All densities use maps from the square to the disk or the sphere in polar coordinates.
-A point of the unit disk is (ρ, turn), a direction is (θ/π, turn), with turn = φ/2π in [0,1].
-Maps to the disk preserve area up to the factor π, and maps to the sphere up to 4π.
+All densities use maps from the square to the disk or the sphere, in polar coordinates.
+A point of the unit disk is (ρ, turn) and a direction is (θ/π, turn), with turn = φ/2π in [0,1].
+All maps preserve area, up to the factor π for the disk and 4π for the sphere.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def _polar_from_disk(radius: Array, turn: Array) -> Array:
 
 
 def _concentric_to_disk(u: Array) -> _Pair:
-    """Map squares around the center to circles [Shirley1997]_, with distortion of at most 4/π."""
+    """Map squares around the center to circles [Shirley1997]_. The distortion is at most 4/π."""
     a, b = 2.0 * u[..., 0] - 1.0, 2.0 * u[..., 1] - 1.0
     wide = np.abs(a) > np.abs(b)
     long, short = np.where(wide, a, b), np.where(wide, b, -a)
@@ -64,7 +64,7 @@ def _concentric_from_disk(radius: Array, turn: Array) -> Array:
 
 
 def _polar_to_sphere(u: Array) -> _Pair:
-    """Map by turn = u_0, sin²(θ/2) = u_1: separable on the lat-long square."""
+    """Map by turn = u_0, sin²(θ/2) = u_1. This is separable on the lat-long square."""
     half = np.sqrt(np.minimum(u[..., 1], 1.0 - u[..., 1]))
     theta = 2.0 / np.pi * np.arcsin(half)
     return np.where(u[..., 1] > 0.5, 1.0 - theta, theta), u[..., 0]
@@ -76,7 +76,7 @@ def _polar_from_sphere(theta: Array, turn: Array) -> Array:
 
 
 def _octahedral_to_sphere(u: Array) -> _Pair:
-    """Fold the square to an octahedron of equal area [Clarberg2008]_; the corners are one pole."""
+    """Fold the square to an octahedron of equal area [Clarberg2008]_. Its corners are one pole."""
     a, b = np.abs(2.0 * u[..., 0] - 1.0), np.abs(2.0 * u[..., 1] - 1.0)
     lower = a + b > 1.0
     radius = np.where(lower, (1.0 - a) + (1.0 - b), a + b)
@@ -94,7 +94,7 @@ def _octahedral_from_sphere(theta: Array, turn: Array) -> Array:
     below, left = turn > 0.5, np.abs(turn - 0.5) < 0.25
     folded = np.where(below, 1.0 - turn, turn)
     folded = np.where(left, 0.5 - folded, folded)
-    # |a| + |b| is radius (or 2 − radius), and |b| − |a| is radius · ratio
+    # |a| + |b| is the radius (or 2 − radius), and |b| − |a| is radius · ratio
     b = 4.0 * radius * folded
     a = radius - b
     a, b = np.where(lower, 1.0 - b, a), np.where(lower, 1.0 - a, b)
@@ -102,7 +102,7 @@ def _octahedral_from_sphere(theta: Array, turn: Array) -> Array:
     return np.asarray(0.5 * (signed + 1.0))
 
 
-# Pairs of a map from the square to the disk (ρ, turn) or the sphere (θ/π, turn), and its inverse
+# Maps from the square to the disk (ρ, turn) or to the sphere (θ/π, turn), with their inverses
 _DISK_MAPS: Mapping[str, _Map] = {
     "polar": (_polar_to_disk, _polar_from_disk),
     "concentric": (_concentric_to_disk, _concentric_from_disk),
@@ -133,10 +133,10 @@ def _as_center(name: str, value: Any) -> float | tuple[float, ...]:
 @final
 @dataclass(frozen=True, kw_only=True)
 class DiskDensity(_TwoWarps):
-    """Uniform on a disk inside the unit square, 0 outside.
+    """Density that is uniform on a disk inside the unit square, and 0 outside the disk.
 
-    Both warps preserve areas. They separate neighboring points at different places (see `warp`).
-    Therefore correlated samplers have different rates with the two warps.
+    Both warps preserve areas, but separate neighboring points at different places (see `warp`).
+    Therefore samplers with correlated points have different rates with the two warps.
 
     Attributes
     ----------
@@ -146,8 +146,8 @@ class DiskDensity(_TwoWarps):
         Center of the disk, one number for both coordinates or one per coordinate.
         The disk must lie inside the square.
     warp
-        ``"polar"``: φ = 2π u_0, ρ² = radius² u_1. The sides u_0 = 0 and u_0 = 1 coincide in x.
-        The sides of u_1 do not coincide: the side u_1 = 0 maps to the center.
+        ``"polar"``: φ = 2π u_0, ρ² = radius² u_1. The sides u_0 = 0 and u_0 = 1 have the same x.
+        The sides of u_1 have different x: the side u_1 = 0 maps to the center.
         ``"concentric"``: squares around the center map to circles [Shirley1997]_.
         With this map, all sides of the square lie on the rim.
     """
@@ -166,7 +166,7 @@ class DiskDensity(_TwoWarps):
             )
 
     def zero_points(self) -> Array:
-        """Return the corners, and points just outside the disk that lie in the square."""
+        """Return the corners of the square, and points of the square just outside the disk."""
         turns = np.arange(16) / 16
         around = self._place(np.full(16, 1.0 + 1e-6), turns)
         inside = ((around >= 0.0) & (around <= 1.0)).all(axis=-1)
@@ -187,7 +187,7 @@ class DiskDensity(_TwoWarps):
         return self._place(*_DISK_MAPS[self.warp][0](u))
 
     def _invert(self, x: Array) -> Array:
-        """Invert the warp; points outside the disk count as rim points in the same direction."""
+        """Invert the warp. A point outside the disk counts as the rim point in its direction."""
         a, b = np.moveaxis(x - np.asarray(self.center), -1, 0)
         rho = np.minimum(np.hypot(a, b) / self.radius, 1.0)
         return _DISK_MAPS[self.warp][1](rho, np.arctan2(b, a) / (2.0 * np.pi) % 1.0)
@@ -196,7 +196,7 @@ class DiskDensity(_TwoWarps):
 @final
 @dataclass(frozen=True, kw_only=True)
 class HemisphereDensity(_TwoWarps):
-    """Directions of a hemisphere, x = (φ/2π, θ/(π/2)) with θ from its pole.
+    """Directions of a hemisphere, x = (φ/2π, θ/(π/2)), where θ is the angle from its pole.
 
     Attributes
     ----------
@@ -204,14 +204,14 @@ class HemisphereDensity(_TwoWarps):
         ``"uniform"`` is 1/2π per steradian, with p = (π/2) sin θ.
         ``"cosine"`` is cos θ/π per steradian, with p = (π/2) sin 2θ.
     warp
-        Map to a disk, where ρ² is the share of the directions up to θ.
+        Map to a disk, in which ρ² is the share of the directions whose angle is at most θ.
         ``"polar"`` keeps x_0 = u_0 and is smooth on the lat-long square.
         ``"concentric"`` ([Shirley1997]_, lifted as by Malley) is smooth on the sphere.
         With this map, x jumps where φ passes 0: along u_1 = ½, u_0 > ½.
 
     Notes
     -----
-    All points with x_1 = 0 are the same direction, whatever x_0 is.
+    All points with x_1 = 0 are the same direction, for any x_0.
     With the concentric warp, `invert` returns one point for this direction.
     """
 

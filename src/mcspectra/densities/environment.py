@@ -1,17 +1,17 @@
-"""Densities of pictures and of environment maps, and MIS compensation of tables.
+"""Densities of pictures and of environment maps, and compensation of tables for MIS.
 
-Maps are in latitude and longitude with the conventions of `mcspectra.core.environments`.
-x_0 is φ/2π, x_1 is θ/π, and rows run from θ = 0.
+Maps use latitude and longitude, with the conventions of `mcspectra.core.environments`.
+There x_0 is φ/2π, x_1 is θ/π, and the first row of pixels is at θ = 0.
 The density of *directions*, per steradian, is p(x)/(2π² sin(π x_1)).
 
-Compensation lowers a table where other techniques already sample enough [Karlik2019]_.
-Let f be proportional to a table p, with the balance heuristic.
-Then the points of all techniques together should be distributed as p.
+Compensation lowers a table where other techniques already take enough samples [Karlik2019]_.
+Let f be proportional to a table p, and let the balance heuristic combine the techniques.
+Then the points of all techniques together should have the density p.
 Technique τ has a share β_τ = n_τ/Σ n of the points.
-The density p'_τ of technique τ should be the part of p that the other techniques leave.
-This means β_τ p'_τ = max(0, λ p − Σ_{s≠τ} β_s p_s), with λ such that p'_τ is a density.
+The density p'_τ of technique τ should be the part of p that the other techniques do not sample.
+This means β_τ p'_τ = max(0, λ p − Σ_{s≠τ} β_s p_s), with λ such that ∫ p'_τ = 1.
 This p'_τ minimizes ∫ f²/(β_τ p'_τ + Σ β_s p_s), hence the second moment.
-If nothing is cut off, λ = 1 and the estimate of f has no variance.
+If the maximum cuts nothing off, λ = 1, and the estimate of f has no variance.
 """
 
 from __future__ import annotations
@@ -57,21 +57,21 @@ def _as_floor(name: str, value: Any) -> Any:
 @final
 @dataclass(frozen=True, kw_only=True)
 class ImageDensity(Wrapper):
-    """Proportional to the pixels of a picture, x_0 to the right and x_1 down from the top.
+    """Density proportional to the pixels of a picture. x_0 points right, and x_1 points down.
 
     Attributes
     ----------
     path
         A file in a format that `mcspectra.core.images.read_image` supports.
     channel
-        ``"luminance"`` (Rec. 709; the only channel if there is one) or the number of a channel.
+        ``"luminance"`` (Rec. 709), or the number of a channel. One channel is its own luminance.
     floor
-        Smallest pixel value, as a multiple of the mean; lower pixels are raised to this value.
+        Smallest pixel value, as a multiple of the mean. Lower pixels are raised to this value.
         If the floor is above 0, the density is positive everywhere.
     linear
         Whether values of PNG and JPEG files are linear instead of sRGB.
     warp
-        Same as in `PiecewiseConstant`.
+        The warp of the table, as in `PiecewiseConstant`.
     """
 
     name: ClassVar[str] = "image"
@@ -104,7 +104,7 @@ class ImageDensity(Wrapper):
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EnvironmentDensity(Wrapper):
-    """Proportional to the radiance of a lat-long environment map, over solid angle.
+    """Density of directions, proportional to the radiance of a lat-long environment map.
 
     Attributes
     ----------
@@ -112,20 +112,21 @@ class EnvironmentDensity(Wrapper):
         A file that `mcspectra.core.images.read_image` can read, or linear pixels of at least 0.
         Pixels have shape (h, w) or (h, w, channels). The default is `synthetic_sky`.
     channel
-        ``"luminance"`` (Rec. 709; the only channel if there is one) or the number of a channel.
+        ``"luminance"`` (Rec. 709), or the number of a channel. One channel is its own luminance.
     interpolation
-        ``"constant"``: constant in each pixel, with mass exactly L · solid angle.
-        ``"bilinear"``: interpolates L sin θ between pixel centers, periodic in φ.
+        ``"constant"``: constant in each pixel. Its mass is exactly radiance times solid angle.
+        ``"bilinear"``: interpolates L sin θ between the pixel centers, where L is the radiance.
     sin_theta
         Whether to weight rows by their solid angle.
-        False samples L over the square, as for a flat picture.
+        False makes the density proportional to L on the square, as for a flat picture.
     compensation
-        False, or the multiple of the mean radiance to subtract: p ∝ max(0, L − multiple · mean L).
-        The subtraction is that form of [Karlik2019]_ that does not depend on the normal.
+        The multiple of the mean radiance to subtract: p ∝ max(0, L − multiple · mean L).
+        The subtraction is the form of [Karlik2019]_ that does not depend on the normal.
+        False means no subtraction.
         True means 1, which suits equal numbers of direction and BSDF samples.
         The density is then 0 at places where f is not 0, so combine it with another technique.
     warp
-        Same as in `PiecewiseConstant`, for ``interpolation="constant"``.
+        The warp of the table, as in `PiecewiseConstant`, for ``interpolation="constant"``.
 
     Raises
     ------
@@ -134,7 +135,7 @@ class EnvironmentDensity(Wrapper):
     FileFormatError
         If the file is missing or cannot be read.
     DensityError
-        If the map is black, or no pixel is left after compensation.
+        If the map is black, or if compensation leaves no pixel above 0.
     """
 
     name: ClassVar[str] = "environment"
@@ -190,7 +191,7 @@ def compensated(
     others: Sequence[Density | str],
     counts: Sequence[int] | None = None,
 ) -> PiecewiseConstant:
-    """Sharpen a table for multiple importance sampling with other techniques.
+    """Compensate a table for multiple importance sampling with other techniques.
 
     Parameters
     ----------
@@ -199,13 +200,13 @@ def compensated(
     others
         Densities of the other techniques, or spec strings.
     counts
-        Number of points of `density` and of each other technique, as in `MultipleImportance`.
+        Numbers of points of `density` and of the other densities, as in `MultipleImportance`.
         By default, all techniques have the same number of points.
 
     Returns
     -------
     PiecewiseConstant
-        p'_τ with the warp of `density`; it is 0 in cells that the other techniques sample enough.
+        p'_τ with the warp of `density`. It is 0 in cells where the other techniques sample enough.
 
     Raises
     ------
@@ -214,10 +215,10 @@ def compensated(
 
     Notes
     -----
-    Means of the other densities over cells are computed by Gauss rules of 4 nodes per axis.
-    If all other densities are 0 at one of these nodes, the cell keeps its whole value λ p.
+    Gauss rules of 4 nodes per axis compute the means of the other densities over the cells.
+    If all other densities are 0 at one of these nodes, the cell keeps its value λ p.
     This ensures that some technique samples f everywhere; `MultipleImportance` checks it again.
-    Compensation is optimal only for f proportional to p.
+    Compensation is optimal only if f is proportional to p.
     If f has further factors, the estimate is still unbiased.
 
     Examples
@@ -243,7 +244,7 @@ def compensated(
         if other is None:
             raise ParameterError("others holds None; write 'uniform' for a uniform density.")
         found.append(other)
-    # Compute the share β of the points of each technique; the technique of the table comes first
+    # Compute the share β of the points of each technique. The first technique samples the table
     techniques = 1 + len(found)
     points: Any = (1,) * techniques if counts is None else counts
     if not isinstance(points, list | tuple | np.ndarray) or len(points) != techniques:
@@ -259,7 +260,7 @@ def compensated(
 
 
 def _taken(others: list[Density], shares: Array, shape: tuple[int, ...]) -> Array:
-    """Return means of Σ β_s p_s over cells, in `shape`; 0 if the sum is 0 at a node of the cell."""
+    """Return means of Σ β_s p_s over cells, in `shape`. If a sum is 0 at a node, the cell has 0."""
     node, weight = np.polynomial.legendre.leggauss(_NODES)
     grid = np.stack(np.meshgrid(*([0.5 * (node + 1)] * len(shape)), indexing="ij"), axis=-1)
     inside = grid.reshape(-1, len(shape))
@@ -268,7 +269,7 @@ def _taken(others: list[Density], shares: Array, shape: tuple[int, ...]) -> Arra
     out = np.zeros(int(np.prod(shape)))
     for start in range(0, out.size, _BLOCK):
         cells = np.arange(start, min(start + _BLOCK, out.size))
-        # Rows of the table run along axis 1.
+        # Rows of the table run along axis 1
         corner = np.stack(np.unravel_index(cells, shape)[::-1], axis=-1)
         x = (corner[:, None, :] + inside) / sides
         total = np.zeros(x.shape[:-1])
@@ -279,13 +280,13 @@ def _taken(others: list[Density], shares: Array, shape: tuple[int, ...]) -> Arra
 
 
 def _level(p: Array, taken: Array, share: float) -> float:
-    """Return λ, found by sorting, such that the mean of max(0, λ p − taken) is share."""
+    """Return λ such that the mean of max(0, λ p − taken) is `share`. It is found by sorting."""
     inside = p.ravel() > 0
     own, other = p.ravel()[inside], taken.ravel()[inside]
     ratio = other / own
     order = np.argsort(ratio)
-    # Compute the λ for which exactly the first k cells exceed 0, for each k.
-    # Such a λ is valid if cell k + 1 does not exceed 0
+    # For each k, compute the λ for which exactly the first k cells exceed 0.
+    # This λ is valid if cell k + 1 does not exceed 0
     levels = (share * p.size + np.cumsum(other[order])) / np.cumsum(own[order])
     ends = np.append(ratio[order][1:], np.inf)
     return float(levels[np.flatnonzero(levels <= ends)[0]])

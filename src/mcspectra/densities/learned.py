@@ -1,18 +1,18 @@
-"""Smooth spline densities, one axis after another, with a share of the uniform density.
+"""Smooth spline densities, built axis by axis, mixed with a share of the uniform density.
 
 p(x) = δ + (1 − δ) Π_i q_i(x_i | x_1 … x_{i−1}), where q_i = Σ_m a_m B_m is a quadratic spline.
 The B_m are B-splines of integral 1.
-The weights a ≥ 0 have sum 1 and depend on the earlier coordinates:
+Their weights a ≥ 0 have the sum 1 and depend on the earlier coordinates, in one of two ways:
 
 * *mixtures* of K products: a = Σ_k ω_k c_ki with ω_k ∝ w_k Π_{j<i} Σ_m c_kjm B_m(x_j).
-  With K = 1, a mixture is a product.
+  If K = 1, the density is a product.
 * *flows*: a = softmax(θ_i φ), where φ are Legendre polynomials of each earlier coordinate x_j.
 
 The warp T is Rosenblatt's transformation of p itself [Rosenblatt1952]_.
-Let Q be the density q of the given coordinates x_1 … x_{i−1}, and F_i a monotone cubic spline.
+Let Q be the density q of the given coordinates x_1 … x_{i−1}. Let F_i be a monotone cubic spline.
 Then u_i = ω F_i(x_i) + (1 − ω) x_i with ω = (1 − δ) Q/((1 − δ) Q + δ).
-No coordinate chooses a part. Therefore T is continuous and twice differentiable.
-T has an exact inverse.
+No coordinate of u chooses a part. Therefore T is continuous and twice differentiable.
+T also has an exact inverse.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ __all__ = ["DEGREE", "Learned", "SplineDensity", "flow_features", "spline_basis"
 
 DEGREE = 4  # degree of the polynomials of a flow
 _FORMAT = "mcspectra density 1"
-_TEXT_RATIO = 8  # Bytes of memory for each byte of a file
+_TEXT_RATIO = 8  # bytes of memory for each byte of the file
 _MOST_GATE = 1e6  # largest absolute value of θ; fitted values are smaller
 _PDF, _SAMPLE, _INVERT = 0, 1, 2
 _SETTLED = 1e-14  # a Newton step this small ends the iteration
@@ -47,7 +47,7 @@ _SETTLED = 1e-14  # a Newton step this small ends the iteration
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SplineDensity(Density):
-    """Spline density that is given by its tables.
+    """Spline density that is given by its tables of coefficients.
 
     Attributes
     ----------
@@ -77,14 +77,14 @@ class SplineDensity(Density):
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """Cdf at the knots of the first axis; breaks of other axes depend on the point."""
+        """Cdf at the knots of the first axis. Breaks of the other axes depend on the point."""
         middle = np.full((self.knots.shape[1] - 2, self.dims), 0.5)
         middle[:, 0] = self.knots[0, 1:-1]
         found = np.unique(self._walked(middle, _INVERT)[:, 0])
         return (tuple(found[(found > 0) & (found < 1)].tolist()), *((),) * (self.dims - 1))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the content of a file for `Learned`."""
+        """Return the content of a file that `Learned` reads."""
         arrays = {n: getattr(self, n).tolist() for n in ("knots", "shares", "tables", "gates")}
         return {"format": _FORMAT, "defensive": self.defensive, **arrays}
 
@@ -117,7 +117,7 @@ class SplineDensity(Density):
 @final
 @dataclass(frozen=True, kw_only=True)
 class Learned(Wrapper):
-    """A density that `mcspectra.improve.learned_density` made, read from its file.
+    """A density from a file that `mcspectra.improve.learned_density` made.
 
     Attributes
     ----------
@@ -127,7 +127,7 @@ class Learned(Wrapper):
     Raises
     ------
     FileFormatError
-        If the file cannot be read, or is not a learned density.
+        If the file cannot be read, or does not contain a learned density.
     """
 
     name: ClassVar[str] = "learned"
@@ -144,7 +144,7 @@ class Learned(Wrapper):
         return self._inside.dims
 
     def cuts(self, others: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
-        """Return `others` and the domain places where the pdf is not smooth, in at most 2 dims."""
+        """Return `others`; in 1-D and 2-D, also domain places where the pdf is not smooth."""
         if self.dims > 2:
             return others
         ends = self._inside.knots[:, 1:-1]
@@ -192,7 +192,7 @@ class Learned(Wrapper):
 
 
 def _splines(knots: Array) -> Any:
-    """Return quadratic B-splines of integral 1 on knots (C + 1,): a SciPy spline of size C + 2."""
+    """Return C + 2 quadratic B-splines of integral 1 on knots (C + 1,), as a SciPy spline."""
     from scipy.interpolate import BSpline
 
     ends = np.concatenate([[0.0, 0.0], knots, [1.0, 1.0]])
@@ -200,7 +200,7 @@ def _splines(knots: Array) -> Any:
 
 
 def spline_lengths(knots: Array) -> Array:
-    """Return the weights of the splines that give the uniform density, (C + 2,)."""
+    """Return the weights of the splines that add up to the uniform density, (C + 2,)."""
     ends = np.concatenate([[0.0, 0.0], knots, [1.0, 1.0]])
     return np.asarray((ends[3:] - ends[:-3]) / 3.0)
 
@@ -211,7 +211,7 @@ def spline_basis(knots: Array, x: Array) -> Array:
 
 
 def flow_features(x: Array) -> Array:
-    """Return φ of points (k, d): 1, then polynomials of each coordinate, (k, 1 + d·DEGREE)."""
+    """Return φ at points (k, d): 1 and then polynomials of each coordinate, (k, 1 + d·DEGREE)."""
     t = 2.0 * x - 1.0
     found = [np.ones_like(t), t]
     for n in range(1, DEGREE):
@@ -245,7 +245,7 @@ def _walk(
     given: Array,
     out: Array,
 ) -> None:  # pragma: no cover - compiled
-    # Fill `out` with the pdf (N, 1) at x, with x and pdf (N, d + 1) from u, or with u from x.
+    # Fill `out` with x and the pdf (N, d + 1) from u, with u from x, or with the pdf (N, 1) at x.
     # The array `a` holds the spline weights of one axis
     d, cells, parts = knots.shape[0], knots.shape[1] - 1, shares.size
     a, held, x = np.empty(cells + 2), np.empty(parts), np.empty(d)
@@ -271,8 +271,8 @@ def _walk(
             spread = (1.0 - defensive) * joint
             spread /= spread + defensive
 
-            # Find the cell of x_i. To sample, compare u_i with the cdf at the right end of a cell.
-            # Otherwise compare x_i with the right end itself
+            # Find the cell of x_i. To sample, compare u_i with the cdf at the right ends of cells.
+            # Otherwise compare x_i with these right ends
             left, c = 0.0, 0
             while c < cells - 1:
                 end = knots[i, c + 1]
@@ -296,7 +296,7 @@ def _walk(
                 k2 += a[c + r] * piece[2]
                 k3 += a[c + r] * piece[3]
             if mode == _SAMPLE:
-                # Newton's method within a bracket
+                # Apply Newton's method within a bracket
                 t0 = spread * k0 + (1.0 - spread) * low - given[n, i]
                 t1 = spread * k1 + (1.0 - spread) * width
                 t2, t3 = spread * k2, spread * k3

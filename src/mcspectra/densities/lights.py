@@ -1,14 +1,14 @@
-"""Solid-angle sampling of a rectangular or triangular light, on the light's own area parameters.
+"""Solid-angle sampling of a rectangular or triangular light, in area coordinates of the light.
 
 The square (s, t) maps to the light with a constant Jacobian.
-Therefore the uniform density is area sampling.
+Therefore the uniform density on the square samples the area uniformly.
 The densities here are uniform in solid angle, p(s, t) = area · cos θ' / (r² Ω).
 Both densities are positive everywhere, and can be applied to any integrand in (s, t).
 
-Cumulative solid angles are written without differences of nearly equal terms.
+The code computes cumulative solid angles without differences of nearly equal terms.
 Newton's method inverts these cumulative solid angles.
-The closed forms of the papers compute a small angle Ω as a difference of angles of order 1.
-Therefore the closed forms lose all digits for small lights.
+The closed forms of the papers compute a small Ω as a difference of angles of order 1.
+Therefore these closed forms lose all digits for small lights.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ __all__ = ["SphericalRectangle", "SphericalTriangle"]
 
 Vector = tuple[float, float, float]
 
-_PERPENDICULAR = 1e-9  # largest cosine of the angle between edges of a rectangle
+_PERPENDICULAR = 1e-9  # largest cosine of the angle between edges of a rectangle, which should be 0
 _MOST = 120  # largest number of iterations: 53 bisections, at most doubled by Newton steps
 _EPS = float(np.finfo(float).eps)
 
@@ -47,11 +47,11 @@ class _Light(Density):
 
     @abstractmethod
     def _share(self, s: Array) -> tuple[Array, Array]:
-        """Return the share of solid angle up to s, and its slope."""
+        """Return the share of the solid angle up to s, and its derivative."""
 
     @abstractmethod
     def _share_of_line(self, s: Array, t: Array) -> tuple[Array, Array]:
-        """Return the share up to t on the line at s, and its slope in t."""
+        """Return the share up to t on the line of constant s, and its derivative in t."""
 
     def _sample(self, u: Array) -> Array:
         s = _solve_increasing(self._share, u[..., 0])
@@ -64,7 +64,7 @@ class _Light(Density):
 
 
 def _solve_increasing(function: Callable[[Array], tuple[Array, Array]], target: Array) -> Array:
-    """Solve F(s) = target element by element, by Newton's steps safeguarded by bisection.
+    """Solve F(s) = target for each element, by Newton's method within a shrinking bracket.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def _solve_increasing(function: Callable[[Array], tuple[Array, Array]], target: 
 
     Notes
     -----
-    Converged elements are not changed further, so results do not depend on other elements.
+    Elements that have converged do not change further, so results do not depend on other elements.
     """
     low, high = np.zeros_like(target), np.ones_like(target)
     s, last = target.copy(), np.ones_like(target)
@@ -101,9 +101,9 @@ def _solve_increasing(function: Callable[[Array], tuple[Array, Array]], target: 
 @final
 @dataclass(frozen=True, kw_only=True)
 class SphericalRectangle(_Light):
-    """Uniform in the solid angle of a rectangle, x = (s, t) for the point corner + s e_0 + t e_1.
+    """Density uniform in a rectangle's solid angle. x = (s, t) is the point corner + s e_0 + t e_1.
 
-    u_0 is the share of solid angle up to s [Urena2013]_.
+    u_0 is the share of the solid angle up to s [Urena2013]_.
     u_1 is the share up to t on the line of constant s.
 
     Attributes
@@ -137,7 +137,7 @@ class SphericalRectangle(_Light):
 
     @cached_property
     def _frame(self) -> tuple[float, float, float, float]:
-        """Smallest x and y of the light in the frame of its edges, and the lengths of the edges."""
+        """Smallest x and y of the light in the frame of its edges, and the lengths of its edges."""
         corner = np.subtract(self.corner, self.origin)
         e0, e1 = np.array(self.edge0), np.array(self.edge1)
         l0, l1 = float(norm(e0)), float(norm(e1))
@@ -180,13 +180,13 @@ class SphericalRectangle(_Light):
 @final
 @dataclass(frozen=True, kw_only=True)
 class SphericalTriangle(_Light):
-    """Uniform in the solid angle of a triangle, whose coordinates (s, t) are uniform in area.
+    """Density uniform in the solid angle of a triangle, with area coordinates (s, t).
 
     x = (s, t) is the point b + √t ((1 − s) a + s c − b).
-    The ray from b through x splits off the share s of the area, next to the edge ab.
+    The ray from b through x cuts off the share s of the area, next to the edge ab.
     The line through x parallel to ac cuts off the share t of the area, at the corner b.
-    u_0 is the share of solid angle up to s, and u_1 the share up to t on the line of constant s.
-    The map from u to x is Arvo's continuous map [Arvo1995]_.
+    u_0 is the share of the solid angle up to s. u_1 is the share up to t on the line of constant s.
+    The map from u to x is the continuous map of [Arvo1995]_.
 
     Attributes
     ----------
@@ -222,7 +222,7 @@ class SphericalTriangle(_Light):
         return float(triangle_angle(np.array(self._volume), *self._corners))
 
     def _opposite(self, s: Array) -> Array:
-        """Return the point on the edge ac at the fraction s, (..., 3)."""
+        """Return the point (..., 3) on the edge ac at the fraction s from a."""
         return np.asarray(self._corners[0] + s[..., None] * np.subtract(self.c, self.a))
 
     def _point(self, s: Array, t: Array) -> Array:
@@ -230,7 +230,7 @@ class SphericalTriangle(_Light):
         return np.asarray(self._corners[1] + np.sqrt(t)[..., None] * edge)
 
     def _spread(self, point: Array) -> Array:
-        """Return |x| (|b||x| + b·x), which is ∝ 1/(1 − cos of the angle between b and x)."""
+        """Return |x| (|b||x| + b·x) ∝ 1/(1 − cos γ), where γ is the angle between b and x."""
         b, length = self._corners[1], norm(point)
         return np.asarray(length * (norm(b) * length + point @ b))
 
@@ -242,7 +242,7 @@ class SphericalTriangle(_Light):
         return angle / self.solid_angle, slope / self.solid_angle
 
     def _share_of_line(self, s: Array, t: Array) -> tuple[Array, Array]:
-        """Return the fraction of the line at s below t, and its derivative with respect to t.
+        """Return the fraction of the line of constant s below t, and its derivative in t.
 
         The fraction is (1 − cos a)/(1 − cos b).
         The line from 0 to t spans the angle a, and the whole line spans the angle b.
@@ -256,13 +256,13 @@ class SphericalTriangle(_Light):
 
 
 def _corners(x: Array, y0: float, length: float, z: float) -> tuple[Array, Array]:
-    """Return both ends (..., 3) of the lines at x."""
+    """Return both ends (..., 3) of the lines with given x."""
     low = np.stack([x, np.full(x.shape, y0), np.full(x.shape, z)], axis=-1)
     return low, low + np.array([0.0, length, 0.0])
 
 
 def _rise(squared: Array, start: float, length: Array | float) -> Array:
-    """Return the difference of y/√(R² + y²) between start + length and start, given R²."""
+    """Return y/√(R² + y²) at y = start + length, minus its value at y = start, given R²."""
     end = start + np.asarray(length)
     ra, rb = np.sqrt(squared + start**2), np.sqrt(squared + end**2)
     weight = np.abs(end) * ra + np.abs(start) * rb

@@ -1,19 +1,19 @@
-"""The warp of a pdf without a known sampling function: numerical inversion, in 1-D and 2-D.
+"""Warps of pdfs that have no sampling function: numerical inversion, in 1-D and 2-D.
 
 In 1-D, the axis is divided into cells. Jumps and kinks are enclosed in ever smaller cells.
 On each cell, a 12-point Chebyshev interpolant of the pdf is accurate to rounding.
-Matrices map the values at a cell's nodes to coefficients of the interpolant and of its integral.
-Other matrices give the interpolant at the nodes of both halves and at the ends.
-The values at these points show whether the cell is resolved [Trefethen2013]_.
-The cdf is the integral of the interpolants, and Newton's method inverts the cdf in the cell.
-The interpolants are compared with the pdf at 2^18 further points.
+Matrices convert the values at a cell's nodes to coefficients of the interpolant and its integral.
+Other matrices give the interpolant at the ends of the cell and at the nodes of its halves.
+A comparison with the pdf at these points shows whether the cell is resolved [Trefethen2013]_.
+The cdf is the integral of the interpolants. Newton's method inverts it within a cell.
+The interpolants are then compared with the pdf at 2^18 other points.
 
-In 2-D, first x_1 is computed from its marginal, then x_0 from its density given x_1.
-The order is the same as in `mcspectra.densities.tabulated`.
-The row of each point is evaluated on common cells, so the warp is as smooth along x_1 as the pdf.
-Cells are exact for jumps along lines x_0 = c and x_1 = c.
-Jumps or kinks along other lines are sought in 1018 rows, at 1024 places each.
-A pdf that shows a jump or kink there is refused.
+In 2-D, x_1 is computed first, from its marginal. Then x_0 is computed from its density given x_1.
+This is the same order as in `mcspectra.densities.tabulated`.
+All rows are evaluated on the same cells, so the warp is as smooth along x_1 as the pdf.
+Jumps along lines x_0 = c and x_1 = c are resolved exactly.
+Jumps or kinks along other lines are searched for in 1018 rows, at 1024 places each.
+If such a jump or kink is found, the pdf is rejected.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ __all__ = ["NumericalWarp"]
 
 _START = {1: 256, 2: 16}
 _MOST = {1: 2**15, 2: 256}
-_MOST_OF_MARGINAL = 2**11  # largest number of cells of the marginal; each node is a row
+_MOST_OF_MARGINAL = 2**11  # largest number of cells of the marginal, with one row per node
 _ROWS = 509
-_PROBES = {1: 2**18, 2: 2**10}  # number of probes along an axis
+_PROBES = {1: 2**18, 2: 2**10}  # number of probes along each axis
 _SAME = 1e-9
 _BLOCK = 2**20  # number of values in a block of rows, 8 MiB
 _BEND = 1e-4
@@ -45,7 +45,7 @@ _ORDER = 12
 _TOLERANCE = 1e-14  # tolerance of each cell, relative to the whole integral
 _MOST_UNRESOLVED = 1e-10
 _NARROWEST = 4.0  # smallest width of a cell, in spacings of adjacent floats
-_PLACE = 0.381966011250105  # position of a probe in its interval; not near dyadic borders
+_PLACE = 0.381966011250105  # position of a probe in its interval, not close to a dyadic fraction
 _PROBED = 2**14  # number of probes per block
 _OFF = 1e-7
 _JUMP = 2.0**-24  # cells narrower than this enclose a jump or a pole
@@ -71,7 +71,7 @@ class NumericalWarp:
     Attributes
     ----------
     pdf
-        Function of points (..., d); its integral, `total`, need not be 1.
+        Function of points (..., d). Its integral is `total`, which need not be 1.
     dims
         Number of dims d, 1 or 2.
     spec
@@ -89,12 +89,12 @@ class NumericalWarp:
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """Cdf at jumps and kinks; in 2-D of axis 1 only, since breaks of axis 0 vary by row."""
+        """Cdf at jumps and kinks. In 2-D only for axis 1: breaks of axis 0 vary by row."""
         last = self._last.breaks()
         return (last,) if self.dims == 1 else ((), last)
 
     def zero_points(self) -> Array:
-        """Return the centers of cells in which the pdf (2-D: the marginal) is 0."""
+        """Return the centers of cells in which the pdf is 0. In 2-D, use the marginal."""
         cells, masses = self._last.cells, np.diff(self._last.cdf)
         empty = (self._last.density == 0).all(axis=1) & (masses == 0) & (cells.width > _SHARP)
         centers = (cells.low + 0.5 * cells.width)[empty]
@@ -102,7 +102,7 @@ class NumericalWarp:
 
     @cached_property
     def _last(self) -> _Axis:
-        """The only axis in 1-D, or the marginal of x_1 in 2-D."""
+        """The cdf of x in 1-D, or of the marginal of x_1 in 2-D."""
         density = self.pdf if self.dims == 1 else self._marginal
         subject = f"The pdf of {self.spec}" if self.dims == 1 else f"The marginal of {self.spec}"
         cells = _refine(
@@ -110,13 +110,13 @@ class NumericalWarp:
             start=256,
             most=_MOST[1] if self.dims == 1 else _MOST_OF_MARGINAL,
             subject=subject,
-            probes=_PROBES[1] if self.dims == 1 else 0,  # nodes outnumber the common rows
+            probes=_PROBES[1] if self.dims == 1 else 0,  # the nodes outnumber the 509 rows
         )
         return _Axis.of(cells, density(cells.nodes[..., None]))
 
     @cached_property
     def _rows(self) -> _Cells:
-        """Cells of axis 0 that resolve 509 rows at once."""
+        """Cells of axis 0 on which 509 rows are resolved."""
         rows = (0.5 + np.arange(_ROWS) * 0.6180339887498949) % 1.0
 
         subject = f"The pdf of {self.spec}, along x_0,"
@@ -129,11 +129,11 @@ class NumericalWarp:
         )
 
     def _on_grid(self, x: Array, y: Array) -> Array:
-        """Return values at all pairs of x and y, arrays that broadcast."""
+        """Return the pdf at all pairs of x and y, which are arrays that broadcast."""
         return self.pdf(np.stack(np.broadcast_arrays(x, y), axis=-1))
 
     def _row_values(self, y: Array) -> Array:
-        """Return values (N, K, 12) of the rows at y (N,)."""
+        """Return the pdf in the rows at y (N,), at the nodes of all cells: (N, K, 12)."""
         return self._on_grid(self._rows.nodes, y[:, None, None])
 
     def _marginal(self, y: Array) -> Array:
@@ -169,13 +169,13 @@ class NumericalWarp:
         return out.reshape(points.shape)
 
     def _in_rows(self, v: Array, y: Array, *, inverse: bool) -> Array:
-        """Return x_0 for u_0 = v in the rows at y; with `inverse`, return u_0 for x_0 = v."""
+        """Return x_0 for u_0 = v in the rows x_1 = y. With `inverse`, return u_0 for x_0 = v."""
         values = self._row_values(y)
-        # Compute the cdf of each row at the borders of cells, scaled to end at 1
+        # Compute the cdf of each row at the borders of cells, scaled so that it ends at 1
         sums = np.cumsum(self._rows.masses(values), axis=1)
         total = np.where(sums[:, -1] > 0, sums[:, -1], 1.0)[:, None]
         cdf = np.concatenate([np.zeros((len(y), 1)), sums / total], axis=1)
-        # Compute Chebyshev series of density and integral in the cell of each point
+        # Compute Chebyshev series of the density and the integral in each point's cell
         below = (cdf[:, :-1] <= v[:, None]).sum(axis=1) - 1
         cell = self._rows.find(v) if inverse else np.maximum(below, 0)
         each = np.arange(len(cell))
@@ -186,12 +186,12 @@ class NumericalWarp:
         return self._rows.place(cell, density, integral, v - start)
 
     def check_rows(self) -> None:
-        """Compare integrals of rows in 2-D with integrals on halved cells, at other rows.
+        """In 2-D, compare integrals of rows with integrals on halved cells, at other rows.
 
         Raises
         ------
         DensityError
-            If the integrals differ, because of jumps or kinks along oblique or curved lines.
+            If the integrals differ: there are jumps or kinks along oblique or curved lines.
         """
         y = (0.25 + np.arange(_ROWS) * 0.7548776662466927) % 1.0
         finer = _Cells(*_halved(self._rows.low, self._rows.width))
@@ -206,7 +206,7 @@ class NumericalWarp:
 
 @dataclass(frozen=True)
 class _Axis:
-    """Cdf on K cells: series of density (K, 12) and integral (K, 13), and cdf at borders (K+1,)."""
+    """A cdf on K cells: series of density (K, 12) and integral (K, 13), and borders (K+1,)."""
 
     cells: _Cells
     density: Array
@@ -217,7 +217,7 @@ class _Axis:
     @staticmethod
     def of(cells: _Cells, values: Array) -> _Axis:
         sums = np.concatenate([[0.0], np.cumsum(cells.masses(values))])
-        total = float(sums[-1])  # makes the cdf exactly 1 after the last mass
+        total = float(sums[-1])  # this makes the cdf exactly 1 after the last cell with mass
         if not total > 0:
             raise DensityError("The pdf is 0 at all evaluated points; its integral must be 1.")
         density, integral = cells.series(values / total, cells.width)
@@ -234,11 +234,11 @@ class _Axis:
         return np.asarray(np.clip(share, self.cdf[cell], self.cdf[cell + 1]))
 
     def breaks(self) -> tuple[float, ...]:
-        """Return the cdf at enclosed jumps and kinks, and at borders where the pdf jumps."""
+        """Return the cdf at enclosed jumps and kinks, and at cell borders where the pdf jumps."""
         narrow = np.flatnonzero(self.cells.width < _SHARP)
         runs = np.split(narrow, np.flatnonzero(np.diff(narrow) > 1) + 1) if narrow.size else []
         closed = [run[np.argmin(self.cells.width[run])] for run in runs]
-        # Find borders between wide cells at which density or slope differ
+        # Find borders between wide cells where the density or its slope jumps
         half = 0.5 * self.cells.width
         values = chebyshev.chebval([-1.0, 1.0], self.density.T / half)
         slopes = chebyshev.chebval([-1.0, 1.0], chebyshev.chebder(self.density.T) / half**2)
@@ -273,30 +273,30 @@ class _Cells:
         return np.clip(2.0 * (x - self.low[cell]) / self.width[cell] - 1.0, -1.0, 1.0)
 
     def place(self, cell: Array, density: Array, integral: Array, mass: Array) -> Array:
-        """Return the point in each cell up to which the integral is `mass`."""
+        """Return the point in each cell below which the integral is `mass`."""
         t = np.empty(mass.shape)
         _solve(density, integral, mass, t)
         return np.asarray(self.low[cell] + 0.5 * (t + 1.0) * self.width[cell])
 
     def part(self, cell: Array, integral: Array, x: Array) -> Array:
-        """Return integrals from the left ends of the cells to x."""
+        """Return integrals from the left end of each cell to x."""
         out = np.empty(x.shape)
         _integral_at(integral, self.local(cell, x), out)
         return out
 
     def series(self, values: Array, width: Array) -> tuple[Array, Array]:
-        """Return Chebyshev series of a function and its integral in cells, by values (..., 12)."""
+        """Return Chebyshev series of a function and its integral, from values (..., 12)."""
         scaled = values * (0.5 * width[..., None])
         return scaled @ _TO_SERIES.T, scaled @ _TO_INTEGRAL.T
 
     def masses(self, values: Array) -> Array:
-        """Return integrals over all cells, at least 0, of values (..., K, 12)."""
+        """Return integrals over all cells, clipped to at least 0, from values (..., K, 12)."""
         weights = _TO_INTEGRAL.sum(axis=0)
         return np.asarray(np.maximum((values @ weights) * (0.5 * self.width), 0.0))
 
 
 def _spread(low: Array, width: Array) -> Array:
-    """Return nodes (..., 12), below 1, of cells with left ends `low` and `width` (...)."""
+    """Return nodes (..., 12), below 1, of cells with left ends `low` and widths `width` (...)."""
     nodes = low[..., None] + (0.5 * width)[..., None] * (_NODES + 1.0)
     return np.asarray(np.minimum(nodes, BELOW_ONE))
 
@@ -306,14 +306,14 @@ def _refine(
 ) -> _Cells:
     """Split cells until the interpolants resolve a nonnegative function.
 
-    Details between the nodes of all cells would be missed. Therefore the function is also probed.
-    If the interpolant differs from the function at a probe, the cells with the probe are split.
-    Cells are split down to the distance of the probes, and further if necessary.
+    The nodes of the cells may miss details between them. Therefore the function is also probed.
+    If the interpolant differs from the function at a probe, the cells with such probes are split.
+    They are split down to the distance between probes, and further if necessary.
 
     Parameters
     ----------
     function
-        Function of nodes (C, 12) that returns values (C, 12, rows); the cells serve all rows.
+        Function that maps nodes (C, 12) to values (C, 12, rows). All rows use the same cells.
     start, most
         Initial and largest number of cells.
     subject
@@ -345,7 +345,7 @@ def _refine(
 def _missed(
     function: Callable[[Array], Array], cells: _Cells, points: Array, subject: str
 ) -> Array:
-    """Return points where the interpolant of some row is inaccurate, except within jumps."""
+    """Return points where the interpolant of any row is inaccurate, except in cells at jumps."""
     at_nodes = function(cells.nodes)
     total = _size(at_nodes, cells.width)
     off = np.zeros(points.size, bool)
@@ -369,15 +369,15 @@ def _split(
     points: Array,
     narrow_enough: float,
 ) -> _Cells:
-    """Return cells that resolve the function; cells at `points` are at most `narrow_enough`."""
+    """Return cells that resolve the function and are narrow enough wherever they hold a point."""
     low, width = np.arange(start) / start, np.full(start, 1.0 / start)
     values = _checked(function(_spread(low, width)), subject)
     total = _size(values, width)
     kept: list[tuple[Array, Array]] = []
     unresolved = 0.0
     while low.size:
-        # Test at the nodes of both halves, and at the ends, because a jump may lie next to an end.
-        # The point 0 may be a pole, so the test uses the first node instead
+        # Test the nodes of both halves, and the ends, because there may be a jump next to an end.
+        # There may be a pole at 0, so the test uses the first node instead of 0
         nodes = _spread(*_halved(low, width)).reshape(low.size, 2 * _ORDER)
         first = np.where(low > 0, low, nodes[:, 0])
         ends = np.stack([first, np.nextafter(low + width, 0.0)], axis=1)
@@ -446,9 +446,9 @@ def _integral_at(series: Array, t: Array, out: Array) -> None:  # pragma: no cov
 def _solve(
     density: Array, integral: Array, mass: Array, out: Array
 ) -> None:  # pragma: no cover - compiled
-    """Find where the integral (N, 13) of the density (N, 12) reaches mass (N,): t in [−1, 1].
+    """Find t (N,) in [−1, 1] where the integral, a series (N, 13), reaches the mass (N,).
 
-    Newton's method works within a bracket; bisection replaces steps that leave the bracket.
+    Newton's method works within a bracket. Bisection replaces steps that leave the bracket.
     """
     for i in range(mass.size):
         whole = 0.0

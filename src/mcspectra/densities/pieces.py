@@ -1,17 +1,17 @@
-"""Products of 1-D densities that are constant or linear between given places of each axis.
+"""Products of 1-D densities that are constant or linear between given positions on each axis.
 
-`AlignedStrata` places edges on borders of strata.
+`AlignedStrata` moves edges to borders of strata.
 Points of equal weight need strata of equal volume.
-The borders of such strata miss an edge, unless n times the edge's position is a whole number.
-Strata of unequal volume need points with weights. A warp provides both strata and weights.
+Borders of equal strata miss an edge, unless n times the position of the edge is a whole number.
+Strata of unequal volume need weighted points. A warp provides both the strata and the weights.
 
-Each piece between edges gets k_j of s strata, at least one and in proportion to its length L_j.
-The piecewise constant density p = k_j/(s L_j) maps the edges to (k_0 + … + k_j)/s in primary space.
-These places are borders of the s equal strata.
-The weights 1/p differ from 1 only by the rounding of the k_j, and the estimator is unbiased.
+Let s be the number of strata. The piece j between two edges, of length L_j, gets k_j strata.
+All k_j are at least 1, and nearly proportional to the L_j. The density is p = k_j/(s L_j).
+Its cdf maps the edges to (k_0 + … + k_j)/s in primary space, which are borders of equal strata.
+The weights 1/p differ from 1 only by the rounding of the k_j. The estimator is unbiased.
 
-An alternative is to round the k_j at random, with equal weights.
-But then an edge still cuts strata and determines the variance.
+An alternative is to round the k_j at random and to use equal weights.
+However, an edge would then still cut strata and determine the variance.
 """
 
 from __future__ import annotations
@@ -47,12 +47,12 @@ _SAME_SLOPE = 1e-12
 
 
 def _piece(ends: Array, x: Array) -> Array:
-    """Return j with ends[j] <= x < ends[j+1]; 1 belongs to the last piece."""
+    """Return j with ends[j] <= x < ends[j+1]. The point 1 belongs to the last piece."""
     return np.asarray(np.clip(np.searchsorted(ends, x, side="right") - 1, 0, len(ends) - 2))
 
 
 def _as_edges(name: str, edges: Any) -> Any:
-    """Convert edges to a tuple of ascending places, or to a tuple of such tuples."""
+    """Convert edges to a tuple of ascending positions, or to a tuple of such tuples."""
     if not isinstance(edges, Sequence | np.ndarray) or isinstance(edges, str):
         raise ParameterError(
             f"edges is {edges!r:.80}; give a list of places in (0, 1), one list per dim."
@@ -74,14 +74,14 @@ def _as_edges(name: str, edges: Any) -> Any:
 @final
 @dataclass(frozen=True, kw_only=True)
 class AlignedStrata(Density):
-    """Piecewise constant density that puts borders of equal strata of primary space at edges.
+    """Piecewise constant density whose warp moves edges to borders of equal strata.
 
     Attributes
     ----------
     edges
-        Ascending places in (0, 1): one list in 1-D, else one list per dim, which may be empty.
+        Ascending positions in (0, 1): one list in 1-D, else one list per dim, which may be empty.
     strata
-        Number of strata s along each axis, one number or one per dim.
+        Number of strata s along each axis: one number for all dims, or one per dim.
         For jittered samples, n = s^d.
     """
 
@@ -117,7 +117,7 @@ class AlignedStrata(Density):
         return tuple(tuple(u[1:-1].tolist()) for _, u, _ in self._pieces)
 
     def reciprocal_integral(self) -> float:
-        """Return the product over axes of Σ L_j/p_j."""
+        """Return ∫ 1/p: the product over axes of Σ L_j/p_j."""
         return float(np.prod([(np.diff(x) / p).sum() for x, _, p in self._pieces]))
 
     @property
@@ -127,7 +127,7 @@ class AlignedStrata(Density):
 
     @cached_property
     def _pieces(self) -> list[tuple[Array, Array, Array]]:
-        """For each axis, the ends of the pieces in x and in u, and the density of each piece."""
+        """For each axis, the ends of the pieces in x and in u, and the density in each piece."""
         given: Any = self.strata
         sides = given if isinstance(given, tuple) else (given,) * self.dims
         found = []
@@ -154,9 +154,9 @@ class AlignedStrata(Density):
 
 
 def _allocated(lengths: Array, strata: int) -> Array:
-    """Return whole numbers ≥ 1 near `strata` · lengths with the sum `strata` (largest remainders).
+    """Return whole numbers ≥ 1 near `strata` · lengths, of sum `strata`, by largest remainders.
 
-    If short pieces get more than their share, the other pieces divide the remaining strata.
+    If short pieces get more than their share, the long pieces divide the remaining strata.
     """
     counts = np.ones(len(lengths), np.int64)
     long = np.ones(len(lengths), bool)
@@ -184,7 +184,7 @@ def _mapped(x: Array, source: Array, target: Array) -> Array:
 
 
 def _as_lines(name: str, given: Any) -> tuple[tuple[float, ...], ...]:
-    """Convert and check the borders of the bins of each dim."""
+    """Convert the borders of the bins of each dim to tuples, and check them."""
     if not isinstance(given, Sequence | np.ndarray) or not len(given):
         raise ParameterError(f"{name} is {given!r:.80}; give one list of borders for each dim.")
     lines = [given] if np.ndim(given[0]) == 0 else given
@@ -212,15 +212,15 @@ def _as_lines(name: str, given: Any) -> tuple[tuple[float, ...], ...]:
 @final
 @dataclass(frozen=True, kw_only=True)
 class GridDensity(Density):
-    """Product over the dims of histograms whose bins have equal mass.
+    """Product over the dims of histograms with bins of equal probability.
 
     VEGAS adapts maps of this kind [Lepage1978]_, so the borders can come from VEGAS.
 
     Attributes
     ----------
     nodes
-        Increasing borders of the N bins of each dim: N + 1 numbers from 0 to 1.
-        N may differ between dims. In 1-D, `nodes` is the list of borders itself.
+        Increasing borders of the bins of each dim: N + 1 numbers from 0 to 1 for N bins.
+        N may differ between dims. In 1-D, `nodes` may be the list of borders itself.
         u in [i/N, (i+1)/N) maps linearly to bin i, where p_i = 1/(N width_i).
     """
 
@@ -229,7 +229,7 @@ class GridDensity(Density):
 
     @property
     def dims(self) -> int:  # type: ignore[override]
-        """Number of dims: the number of lists of nodes."""
+        """Number of dims, which is the number of lists of nodes."""
         return len(self.nodes)
 
     @cached_property
@@ -238,14 +238,14 @@ class GridDensity(Density):
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """Positions i/N of borders between bins of different width."""
+        """Positions i/N of the borders between bins of different width."""
         return tuple(
             tuple((1 + np.flatnonzero(np.diff(np.diff(line)))) / (len(line) - 1))
             for line in self._lines
         )
 
     def reciprocal_integral(self) -> float:
-        """Return Π N Σ width²."""
+        """Return ∫ 1/p = Π N Σ width²."""
         sums = [(len(line) - 1) * float((np.diff(line) ** 2).sum()) for line in self._lines]
         return float(np.prod(sums))
 
@@ -273,7 +273,7 @@ class GridDensity(Density):
 
 
 def _as_nodes(name: str, values: object) -> Any:
-    """Check relative densities at nodes."""
+    """Check relative densities that are given at nodes."""
     table = as_real_array(name, values).copy()
     if table.ndim != 1 or table.size < 2:
         raise ParameterError(
@@ -285,20 +285,20 @@ def _as_nodes(name: str, values: object) -> Any:
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PiecewiseLinear(Density):
-    """1-D density that is linear between nodes, given by values at x = 0, 1/(k−1), …, 1.
+    """1-D density that is linear between nodes at x = 0, 1/(k−1), …, 1, given by its values there.
 
     Attributes
     ----------
     values
-        Relative density at each of k ≥ 2 nodes, at least 0 and not all 0, in any scale.
+        Relative density at each of k ≥ 2 nodes: at least 0 and not all 0. The scale is arbitrary.
         Cells between two nodes of density 0 get no samples.
 
     Notes
     -----
     Consider a cell with the densities a and b at its ends.
     The share r of the cell's mass lies left of t = (a + b) r/(a + √D) with D = a² + (b² − a²) r.
-    The formula starts from the lower end as in `Linear`, so that all terms are positive.
-    Therefore there is no cancellation for a → b, or if a or b is 0.
+    As in `Linear`, the formula starts from the lower end, so that all terms are positive.
+    Therefore there is no cancellation if a is close to b, or if a or b is 0.
     """
 
     dims: int = field(default=1, init=False)
@@ -316,7 +316,7 @@ class PiecewiseLinear(Density):
         return ((np.flatnonzero(self._masses == 0) + 0.5) / self._masses.size)[:, None]
 
     def reciprocal_integral(self) -> float:
-        """Return the mean over cells of ln(b/a)/(b − a), infinite if a node is 0."""
+        """Return ∫ 1/p: the mean over cells of ln(b/a)/(b − a). It is infinite if a node is 0."""
         p = self._nodes / self._masses.mean()
         if not p.all():
             return math.inf
@@ -351,11 +351,11 @@ class PiecewiseLinear(Density):
         return np.asarray(line / self._masses.mean())
 
     def _sample(self, u: Array) -> Array:
-        # Take the last cell that starts at or below u, which skips empty cells
+        # Take the last cell that starts at or below u. This skips empty cells
         cell = np.searchsorted(self._cdf[:-1], u, side="right") - 1
         low, high = self._cdf[cell], self._cdf[cell + 1]
         share = np.divide(u - low, high - low, out=np.zeros_like(u), where=high > low)
-        # Scale both ends, so that no square underflows
+        # Scale both ends so that no square underflows
         top = np.maximum(self._nodes[cell], self._nodes[cell + 1])
         top = np.maximum(top, np.finfo(float).tiny)
         a, b = self._nodes[cell] / top, self._nodes[cell + 1] / top

@@ -47,7 +47,7 @@ def density(spec: str, dims: int | None = None) -> Density:
     Raises
     ------
     SpecError
-        If the spec cannot be read; `UnknownName` if the name is not registered.
+        If the spec cannot be read. The class is `UnknownName` if the name is not registered.
     ParameterError
         If a parameter is unknown, missing or out of range, or dims disagree.
 
@@ -63,12 +63,12 @@ def density(spec: str, dims: int | None = None) -> Density:
 
 
 def as_density(given: object, dims: int | None = None) -> Density | None:
-    """Convert a spec string to a density; return a density or None as given. `dims` must agree.
+    """Convert a spec string to a density. Return a density or None unchanged. `dims` must agree.
 
     Raises
     ------
     ParameterError
-        If `given` has another type, or other dims.
+        If `given` has another type or other dims.
     """
     if given is None:
         return None
@@ -87,14 +87,14 @@ def as_density(given: object, dims: int | None = None) -> Density | None:
 
 
 def as_warp(given: object, primary_dims: int) -> Density | None:
-    """Return a density whose warp takes points of `primary_dims` dims; None for None.
+    """Return a density whose warp takes points of `primary_dims` dims. None stays None.
 
-    The density has `primary_dims` dims, or one less if an extra coordinate chooses a part.
+    The density has `primary_dims` dims, or one less if an extra coordinate chooses a part of it.
 
     Raises
     ------
     ParameterError
-        If `given` has another type, or takes points of other dims.
+        If `given` has another type, or its warp takes points of other dims.
     """
     found = _fitting(given, primary_dims) if isinstance(given, str) else as_density(given)
     if found is not None and found.primary_dims != primary_dims:
@@ -106,7 +106,7 @@ def as_warp(given: object, primary_dims: int) -> Density | None:
 
 
 def _fitting(spec: str, primary_dims: int) -> Density:
-    """Make a density of `primary_dims` dims, or of one less if its warp then fits."""
+    """Make a density whose warp takes points of `primary_dims` dims."""
     try:
         made = density(spec, primary_dims)
     except ParameterError:

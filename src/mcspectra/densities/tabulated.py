@@ -1,4 +1,4 @@
-"""Piecewise constant densities, from a table or a picture, in one and two dims.
+"""Piecewise constant densities from a table or a picture, in one and two dims.
 
 Choice of a warp
 ----------------
@@ -9,21 +9,22 @@ Therefore the choice of the warp determines the rate.
 
 * ``"marginal"`` [Shirley1992]_ [Pharr2016]_ (§13.6.7): u_1 chooses the row by the marginal cdf.
   u_0 chooses the column by the cdf within that row.
-  T_1 is continuous; T_0 jumps from row to row. All jumps of g lie on axis-aligned segments.
-  These are whole lines ``u_1 = row border``, and segments ``u_0 = column border`` in each row.
-  These segments lie at other places u_0 in each row.
+  T_1 is continuous, and T_0 jumps from row to row. All jumps of g lie on axis-aligned segments.
+  These are whole lines ``u_1 = row border``, and in each row segments ``u_0 = column border``.
+  The positions u_0 of the segments differ from row to row.
   A line along u_0 crosses no jump of T, and a line along u_1 crosses at most h − 1 jumps.
   If all rows are proportional (a separable table), T is continuous.
   In this case, g jumps only where p jumps, on whole lines.
 * ``"hierarchical"`` [McCoolHarwood1997]_ [Clarberg2005]_: the table is halved repeatedly.
-  Each split halves the longer side, down to the cells.
+  Each split halves the longer side, until single cells are left.
   A split divides the coordinate of u along that side.
-  Neighborhoods stay compact along both axes, but each split jumps at all splits that it crosses.
-  Lines along u_0 cross at most w − 1 jumps, lines along u_1 at most h − 1 jumps.
+  Neighborhoods stay compact along both axes.
+  T jumps at the border of a split if the later splits on its two sides have different shares.
+  Lines along u_0 cross at most w − 1 jumps, and lines along u_1 at most h − 1 jumps.
 * ``"alias"`` [Walker1977]_ [Vose1991]_: this warp costs O(1).
   u_0 chooses one of h·w bins of equal size, and one of the two cells in the bin.
   The remainder of u_0 gives the position along x_0, and u_1 gives the position along x_1.
-  A line along u_0 crosses up to 2hw − 1 jumps, to arbitrary places.
+  A line along u_0 crosses up to 2hw − 1 jumps, and each can lead to any place.
   Point sets remain stratified only in u_1, and only within cells.
   Several bins may map to the whole of a cell, so T is many-to-one and has *no inverse*.
 * ``"hilbert"`` [SteiglederMcCool2003]_: u_0 chooses a cell by the cdf along a Hilbert curve.
@@ -33,12 +34,12 @@ Therefore the choice of the warp determines the rate.
   If the table is a square of side 2^k, each jump stays within two neighboring cells.
   For tables of other sizes, the curve leaves the table and returns.
     A line along u_1 crosses no jumps.
-  This warp is made for n strata in u_0. Square 2-D strata give only √n strata along the curve.
+  This warp suits n strata in u_0. Square 2-D strata give only √n strata along the curve.
 
-*Bilinear* tables (`bilinear`) make p continuous, and hence g along rows.
-Use such tables if jumps reduce the rate.
+*Bilinear* tables (`bilinear`) make p continuous. Therefore g is also continuous along rows.
+Use such tables if jumps make the rate worse.
 
-A border cuts strata unless its position is a multiple of the side of a stratum.
+The border of a cell cuts strata unless its position is a multiple of the side of a stratum.
 If strata are cut, the variance of jittered sampling in 2-D falls as n^-1.5 instead of n^-2.
 The study of environment maps shows this loss of rate.
 """
@@ -71,10 +72,10 @@ __all__ = [
 
 WARPS = ("marginal", "hierarchical", "alias", "hilbert")
 
-_MOST_SHOWN = 256  # tables up to this size are kept as lists, shown in spec strings
-_MOST_CELLS = 2**26  # largest number of cells; 512 MiB per copy, and a warp keeps several copies
-_MOST_BREAKS = 2**12  # largest number of breaks; quadrature between more breaks does not pay
-_SAME_ROWS = 1e-12  # relative tolerance for proportional rows
+_MOST_SHOWN = 256  # tables up to this size are stored as lists, which spec strings show
+_MOST_CELLS = 2**26  # largest number of cells: 512 MiB per copy, and a warp stores several copies
+_MOST_BREAKS = 2**12  # largest number of breaks: quadrature between more of them takes too long
+_SAME_ROWS = 1e-12  # relative tolerance with which rows count as proportional
 
 
 def as_table(values: object) -> Array:
@@ -108,27 +109,27 @@ def check_masses(table: Array) -> Array:
 
 
 def shown(table: Array) -> Any:
-    """Return the table as spec strings show it: a list, or the array if it is large."""
+    """Return the table in the form that spec strings show: a list, or the array if it is large."""
     return table.tolist() if table.size <= _MOST_SHOWN else table
 
 
 def flat(points: Array) -> Array:
-    """Return points (..., d) as contiguous (N, d) for kernels."""
+    """Return points (..., d) as a contiguous array (N, d) for kernels."""
     return np.ascontiguousarray(points).reshape(-1, points.shape[-1])
 
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PiecewiseConstant(Density):
-    """Constant in each cell, given by a list (1-D) or by the rows of a table (2-D).
+    """Constant in each cell. The cells are given by a list (1-D) or by the rows of a table (2-D).
 
     Attributes
     ----------
     values
-        Relative density of each cell, at least 0 and not all 0, in any scale.
+        Relative density of each cell: at least 0 and not all 0. The scale is arbitrary.
         Its shape is (w,), or (h, w) with x_0 along a row and x_1 from the first row to the last.
     warp
-        The warp T, ``"marginal"``, ``"hierarchical"``, ``"alias"`` or ``"hilbert"``.
+        The warp T: ``"marginal"``, ``"hierarchical"``, ``"alias"`` or ``"hilbert"``.
         The module describes these warps. In 1-D all except ``"alias"`` are the same.
     """
 
@@ -143,26 +144,26 @@ class PiecewiseConstant(Density):
 
     @property
     def has_inverse(self) -> bool:
-        """Whether the warp is one-to-one; the alias warp is not."""
+        """Whether the warp is one-to-one. Only the alias warp is not."""
         return self.warp != "alias"
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """Positions in u at which the warp or its slope jumps on a whole axis-normal line.
+        """Positions in u of whole lines, normal to an axis, on which the warp or its slope jumps.
 
-        In 1-D this is the cdf at borders between different cells, in 2-D the breaks of the warp.
+        In 1-D this is the cdf at borders between different cells. In 2-D it depends on the warp.
         Borders that form segments rather than lines are omitted.
         All borders of an axis are omitted if there are more than 4096.
         """
         return self._warp.breaks()[: self.dims]
 
     def reciprocal_integral(self) -> float:
-        """Return the mean over cells of 1/p, infinite if a cell is 0."""
+        """Return ∫ 1/p: the mean of 1/p over the cells. It is infinite if a cell is 0."""
         return float((1.0 / self._pdf_table).mean()) if self._pdf_table.all() else np.inf
 
     def zero_points(self) -> Array:
         """Return the centers of the empty cells."""
-        cells = np.argwhere(self._table == 0)[:, ::-1]  # rows run along axis 1
+        cells = np.argwhere(self._table == 0)[:, ::-1]  # the rows of a table run along axis 1
         return np.asarray((cells + 0.5) / np.array(self._table.shape[::-1]))
 
     @cached_property
@@ -171,7 +172,7 @@ class PiecewiseConstant(Density):
 
     @cached_property
     def _cells(self) -> Array:
-        """The table as (h, w), a single row in 1-D, scaled so that no sum overflows."""
+        """The table as (h, w), with a single row in 1-D. It is scaled so that no sum overflows."""
         return np.asarray(np.atleast_2d(self._table) / self._table.max())
 
     @cached_property
@@ -222,16 +223,16 @@ def _cdf(masses: Array) -> Array:
 
 
 def _inner(borders: Array, differ: Array | None = None) -> tuple[float, ...]:
-    """Return ascending borders within (0,1) between different cells; empty if more than 4096."""
+    """Return ascending borders within (0,1) between different cells; none if more than 4096."""
     kept = borders if differ is None else borders[1:-1][differ != 0]
     found = np.unique(kept)
     found = found[(found > 0) & (found < 1)]
     return tuple(found.tolist()) if found.size <= _MOST_BREAKS else ()
 
 
-# Kernels: cell i of k covers [i/k, (i+1)/k) *as rounded*, both in the look-up and for the samples.
+# In kernels, cell i of k covers [i/k, (i+1)/k) *as rounded*, both in look-ups and for samples.
 # With this rule, no rounded sample is assigned to the adjacent cell.
-# `borders` are cdf values at cell borders, from 0 to 1.
+# `borders` are values of the cdf at cell borders, from 0 to 1.
 
 
 @kernel
@@ -242,7 +243,7 @@ def below(x: float) -> float:
 
 @kernel
 def _cell_at(x: float, cells: int) -> int:
-    """Return i with i/cells <= x < (i+1)/cells; points outside belong to the end cells."""
+    """Return i with i/cells <= x < (i+1)/cells. Points outside belong to the first or last cell."""
     i = min(max(math.floor(x * cells), 0), cells - 1)
     if i > 0 and x < i / cells:
         return i - 1
@@ -253,7 +254,7 @@ def _cell_at(x: float, cells: int) -> int:
 
 @kernel
 def _within(cell: int, rest: float, cells: int) -> float:
-    """Return the point at `rest` in [0,1] of a cell, never in the next cell."""
+    """Return the point at the fraction `rest` of a cell, never in the next cell."""
     return min((cell + rest) / cells, below((cell + 1) / cells))
 
 
@@ -261,8 +262,8 @@ def _within(cell: int, rest: float, cells: int) -> float:
 def last_at_most(borders: Array, low: int, size: int, u: float) -> int:
     """Return the largest i of low … low + size − 1 with borders[i] <= u; borders[low] must be ≤ u.
 
-    The bisection has no branch, because the chosen half is practically random.
-    Mispredicted branches would cost more than the arithmetic.
+    The bisection has no branch, because which half is chosen is practically random.
+    Mispredicted branches would cost more time than the arithmetic.
     """
     while size > 1:
         half = size >> 1
@@ -297,7 +298,7 @@ class _Marginal:
         _unwarp_rows(self.rows, self.columns, x, u)
 
     def breaks(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Marginal cdf between different rows; also cdf at column borders if separable."""
+        """Marginal cdf between different rows. If separable, also the cdf at column borders."""
         # Rows are proportional if all rows with mass have the same cdf as the first one
         columns = self.columns[self.cells.any(axis=1)]
         separable = np.abs(columns - columns[0]).max() <= _SAME_ROWS
@@ -307,16 +308,16 @@ class _Marginal:
 
 @kernel
 def _stretch(borders: Array, u: float) -> tuple[int, float]:
-    """Return the cell of u and the point in it."""
+    """Return the cell of u and the point that u maps to."""
     cells = borders.size - 1
-    i = last_at_most(borders, 0, cells, u)  # the cell has mass, since u < 1 = borders[-1]
+    i = last_at_most(borders, 0, cells, u)  # this cell has mass, since u < 1 = borders[-1]
     x = (i + (u - borders[i]) / (borders[i + 1] - borders[i])) / cells
     return i, min(max(x, i / cells), below((i + 1) / cells))
 
 
 @kernel
 def _shrink(borders: Array, x: float) -> tuple[int, float]:
-    """Return the cell of x, and the cdf at x."""
+    """Return the cell of x and the cdf at x."""
     cells = borders.size - 1
     i = _cell_at(x, cells)
     width = borders[i + 1] - borders[i]
@@ -344,16 +345,16 @@ def _unwarp_rows(rows: Array, columns: Array, x: Array, u: Array) -> None:
 
 @final
 class _Hierarchical:
-    """Hierarchical warp: the longer side is split down to the cells, by the coordinate along it.
+    """Hierarchical warp: splits of the longer side, down to the cells, by the coordinate along it.
 
     `shares` is a heap. Node k has the children 2k+1 (lower indices) and 2k+2.
-    shares[k] is the fraction of the mass of node k in its first child.
+    shares[k] is the fraction of the mass of node k that belongs to its first child.
     `axes` (levels,) is the axis that each level splits: 0 for columns, 1 for rows.
     Tables are padded to powers of two with empty cells, which no sample reaches.
     """
 
     def __init__(self, cells: Array) -> None:
-        # From the root on, split the longer side, or the rows if both sides are equal
+        # At each level, from the root, split the longer side; if both are equal, split the rows
         bits = [(size - 1).bit_length() for size in cells.shape]
         table = np.pad(cells, [(0, 2**b - size) for b, size in zip(bits, cells.shape, strict=True)])
         axes = []
@@ -361,13 +362,13 @@ class _Hierarchical:
             axes.append(int(bits[0] >= bits[1]))
             bits[1 - axes[-1]] -= 1
         self.cells, self.axes = cells, np.array(axes, np.int64)
-        # Start with the cells, and add neighboring rows (axis 1) or columns (axis 0) at each level
+        # Start with the cells. At each level, add neighboring rows (axis 1) or columns (axis 0)
         levels = [np.empty(0)]
         for depth in range(len(axes) - 1, -1, -1):
             pairs = (table[0::2], table[1::2]) if axes[depth] else (table[:, 0::2], table[:, 1::2])
             table = pairs[0] + pairs[1]
             share = np.divide(pairs[0], table, out=np.full(table.shape, 0.5), where=table > 0)
-            # Flatten the level from row bits and column bits to the order of the splits
+            # Flatten the level: reorder from row bits and column bits to the order of the splits
             above = self.axes[:depth]
             order = np.empty(depth, np.int64)
             order[above == 1] = np.arange(above.sum())
@@ -382,7 +383,7 @@ class _Hierarchical:
         _return_to_root(self.shares, self.axes, self.cells.shape, x, u)
 
     def breaks(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Borders of the first splits, along one axis; later borders do not cross the square."""
+        """Borders of the first splits, which split the same axis. Later borders are segments."""
         found: list[tuple[float, ...]] = [(), ()]
         if self.axes.size:
             axis = int(self.axes[0])
@@ -396,7 +397,7 @@ class _Hierarchical:
 
 @kernel
 def _descend(shares: Array, axes: Array, size: tuple[int, ...], u: Array, x: Array) -> None:
-    """Fill x: each split chooses a half by a coordinate of u, and stretches the coordinate."""
+    """Fill x. Each split chooses a half by a coordinate of u, and stretches the coordinate."""
     height, width = size
     one = below(1.0)
     for k in range(u.shape[0]):
@@ -406,7 +407,7 @@ def _descend(shares: Array, axes: Array, size: tuple[int, ...], u: Array, x: Arr
             share = shares[node]
             rest = rest_y if axis else rest_x
             second = int(rest >= share)
-            # No branch on `second`, which is practically random
+            # There is no branch on `second`, because its value is practically random
             start = share * second
             length = share + second * (1.0 - 2.0 * share)
             rest = min((rest - start) / length, one)
@@ -428,7 +429,7 @@ def _return_to_root(shares: Array, axes: Array, size: tuple[int, ...], x: Array,
         column, row = _cell_at(x[k, 0], width), _cell_at(x[k, 1], height)
         rest_x = max(x[k, 0] * width - column, 0.0)
         rest_y = max(x[k, 1] * height - row, 0.0)
-        # Find the leaf from the bits of the cell, highest first, in the order of the splits
+        # Find the leaf from the bits of the cell's indices, highest first, in the splits' order
         rows, columns = row_bits, axes.size - row_bits
         node = 0
         for axis in axes:
@@ -438,7 +439,7 @@ def _return_to_root(shares: Array, axes: Array, size: tuple[int, ...], x: Array,
             else:
                 columns -= 1
                 node = 2 * node + 1 + ((column >> columns) & 1)
-        # Undo the splits from the leaf up
+        # Undo the splits, from the leaf to the root
         for level in range(axes.size - 1, -1, -1):
             second = node % 2 == 0
             node = (node - 1) >> 1
@@ -454,9 +455,9 @@ def _return_to_root(shares: Array, axes: Array, size: tuple[int, ...], x: Array,
 
 @final
 class _Alias:
-    """Alias warp: u_0 gives the bin, one of its two cells, and the place along x_0; u_1 gives x_1.
+    """Alias warp: u_0 gives a bin, one of its two cells, and the place along x_0. u_1 gives x_1.
 
-    Bin i of n maps to cell i with probability `keep[i]`, otherwise to cell `other[i]`.
+    Bin i of n maps to cell i with the probability `keep[i]`, otherwise to cell `other[i]`.
     """
 
     def __init__(self, cells: Array) -> None:
@@ -467,7 +468,7 @@ class _Alias:
         _jump(self.keep, self.other, self.cells.shape, u, x)
 
     def invert(self, x: Array, u: Array) -> None:
-        """Raise an error, since a cell may belong to several bins; never called."""
+        """Raise an error, since several values of u may belong to x. This is never called."""
         raise NotImplementedError
 
     def breaks(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
@@ -478,12 +479,12 @@ class _Alias:
 
 @kernel
 def _alias_table(masses: Array) -> tuple[Array, Array]:
-    """Return the shares `keep` (n,) and cells `other` (n,) of the alias table of masses (n,).
+    """Return the shares `keep` (n,) and the cells `other` (n,) of the alias table of masses (n,).
 
     The mean of the masses is 1.
-    Cells above the mean fill the bins of cells below the mean.
-    Bins of empty cells are filled first, as long as some cells are above the mean.
-    Therefore empty cells get a share of exactly 0. Rounding affects only values near 1.
+    Cells with masses above the mean fill the bins of cells with masses below the mean.
+    Bins of empty cells are filled first, while there still are cells above the mean.
+    Therefore empty cells get a share of exactly 0. Rounding affects only masses near the mean.
     """
     n = masses.size
     left = masses.copy()
@@ -529,18 +530,18 @@ def _jump(keep: Array, other: Array, size: tuple[int, ...], u: Array, x: Array) 
 
 @final
 class _Hilbert:
-    """Hilbert warp: u_0 is the position along a Hilbert curve through the cells, u_1 across it.
+    """Hilbert warp: u_0 is the position on a Hilbert curve through the cells. u_1 goes across it.
 
     `borders` (n+1,) is the cdf of the cells in the order of the curve.
-    `order` (n,) has the flat indices of these cells, and `places` is its inverse.
+    `order` (n,) has the flat indices of these cells, and `places` is the inverse permutation.
     `headings` (n,) has the direction in which the curve leaves each cell.
     The direction 0 is +x_0, 1 is −x_0, 2 is +x_1, and 3 is −x_1.
-    `guide` has the cell of each of 2^g equal shares [ChenAsau1974]_.
+    `guide` has the cell at the start of each of 2^g equal shares of [0,1) [ChenAsau1974]_.
     With this guide, a search starts within one or two cells.
     """
 
     def __init__(self, cells: Array) -> None:
-        # Order the cells by the curve through the smallest enclosing square of side 2^k
+        # Order the cells by the curve through the smallest square of side 2^k around the table
         side = 1 << (max(cells.shape) - 1).bit_length()
         numbers = np.empty(cells.size, np.int64)
         headings = np.zeros(cells.size, np.int8)
@@ -561,15 +562,15 @@ class _Hilbert:
         _return_along(self.borders, self.places, self.headings, self.cells.shape, x, u)
 
     def breaks(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Cdf at the cells' borders on the curve: T jumps at turns, its slope jumps elsewhere."""
+        """Cdf at the cells' borders on the curve. T jumps at turns; elsewhere its slope jumps."""
         return _inner(self.borders), ()
 
 
 @kernel
 def _position(side: int, column: int, row: int) -> int:
-    """Return the number of a cell along the curve through side × side cells, side a power of two.
+    """Return a cell's index on the curve through side × side cells, with side a power of two.
 
-    The curve visits one quadrant after another, each turned so that the ends meet.
+    The curve visits one quadrant after another. Each is turned so that the ends meet.
     """
     found = 0
     step = side >> 1
@@ -586,10 +587,10 @@ def _position(side: int, column: int, row: int) -> int:
 
 @kernel
 def _places_on_curve(side: int, size: tuple[int, ...], places: Array, headings: Array) -> None:
-    """Fill the numbers of the cells along the curve, (height · width,), and their headings.
+    """Fill the indices of the cells on the curve, (height · width,), and their headings.
 
-    The heading of a cell points to the neighbor with the next number.
-    The last cell has the same heading as the cell before.
+    The heading of a cell points to the neighbor with the next index.
+    The last cell has the same heading as the cell before it.
     """
     height, width = size
     last = side * side - 1
@@ -619,7 +620,7 @@ def _follow(
 ) -> None:
     height, width = size
     for k in range(u.shape[0]):
-        # u · 2^g is exact, so the guide's interval contains u
+        # u · 2^g is exact, so the interval of the guide contains u
         g = int(u[k, 0] * (guide.size - 1))
         i = last_at_most(borders, guide[g], guide[g + 1] + 1 - guide[g], u[k, 0])
         rest = (u[k, 0] - borders[i]) / (borders[i + 1] - borders[i])

@@ -6,20 +6,20 @@ The estimate is I = Σ_t (1/n_t) Σ_k g_t(u_tk). There are two views of an estim
 
 * *primary space*: integrands g_t on the unit cube, with the sampler's own points;
 * *domain*: one integrand f, with all warped points x_tk = T_t(u_tk).
-  Each point has the weight w_t/(p_t n_t), so that I = Σ_tk weight_tk f(x_tk).
+  Each point has the weight w_t/(p_t n_t), so that I = Σ_tk w_t(x_tk) f(x_tk) / (p_t(x_tk) n_t).
 
 The point sets of the techniques are independent, shared or joint:
 
 * ``"independent"``: each technique draws its own set from its own random stream.
   Covariances between techniques are 0.
 * ``"shared"``: all techniques use the same primary points, so their counts must be equal.
-  Errors cancel if techniques vary in opposite ways, and add up otherwise.
+  Errors of techniques cancel if their integrands vary in opposite ways, and add up otherwise.
 * ``"joint"``: one set of n · Σ counts points is divided among the techniques.
   From a *sequence* (`Sampler.sequence`), technique t gets n · counts[t] consecutive points.
   Other sets are divided into groups of Σ counts consecutive points.
   From each group, technique t gets counts[t] points that are chosen at random.
-  Consecutive points of strata are neighbors in space,
-  so each technique has points in every neighborhood.
+  Consecutive points of a stratified set are neighbors in space.
+  Therefore each technique has points in every neighborhood.
   The random choice makes the points of each technique uniform, so estimates are unbiased.
 """
 
@@ -71,7 +71,7 @@ __all__ = [
 SETS = ("independent", "shared", "joint")
 
 _TECHNIQUE = 1 << 20  # Random stream of the second technique
-_DEAL = (1 << 20) - 1  # Random stream that divides a joint set among the techniques
+_DEAL = (1 << 20) - 1  # Random stream for the division of a joint set among the techniques
 
 
 class AbstractEstimator(Drawable, ABC):
@@ -93,7 +93,7 @@ class AbstractEstimator(Drawable, ABC):
 
     @property
     def sets_label(self) -> str:
-        """The part of `spec` that states the sets of the techniques."""
+        """The part of `spec` that names the relation between the techniques' point sets."""
         return "" if self.sets == "independent" else f" ({self.sets} sets)"
 
     @property
@@ -103,7 +103,7 @@ class AbstractEstimator(Drawable, ABC):
 
     @property
     def domain_dims(self) -> int:
-        """Number of dims of the domain; `dims` if there is no domain view."""
+        """Number of dims of the domain. Without a domain view, it is `dims`."""
         return self.dims if self.domain_integrand is None else self.domain_integrand.dims
 
     @property
@@ -123,7 +123,7 @@ class AbstractEstimator(Drawable, ABC):
 
     @property
     def integral_source(self) -> str:
-        """How `integral` was computed; ``"exact"`` for a closed form."""
+        """How the integral was computed. It is ``"exact"`` for a closed form."""
         sources = {g.integral_source for g in self._every_primary()}
         return sources.pop() if len(sources) == 1 else "quadrature"
 
@@ -141,7 +141,7 @@ class AbstractEstimator(Drawable, ABC):
         return any(g.is_black_box for g in self._every_primary())
 
     def known_integral(self) -> tuple[Any, float, str]:
-        """Return `integral`, its error and source, or NaN if a black box would be evaluated."""
+        """Return `integral`, its error and source. If this would call a black box, return NaN."""
         if self.is_black_box and self.integral_source != "exact":
             unknown = np.full(self.channels, np.nan) if self.channels else np.nan
             return unknown, math.nan, "unknown"
@@ -149,23 +149,23 @@ class AbstractEstimator(Drawable, ABC):
 
     @property
     def domain_integrand(self) -> Integrand | None:
-        """Integrand f of the domain view; None if the techniques have no common domain."""
+        """Integrand f of the domain view. It is None if the techniques have no common domain."""
         return None
 
     @property
     def infinite_weights(self) -> bool:
-        """Whether ∫1/p diverges, so that Var(S_0) is infinite in the domain view."""
+        """Whether ∫1/p diverges. If it does, Var(S_0) is infinite in the domain view."""
         return False
 
     @property
     def evaluations_per_point(self) -> int:
-        """Number of evaluations of the underlying function for each point of a sample."""
+        """Number of evaluations of the underlying function for each point."""
         f = self.domain_integrand
         return 1 if f is None else f.evaluations_per_point
 
     @property
     def cost(self) -> int:
-        """Number of evaluations of the underlying function per n, for all techniques together."""
+        """Number of evaluations of the underlying function by all techniques, divided by n."""
         return sum(self.counts) * self.evaluations_per_point
 
     @property
@@ -207,7 +207,7 @@ class AbstractEstimator(Drawable, ABC):
         raise NotImplementedError
 
     def randomized(self, sampler: Sampler) -> Sampler:
-        """Return the sampler that `draw` uses: `sampler`, possibly with added randomizations."""
+        """Return the sampler from which points are drawn, possibly with added randomizations."""
         return sampler
 
     def law(self, sampler: Sampler, n: int) -> Law:
@@ -240,7 +240,7 @@ class AbstractEstimator(Drawable, ABC):
                 raise CountError(text, error.nearest) from None
 
     def check_independent(self) -> None:
-        """Raise `NoClosedForm` unless the variance is the sum of the techniques' variances."""
+        """Raise `NoClosedForm` if techniques are correlated, so variances do not add up."""
         if self.sets != "independent" and len(self.counts) > 1:
             raise NoClosedForm(
                 f"The techniques of {self.spec} are correlated; the variance is known for "
@@ -252,7 +252,7 @@ class AbstractEstimator(Drawable, ABC):
             )
 
     def draw(self, sampler: Sampler, n: int, stream: Stream, first: int, count: int) -> list[Array]:
-        """Draw `count` realizations, from number `first` on: (count, n_t, d) for each technique.
+        """Draw `count` realizations, beginning at `first`, as (count, n_t, d) for each technique.
 
         The first technique uses `stream` itself and gets the points of ``sampler.draw(n, rng)``.
         Point sets of other techniques are described in `mcspectra.estimators.base`.
@@ -328,7 +328,7 @@ class DomainEstimator(AbstractEstimator):
 @final
 @dataclass(frozen=True)
 class PrimaryIntegrand(Derived):
-    """The primary-space integrand g_t of an estimator of f, as an object of its own.
+    """The primary-space integrand g_t of an estimator of f, as a separate object.
 
     Attributes
     ----------
@@ -361,7 +361,7 @@ class PrimaryIntegrand(Derived):
 
 
 def carried_breaks(integrand: Integrand, density: Density, weights: Sequence[float] = ()) -> Breaks:
-    """Return breaks of a warp in primary space; in 1-D, also breaks of f and of the weights."""
+    """Return breaks of a warp in primary space. In 1-D, add breaks of f and of the weights."""
     own = density.breaks
     inner = (*integrand.breaks[0], *weights)
     if density.primary_dims > 1 or not inner:
@@ -387,7 +387,7 @@ class Weighted(Protocol):
 
 
 def check_counts(counts: Any, techniques: int) -> tuple[int, ...]:
-    """Return counts as a tuple with a positive int for each technique; None means all 1."""
+    """Return counts as a tuple of one positive int per technique. None means that all are 1."""
     if counts is None:
         return (1,) * techniques
     values = tuple(counts) if isinstance(counts, list | tuple | np.ndarray) else (counts,)
@@ -428,8 +428,8 @@ def draw_sets(
 ) -> list[Array]:
     """Return the points of each technique, (count, n · counts[t], d), for several realizations.
 
-    The realizations are first … first+count−1. The first set is drawn with `stream` itself,
-    so its points equal those of ``sampler.draw(size, rng)``.
+    The realizations are first … first+count−1. The first set is drawn with `stream` itself.
+    Therefore its points equal those of ``sampler.draw(size, rng)``.
     """
     sizes = set_sizes(sets, counts, n)
     streams = [stream, *(stream.child(_TECHNIQUE + t) for t in range(1, len(sizes)))]
@@ -444,7 +444,7 @@ def draw_sets(
     if sampler.sequence:
         return np.split(drawn[0], np.cumsum([n * c for c in counts])[:-1], axis=1)
 
-    # Distribute the points of each group of Σ counts consecutive points to the techniques
+    # Distribute the points within each group of Σ counts consecutive points among the techniques
     total, group = n * sum(counts), sum(counts)
     keys = stream.child(_DEAL).uniforms(first, count, total).reshape(count, n, group)
     order = np.argsort(keys, axis=2)[..., None]

@@ -1,18 +1,18 @@
-"""Color: importance sampling with a density for each channel, or with one density for all.
+"""Color: importance sampling with one density for each channel, or with one density for all.
 
-If all channels share one density p, f_c/p jumps wherever p jumps and f_c does not.
-The density of the luminance is an example. A density for each channel removes these jumps,
-and the rate then depends on the rest of f_c. `channel_estimators` makes four estimators:
+If all channels share one density p, such as the luminance, then f_c/p may jump where p jumps.
+A separate density for each channel removes the jumps where f_c itself does not jump.
+The rate then depends on the rest of f_c. `channel_estimators` makes four estimators:
 
 ``one``
-    All channels use the points of one density, such as the luminance's: n evaluations of f.
+    All channels use the points of one density, such as the luminance. It evaluates f n times.
 ``own``
     Channel c uses n independent points of its own density p_c. This takes C n evaluations.
 ``shared``
     One set of primary points is warped by each density, which also takes C n evaluations.
     The errors of the channels are correlated, so the noise is less colored.
 ``mis``
-    All points of all densities are used in all channels, by the balance heuristic.
+    All points of all densities are used in all channels, weighted by the balance heuristic.
     This takes C n evaluations.
 """
 
@@ -47,10 +47,10 @@ _SETS = ("independent", "shared")
 
 @final
 class ChannelSampling(DomainEstimator):
-    """An estimator of each channel with its own density, I_c = (1/n) Σ_k f_c(x_ck)/p_c(x_ck).
+    """An estimator with one density for each channel, I_c = (1/n) Σ_k f_c(x_ck)/p_c(x_ck).
 
-    Each channel is a technique. Analyses use primary space. There is no common domain,
-    because the points of different channels have different spectra.
+    Each channel is a technique. Analyses use primary space only, because there is no common domain:
+    the points of different channels have different spectra.
 
     Parameters
     ----------
@@ -68,8 +68,8 @@ class ChannelSampling(DomainEstimator):
     DensityError
         If a density is zero at points where its channel of f is not zero.
     ParameterError
-        If f is scalar, if the numbers of densities and channels differ,
-        if the dims differ, or if `sets` is unknown.
+        If f is scalar, or if the numbers of densities and channels differ.
+        If the dims differ, or if `sets` is unknown.
     """
 
     def __init__(
@@ -94,7 +94,7 @@ class ChannelSampling(DomainEstimator):
 
     @property
     def domain_integrand(self) -> None:
-        """None, because each channel has weighted points of its own."""
+        """None, because the weighted points of the channels differ."""
         return
 
     def draw(self, sampler: Sampler, n: int, stream: Stream, first: int, count: int) -> list[Array]:
@@ -104,14 +104,14 @@ class ChannelSampling(DomainEstimator):
         return [sampler.draw_stream(n, stream, first, count)] * len(self.densities)
 
     def _primary(self, technique: int) -> Integrand:
-        """Return g_c(u) = f_c(T_c(u))/p_c(T_c(u)) in channel c, and 0 in other channels."""
+        """Return g_c(u) = f_c(T_c(u))/p_c(T_c(u)) in channel c, and 0 in all other channels."""
         return PrimaryIntegrand(self, technique, self.integrand, self.densities[technique])
 
     def primary_breaks(self, technique: int) -> Breaks:
         return carried_breaks(self.integrand, self.densities[technique])
 
     def primary_values(self, technique: int, u: Array) -> Array:
-        """Return g_c(u) as (..., channels), with 0 in all channels but one."""
+        """Return g_c(u) as (..., channels), with 0 in all channels except c."""
         x = self.densities[technique].sample(u)
         values = np.zeros((*u.shape[:-1], self.channels))
         own = self.integrand(x)[..., technique]
@@ -136,14 +136,14 @@ def channel_estimators(
     densities
         One density for each channel.
     one
-        A density for all channels, such as the luminance's; None omits this estimator.
+        A density for all channels, such as the luminance. None omits the estimator ``one``.
     dims
         Number of dims; needed for spec strings without ``dims``.
 
     Returns
     -------
     dict
-        The estimators ``one`` (if given), ``own``, ``shared`` and ``mis``; see the module.
+        The estimators ``one`` (if given), ``own``, ``shared`` and ``mis``, described in the module.
         With n points per technique, ``one`` evaluates f n times and the others C n times.
         Therefore compare the estimators at equal numbers of evaluations, Σ counts · n.
 

@@ -4,17 +4,17 @@ A heuristic gives weights w_t(x). They sum to 1 at every point that some techniq
 The estimator is I = Σ_t (1/n_t) Σ_k w_t f/p_t [VeachGuibas1995]_.
 With q_t = n_t p_t, these heuristics are described in [Veach1997]_ §9.2:
 
-* ``balance``: w_t = q_t / Σ_s q_s. Other weights ≥ 0 can lower the variance with random points
-  by at most (1/min n_t − 1/Σ n_t) I² (Theorem 9.2 of Veach).
+* ``balance``: w_t = q_t / Σ_s q_s. With random points, its variance exceeds that of any other
+  weights ≥ 0 by at most (1/min n_t − 1/Σ n_t) I² (Theorem 9.2 of Veach).
 * ``power(beta=2)``: w_t = q_t^β / Σ_s q_s^β. β = 0 gives equal shares, and β → ∞ is `maximum`.
 * ``cutoff(alpha=0.1)``: balance among techniques with q_t ≥ α max_s q_s; others have weight 0.
 * ``maximum``: weight 1 for the largest q_t. Ties have equal shares, as in ``cutoff(alpha=1)``.
 
 ``optimal`` and ``variance-aware`` use a pilot of f.
-The pilot is a quadrature, or random points that the estimate does not use.
+The pilot is a quadrature, or a set of random points that the estimate does not use.
 The weights do not depend on the samples of the estimate, so the estimate is unbiased.
-The progressive estimator of [Kondapaneni2019]_ is not implemented. It solves for α
-from the samples that it weights, and is consistent but biased.
+The progressive estimator of [Kondapaneni2019]_ is not implemented.
+It computes α from the samples that it weights. It is therefore consistent but biased.
 """
 
 from __future__ import annotations
@@ -58,8 +58,8 @@ _BISECTIONS = 45
 _EDGE = 1e-12  # Breaks within this distance from the ends of [0,1] are dropped
 
 _MOST_SAMPLES = 2**22
-# Densities count as identical if A has a singular value below this fraction of its largest one:
-# they then share one α
+# Densities count as identical if A has a singular value below this fraction of its largest one.
+# Identical densities share one α
 _SINGULAR = 1e-10
 # Upper limit of v_t = 1 + μ²/σ², reached if all samples of a technique are equal
 _MOST_FACTOR = 1e8
@@ -96,7 +96,7 @@ class Heuristic(Component, ABC):
         return Combination(self, tuple(densities), tuple(map(float, shares)))
 
     def adapt(self, pilot: Pilot) -> tuple[tuple[float, ...], Array | None]:
-        """Return `shares` and `control` of the `Combination`, estimated by a pilot."""
+        """Return the shares and the control variate of a `Combination`, estimated by a pilot."""
         return tuple(map(float, pilot.shares)), None
 
     @abstractmethod
@@ -121,8 +121,8 @@ HEURISTICS = Registry(
 class Pilot(ABC):
     """Values of f and of all p_t at sampled points, for heuristics that use f.
 
-    The samples are the rows of an array. A row is a point of the common domain,
-    or a record of a renderer's path in a format that only this pilot can read.
+    The samples are the rows of an array. Each row is a point of the common domain.
+    For a renderer, a row describes a path, in a format that only this pilot can read.
 
     Attributes
     ----------
@@ -163,7 +163,7 @@ class Pilot(ABC):
         return np.stack([np.where(p > 0, f, 0.0), square], axis=-1)
 
     def quadrature(self, function: Callable[[Array], Array]) -> Array:  # noqa: ARG002
-        """Return the integrals of `system` or `moments` over the common domain.
+        """Return the integrals of one function, `system` or `moments`, over the common domain.
 
         Raises
         ------
@@ -187,7 +187,7 @@ class Combination:
     densities
         p_t.
     shares
-        Counts n_t up to a common factor; `variance-aware` also multiplies them by its factors.
+        Counts n_t up to a common factor. The heuristic `variance-aware` multiplies them by factors.
     control
         Coefficients α_t of the control variate of `optimal`, (T,) or (T, channels), or None.
         Σ_t α_t p_t is subtracted from f, and Σ_t α_t is added to the estimate.
@@ -207,8 +207,8 @@ class Combination:
     def infinite(self) -> bool:
         """Whether ∫ Σ_t (w_t/p_t)² p_t diverges. If so, Var(S_0) is infinite.
 
-        For `Heuristic.bounded` weights, one convergent ∫1/p_t is enough. If all diverge,
-        densities may still complement each other, for example if they are 0 at opposite ends.
+        For `Heuristic.bounded` weights, one convergent ∫1/p_t is enough. If all of them diverge,
+        the integral may still converge, for example if the densities are 0 at opposite ends.
         """
         finite = [math.isfinite(p.reciprocal_integral()) for p in self.densities]
         if all(finite) or (any(finite) and self.heuristic.bounded):
@@ -225,13 +225,13 @@ class Combination:
         return not math.isfinite(mean_or_infinity(second_moment, dims, most_cells=_FEW_CELLS))
 
     def weights(self, x: Array) -> Array:
-        """Return all w_t (T, ...) at points x (..., d). Their sum is 1 if a density is positive."""
+        """Return all w_t (T, ...) at points x (..., d). Their sum is 1 where any p_t > 0."""
         techniques = range(len(self.densities))
         return np.stack([self.over_density(t, x) * self.densities[t].pdf(x) for t in techniques])
 
     @cached_property
     def breaks(self) -> tuple[float, ...]:
-        """Points of a 1-D domain at which the weights may jump or kink; empty in more dims.
+        """Points of a 1-D domain at which the weights may jump or kink. Empty in more dims.
 
         Crossings of densities are found on a grid of 2049 points.
         If two crossings lie in one cell, both are missed.
@@ -245,7 +245,7 @@ class Combination:
         def active(x: Array) -> Array:
             return np.stack([self.over_density(t, x) > 0 for t in range(len(self.densities))])
 
-        # Bisect for points at which a technique gains or loses its positive weight
+        # Bisect for the points where a technique begins or ceases to have a positive weight
         grid = np.linspace(0.0, 1.0, _GRID)[:, None]
         changes = (active(grid[:-1]) != active(grid[1:])).any(axis=0)
         low, high = grid[:-1][changes], grid[1:][changes]
@@ -257,7 +257,7 @@ class Combination:
 
     def offset(self, x: Array) -> Array:
         """Return Σ_t α_t p_t, (...) or (..., channels), at points x (..., d)."""
-        assert self.control is not None  # Only called with a control variate
+        assert self.control is not None  # Only estimators with a control variate call this function
         pdfs = np.stack([p.pdf(x) for p in self.densities], axis=-1)
         return np.asarray(pdfs @ self.control)
 
@@ -278,14 +278,14 @@ class PowerHeuristic(Heuristic):
 
     @property
     def bounded(self) -> bool:
-        """Whether β ≥ 1, because w_t/p_t is proportional to p_t^(β−1) as p_t → 0."""
+        """Whether β ≥ 1. Then w_t/p_t is bounded: it is proportional to p_t^(β−1) as p_t → 0."""
         return self.beta >= 1.0
 
     def ratio(self, q: Array, technique: int) -> Array:
-        """Return q_t^(β−1) / Σ q_s^β, computed from q/max q without overflow or underflow."""
+        """Return q_t^(β−1) / Σ q_s^β, without overflow or underflow: from q/max q."""
         largest = q.max(axis=0)
         scaled = np.divide(q, largest, out=np.zeros_like(q), where=largest > 0)
-        # 0⁰ is 1, but a technique that cannot sample x must have no share
+        # With β = 0, a technique that cannot sample x must have no share, although 0⁰ is 1
         powers = np.where(scaled > 0, scaled**self.beta, 0.0)
         own = scaled[technique]
         part = own ** (self.beta - 1.0) if self.beta >= 1.0 else _divided(powers[technique], own)
@@ -305,7 +305,7 @@ class Balance(Heuristic):
 @final
 @dataclass(frozen=True, kw_only=True)
 class Cutoff(Heuristic):
-    """Balance among techniques with q_t ≥ α max q; all other techniques have weight 0.
+    """The balance heuristic for techniques with q_t ≥ α max q; all others have weight 0.
 
     Attributes
     ----------
@@ -349,11 +349,11 @@ class _Piloted(Heuristic):
 
     @property
     def pilot_evaluations(self) -> int:
-        """Number of pilot points, `samples`; a quadrature counts as 0."""
+        """Number of pilot points. A quadrature counts as 0."""
         return self.samples if self.pilot == "samples" else 0
 
     def ratio(self, q: Array, technique: int) -> Array:
-        """Return the same ratio as `balance`."""
+        """Return the ratio w_t/q_t of the `balance` heuristic."""
         return Balance().ratio(q, technique)
 
     def fit(
@@ -376,14 +376,15 @@ class Optimal(_Piloted):
 
     This is the balance heuristic for f with Σ α_s p_s as a control variate.
     In this form f may be 0, and each channel has its own α.
-    If densities are identical or nearly identical, A is singular.
-    The solution of least norm is then used; its Σ α_s p_s is the same.
+    If densities are (nearly) identical, A is singular. The solution of least norm is then used.
+    All solutions have the same sum Σ α_s p_s.
 
     Attributes
     ----------
     pilot
-        How the integrals A and b are computed. ``"samples"`` uses random points of all techniques,
-        in proportion to their counts. ``"quadrature"`` makes α as accurate as the quadrature.
+        How the integrals A and b are computed.
+        ``"samples"`` uses random points of all techniques in proportion to their counts.
+        ``"quadrature"`` makes α as accurate as the quadrature.
     samples
         Number of pilot points of all techniques together, at least 2; n does not include them.
     seed
@@ -414,11 +415,11 @@ class Optimal(_Piloted):
 class VarianceAware(_Piloted):
     """The balance heuristic with counts multiplied by factors v_t [Grittmann2019]_.
 
-    v_t is the second moment over the variance of technique t, for one random sample of f/p_t.
+    v_t is the second moment of one random sample of f/p_t, divided by its variance σ_t².
     The weights are w_t = v_t n_t p_t / Σ_s v_s n_s p_s with v_t = 1 + μ_t²/σ_t², at most 10⁸.
-    The balance heuristic uses second moments instead of v_t.
-    Here a technique of low variance has more weight.
-    If f has several channels, their mean is used.
+    The balance heuristic is derived from second moments. The factors v_t replace them by variances.
+    Therefore a technique of low variance gets more weight.
+    If f has several channels, v_t is computed from their mean.
 
     Attributes
     ----------
@@ -453,7 +454,7 @@ class VarianceAware(_Piloted):
 @final
 @dataclass(frozen=True)
 class Residual(Derived):
-    """The residual f − Σ α_t p_t of the control variate, for the domain view of optimal weights."""
+    """The residual f − Σ α_t p_t of the control variate, for optimal weights in the domain view."""
 
     text = "{0.integrand.spec} less its control variate"
     integrand: Integrand
@@ -506,7 +507,7 @@ class _Parts(Pilot):
 @final
 @dataclass(frozen=True, eq=False)
 class _Packed(Derived):
-    """An integrand whose channels are several functions, for one quadrature of all of them."""
+    """An integrand whose channels are several functions, so that one quadrature integrates all."""
 
     name: ClassVar[str] = "pilot"
     text = "pilot of {0.integrand.spec}"
@@ -541,7 +542,7 @@ def _breaks(integrand: Integrand, densities: Sequence[Density]) -> Breaks:
 def _density_breaks(densities: Sequence[Density]) -> set[float]:
     """Return domain points at which 1-D densities may jump or kink: their warped breaks.
 
-    Both sides of a break are included, because p may be 0 on a whole interval at the break.
+    Both sides of a break are included, because p may be 0 on a whole interval next to it.
     """
     found: set[float] = set()
     for density in densities:
@@ -574,5 +575,5 @@ def as_heuristic(given: object) -> Heuristic:
 
 
 def _divided(part: Array, total: Array) -> Array:
-    """Return part/total, or 0 where the total is 0."""
+    """Return part/total, or 0 if the total is 0."""
     return np.asarray(np.divide(part, total, out=np.zeros_like(total), where=total > 0))

@@ -54,9 +54,9 @@ class Estimator(DomainEstimator):
     Raises
     ------
     DensityError
-        If p is zero at points where f is not, as found by probing (`mcspectra.estimators.support`).
-        Probing calls f only where p is 0, at most a few thousand times. If it misses a region,
-        an error is raised when that region is sampled, or else the estimate is biased.
+        If p is zero at points where f is not (probed by `mcspectra.estimators.support`).
+        Probes call f only where p is 0, at most a few thousand times. Probes may miss a region.
+        Then an error is raised when that region is sampled, or else the estimate is biased.
     ParameterError
         If the numbers of dims differ.
     """
@@ -77,7 +77,7 @@ class Estimator(DomainEstimator):
 
     @property
     def dims(self) -> int:
-        """Number of dims of the sampler; a warp may need more dims than f has."""
+        """Number of dims of the sampler, which is larger than that of f for some warps."""
         return self.integrand.dims if self.density is None else self.density.primary_dims
 
     @property
@@ -86,7 +86,7 @@ class Estimator(DomainEstimator):
 
     @property
     def pilot_evaluations(self) -> int:
-        """Number of evaluations in the construction of f."""
+        """Number of evaluations that the construction of f took."""
         return self.integrand.pilot_evaluations
 
     @property
@@ -125,7 +125,7 @@ def is_function(given: Any) -> bool:
 
 
 def function_dims(function: Any, dims: int | None) -> int:
-    """Return the number of dims of the points of a plain function; the user must give it.
+    """Return the number of dims of a plain function, which the user must give.
 
     Raises
     ------
@@ -149,8 +149,8 @@ def as_estimator(given: Any, dims: int | None = None) -> AbstractEstimator:
     Parameters
     ----------
     given
-        An estimator, an integrand, its spec string, or a vectorized function that maps
-        points (…, d) to values (…) or (…, channels), as in `mcspectra.Integrand.from_function`.
+        An estimator, an integrand, its spec string, or a vectorized function.
+        A function maps points (…, d) to values (…) or (…, channels); see `Integrand.from_function`.
     dims
         Number of dims. Functions need it and specs may need it. Other objects must agree with it.
 
@@ -184,7 +184,7 @@ def as_subject(
     Parameters
     ----------
     estimator, sampler
-        Same as in `as_estimator` and `mcspectra.samplers.as_sampler`.
+        The same types as in `as_estimator` and `mcspectra.samplers.as_sampler` are allowed.
         If `lists` is true, a list of estimators or a list of samplers is also allowed.
     dims
         Number of dims; needed for functions and for spec strings without ``dims``.
@@ -213,12 +213,12 @@ def as_subject(
 
 
 def scale(values: Array, weights: Array) -> Array:
-    """Return values (...) or (..., channels), multiplied by weights (...)."""
+    """Multiply values (...) or (..., channels) by weights (...)."""
     return np.asarray(values * (weights if values.ndim == weights.ndim else weights[..., None]))
 
 
 def known_dims(dims: int | None, *parts: Any) -> int | None:
-    """Return `dims`, or else the dims of the first integrand or density that is not a spec."""
+    """Return `dims`; if None, the dims of the first integrand or density that is not a spec."""
     if dims is not None:
         return dims
     return next((part.dims for part in parts if isinstance(part, Integrand | Density)), None)
@@ -241,7 +241,7 @@ def as_densities(given: Any, dims: int, need: str = " of one or more") -> tuple[
 
 
 def check_same_dims(components: list[Any]) -> None:
-    """Raise `ParameterError` unless all components have the dims of a shared sampler."""
+    """Raise `ParameterError` unless all components have the dims that a shared sampler needs."""
     if len({component.dims for component in components}) > 1:
         shown = ", ".join(f"{component.spec} has {component.dims}" for component in components)
         raise ParameterError(f"All parts of an estimator need the same number of dims: {shown}.")

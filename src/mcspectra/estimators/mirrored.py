@@ -1,9 +1,10 @@
-"""Mirrored estimators: the primary-space integrand is reflected, and folded or averaged.
+"""Mirrored estimators: the primary-space integrand is reflected, then folded or averaged.
 
-The integrand f is reflected at its upper faces. For k ∈ {0,1}^d this gives
-g(k + x) = f(x reflected in the coordinates with k_j = 1), which is continuous with period 2.
-There are two ways to return to period 1. Stretching gives f(1 − |2u − 1|) = g(2u),
-and averaging over the images gives 2^-d Σ_k g(k + u).
+The integrand f is reflected at its upper faces. For k ∈ {0,1}^d, this defines
+g(k + x) = f(x, with the coordinates reflected where k_j = 1), which has period 2.
+The function g is continuous if f is.
+There are two ways to return to period 1. Stretching gives f(1 − |2u − 1|) = g(2u).
+Averaging over the images gives 2^-d Σ_k g(k + u).
 """
 
 from __future__ import annotations
@@ -32,15 +33,15 @@ _MOST_DIMS = 12  # An average over all reflections takes 2^d values of f
 
 @final
 class Mirrored(AbstractEstimator):
-    """An estimator of the same integral whose primary-space integrand is mirrored.
+    """An estimator of the same integral as another, with a mirrored primary-space integrand.
 
     Parameters
     ----------
     estimator
-        The estimator to mirror, with any number of techniques; or an integrand, or its spec.
+        The estimator to mirror, with any number of techniques. An integrand or its spec also works.
     mode
-        ``"integrand"`` spreads the sampler's points u over the 2^d mirror images, at 2u,
-        and folds them back to 1 − |2u − 1|.
+        ``"integrand"`` spreads the sampler's points u over the 2^d mirror images, at 2u.
+        These points are then folded back to 1 − |2u − 1|.
         ``"random"`` reflects each coordinate of each point with probability ½.
         ``"uniform"`` puts n/2^d points into each of the 2^d images.
     dims
@@ -53,32 +54,33 @@ class Mirrored(AbstractEstimator):
 
     Notes
     -----
-    In all modes n counts evaluations of the integrand, so variances at one n have equal cost.
+    In all modes, n is the number of evaluations, so variances at equal n have equal cost.
     `samples_per_point` is the number of evaluations for each point of the sampler.
-    In d dims, mirroring spreads n evaluations more thinly.
-    With ``"integrand"`` the evaluations cover 2^d mirror images of the cube,
-    so that each stratum is twice as long in the domain of f as without mirroring.
+    In d dims, a mirrored estimator spreads its n evaluations over a larger domain.
+    With ``"integrand"`` the evaluations cover 2^d mirror images of the cube.
+    Each stratum is therefore twice as long in the domain of f as without mirroring.
     With ``"uniform"`` there are only n/2^d points.
 
     The mirrored integrand has period 2. If f is continuous on the closed cube,
     the mirrored integrand is continuous across all faces.
 
     A shift in the sampler is applied before mirroring, in the doubled domain:
-    u + δ becomes 2u + 2δ. In the other modes, the images k + u + δ modulo 2
-    have the same distribution as the images of (u + δ modulo 1).
+    u + δ becomes 2u + 2δ. In the other modes, images are shifted to k + u + δ modulo 2.
+    Shifted images have the same distribution as the images of u + δ modulo 1.
     Therefore wrap-around does not cause a discontinuity.
 
     A mirrored estimator with a sampler ``S`` equals the inner estimator with
-    ``S | mirror(mode=...)``, point by point. For ``"integrand"`` the mode is ``'fold'``.
+    ``S | mirror(mode=...)``, point by point. Use ``'fold'`` for the mode ``"integrand"``.
     In contrast, ``S | mirror(...) | shift`` shifts the points after folding:
     points then move across the jump between f(1) and f(0).
 
-    In ``"random"`` mode the reflections are independent. Their part of the variance is 1/n times
-    the variance of f over the images of a point, so it falls as 1/n for every sampler.
+    In ``"random"`` mode the reflections are independent, and cause a part of the variance.
+    This part is the variance of f over the images of a point, divided by n.
+    It falls as 1/n for every sampler.
 
     References
     ----------
-    The modes are our interpretation of the talk to [Singh2019]_, which names and illustrates them.
+    The modes are our interpretation of the talk [Singh2019]_, which names and illustrates them.
     Folding is the baker's transform of [Hickernell2002]_.
 
     Examples
@@ -127,7 +129,7 @@ class Mirrored(AbstractEstimator):
 
     @property
     def domain_integrand(self) -> Integrand | None:
-        """The integrand f; it is evaluated at the folded and warped points."""
+        """The integrand f. It is evaluated at points that are folded and then warped."""
         return self.estimator.domain_integrand
 
     @property
@@ -139,12 +141,12 @@ class Mirrored(AbstractEstimator):
         return self.estimator.infinite_weights
 
     def randomized(self, sampler: Sampler) -> Sampler:
-        """Return the sampler, followed by reflections if the mode reflects points."""
+        """Return the sampler; if the mode reflects points, add these reflections."""
         source = self.estimator.randomized(sampler)
         return source if self.mode == "integrand" else source.then(Mirror(mode=self.mode))
 
     def check_sampler(self, sampler: Sampler, n: int) -> None:
-        """Raise an error unless the inner estimator accepts the sampler from `randomized`."""
+        """Raise an error unless the inner estimator accepts the sampler with its reflections."""
         self.estimator.check_sampler(self.randomized(sampler), n)
 
     def draw(self, sampler: Sampler, n: int, stream: Stream, first: int, count: int) -> list[Array]:
@@ -161,7 +163,7 @@ class Mirrored(AbstractEstimator):
         return self.estimator.primary_values(technique, self._inside(u))
 
     def warp(self, technique: int, u: Array) -> Array:
-        """Return T_t of the folded points, or of points that the sampler has reflected."""
+        """Return domain points T_t(u) of folded u, or of points that the sampler has reflected."""
         return self.estimator.warp(technique, self._inside(u))
 
     def weight(self, technique: int, x: Array) -> Array:
@@ -182,14 +184,14 @@ class FoldedIntegrand(Derived):
 
     @property
     def breaks(self) -> Breaks:
-        """Both images of each break of f, and the fold at ½."""
+        """Both images of each break of f, and additionally the fold at ½."""
         return tuple(
             tuple(sorted({0.5, *(0.5 * b for b in axis), *(1.0 - 0.5 * b for b in axis)}))
             for axis in self.integrand.breaks
         )
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array] | None:
-        """Combine the means of f over the parts of each box, which the folds separate."""
+        """Combine the means of f over the parts into which the folds divide each box."""
         mean: Any = 0.0
         square: Any = 0.0
         for sides in itertools.product((False, True), repeat=self.dims):
@@ -199,7 +201,7 @@ class FoldedIntegrand(Derived):
             high = np.where(above, 1.0 - np.clip(lo, 0.5, 1.0), np.clip(hi, 0.0, 0.5))
             share = ((high - low) / (hi - lo)).prod(axis=-1)
             share = share[..., None] if self.channels else share
-            empty = ~(high > low)  # An empty part has the share 0
+            empty = ~(high > low)  # The volume share of an empty part is 0
             found = self.integrand.box_moments(
                 np.where(empty, 0.0, 2.0 * low), np.where(empty, 1.0, 2.0 * high)
             )

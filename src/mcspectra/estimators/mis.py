@@ -54,8 +54,8 @@ __all__ = [
 
 SELECTIONS = ("extra", "coordinate")
 
-_SUM = 1e-9  # Largest allowed difference between 1 and the sum of the probabilities
-_EXACT = 1e-9  # Largest distance between a share and the fraction that replaces it
+_SUM = 1e-9  # Largest allowed difference of 1 from the sum of the probabilities
+_EXACT = 1e-9  # Largest allowed difference between a share and the fraction that replaces it
 
 
 class Combined(DomainEstimator):
@@ -99,7 +99,7 @@ class Combined(DomainEstimator):
 
     @property
     def domain_integrand(self) -> Integrand:
-        """f; for optimal weights the residual f − Σ α_t p_t, which has the same variance."""
+        """f; for optimal weights, the residual f − Σ α_t p_t, which has the same variance."""
         controlled = self.combination.control is not None
         return Residual(self.integrand, self.combination) if controlled else self.integrand
 
@@ -166,7 +166,7 @@ class MultipleImportance(Combined):
         return carried_breaks(self.integrand, density, self.combination.breaks)
 
     def primary_values(self, technique: int, u: Array) -> Array:
-        """Return g_t(u). With optimal weights it is α_t + (f − Σ α_s p_s) w_t/p_t."""
+        """Return g_t(u). With optimal weights, g_t is α_t + (f − Σ α_s p_s) w_t/p_t."""
         x = self.warp(technique, u)
         control = self.combination.control
         if control is None:
@@ -195,7 +195,7 @@ class MultipleImportance(Combined):
         return self.densities[technique].sample(u)
 
     def weight(self, technique: int, x: Array) -> Array:
-        """Return w_t/p_t, finite where any p_s is positive; for the residual if optimal."""
+        """Return w_t/p_t, finite where any p_s is positive. Optimal weights use the residual."""
         return self.combination.over_density(technique, x)
 
 
@@ -212,14 +212,14 @@ class OneSampleMIS(Combined):
     probabilities
         Probabilities P_t of the techniques, above 0 and with the sum 1; all equal by default.
     heuristic
-        Same as in `MultipleImportance`, with P_t instead of n_t.
+        Same as in `MultipleImportance`, but P_t replaces n_t.
         ``"optimal"`` is the balance heuristic with the control variate Σ α_t p_t.
         The sum Σ α_t is added to the estimate directly ([OwenZhou2000]_ §4),
         because adding α_t/P_t would increase the variance.
     selection
         ``"extra"``: the last of d + 1 coordinates selects the technique.
-        ``"coordinate"``: the first of d coordinates selects the technique, and is used again:
-        the interval of the coordinate that selects a technique is stretched to [0, 1).
+        ``"coordinate"``: the first of d coordinates selects the technique, and is then used again.
+        The interval of the coordinate that belongs to the technique is stretched to [0, 1).
         The interval of technique t begins at Σ_{s<t} P_s.
     dims
         Number of dims of f; needed for spec strings without ``dims``.
@@ -233,9 +233,9 @@ class OneSampleMIS(Combined):
 
     Notes
     -----
-    The primary-space integrand usually jumps where the selection changes.
-    This jump along an axis makes the rate of stratified points slower.
-    With `MultipleImportance` no such jump exists, because each technique has its own point set.
+    The primary-space integrand usually jumps where the selected technique changes.
+    These jumps are normal to an axis. They make the rate of stratified points slower.
+    With `MultipleImportance` there is no such jump, because each technique has its own point set.
 
     Examples
     --------
@@ -321,7 +321,7 @@ class OneSampleMIS(Combined):
         for t, density in enumerate(self.densities):
             own = carried_breaks(self.integrand, density, self.combination.breaks)
             for i, places in enumerate(own):
-                if i == axis:  # The interval of technique t
+                if i == axis:  # This interval selects technique t
                     stretched = (self._borders[t] + b * self.probabilities[t] for b in places)
                     found[i].update(map(float, stretched))
                 else:
@@ -402,24 +402,24 @@ class TechniqueSum(AbstractEstimator):
 def split_mixture(
     integrand: Integrand | str, mixture: Density | str, *, most: int = 1000
 ) -> MultipleImportance:
-    """Make an estimator with n w_t points for part t of a mixture, without random selection.
+    """Make an estimator that gives n w_t points to part t of a mixture, without random selection.
 
     Parameters
     ----------
     integrand
         The integrand f, or its spec string.
     mixture
-        The mixture, a `Mixture` or `Defensive` density, or its spec. Its `selection` has no effect.
+        A mixture or defensive mixture, or its spec. Its parameter `selection` has no effect.
     most
         Largest total of the counts, which is the common denominator of the shares w_t.
 
     Returns
     -------
     MultipleImportance
-        The parts, with counts in proportion to their shares and the balance heuristic.
-        Every point has the weight 1/p of the mixture. With counts c_t there are n Σ c_t points.
-        It is a stratified mixture ([OwenZhou2000]_ §3.2).
-        For random points, its variance is at most that of the mixture.
+        The parts as techniques, with counts in proportion to the shares, by the balance heuristic.
+        With counts c_t there are n Σ c_t points. Each has the weight 1/p, where p is the mixture.
+        Such a set is a stratified sample of the mixture ([OwenZhou2000]_ §3.2).
+        For random points, the estimator's variance is at most that of sampling from the mixture.
 
     Raises
     ------
@@ -440,7 +440,7 @@ def split_mixture(
             f"{shown(mixture)} is not a mixture; give mixture(parts=[…]) or defensive(density=…)."
         )
 
-    # Find the smallest integers in the ratio of the shares
+    # Find the smallest integers that have the same ratios as the shares
     most, shares = as_integer("most", most, least=1), found.shares
     fractions = [Fraction(share).limit_denominator(most) for share in shares.tolist()]
     total = math.lcm(*(fraction.denominator for fraction in fractions))

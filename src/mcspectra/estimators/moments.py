@@ -1,7 +1,7 @@
 """Mergeable moments: mean, variance and confidence interval, computed block by block.
 
-All arrays have the realization axis first. Blocks are merged by the formulas
-of [ChanGolubLeVeque1983]_ and Pébay (2008), which avoid cancellation.
+All arrays have the realization axis first.
+Blocks merge without cancellation, by formulas of [ChanGolubLeVeque1983]_ and Pébay (2008).
 """
 
 from __future__ import annotations
@@ -26,29 +26,30 @@ __all__ = [
     "variance_interval",
 ]
 
-# Weight of the prior that estimates are normal, as a number of values
+# Weight of the prior that assumes normal estimates, as a number of values
 _PRIOR = 20
 _LEAST = 10  # Fewer values than this cannot show a tail
 # Number of smallest and of largest values that are stored; the tail index is fitted to these values
 _TAIL = 64
 _LEAST_TAIL = 300  # With fewer values, the extreme values are not a tail
-_CLUMPS = 4.0  # Up to this kurtosis, extreme values are not a tail
+_CLUMPS = 4.0  # If the kurtosis is at most this, extreme values are not a tail
 _LEAST_POINTS = 3000  # With fewer points, the 256 farthest values are not a tail
-# Largest allowed share of the variance beyond all values, which is small for bounded values.
-# Each key is the number of farthest values to which a tail is fitted; its value is the limit
+# Largest allowed share of the variance beyond all sampled values, which is small if g is bounded.
+# Each key is the number of farthest values to which a tail is fitted; the entry is the limit
 _BEYOND = {16: 0.005, 64: 0.02, 256: 0.15}
-# Largest squared error. Larger errors leave less than one degree of freedom,
-# and the upper end of the variance is above 100 s²
+# Largest squared error. Larger errors leave less than one degree of freedom.
+# The upper end of the variance is then above 100 s²
 _MOST_ERROR = 2.0
 # Three limits for tails. If the tail index is above the first number,
 # the upper end of the variance accounts for the tail.
-# The second number is the standard error of an index from 64 tail values.
+# The second number is the standard error of a tail index that is fitted to 64 values.
 # If the tail index is above the third number, the values give no upper bound of the variance.
-# At index ¼ the kurtosis is infinite. For 1,000 values u^−0.3 the interval holds in 96 % of cases,
-# and in 85 % with the kurtosis alone. For uniform, normal and exponential values it is the same.
+# At index ¼ the kurtosis is infinite. Take 1,000 values u^−0.3 as an example:
+# 85 % of the intervals from the kurtosis alone are correct, and 96 % with these limits.
+# Intervals for uniform, normal and exponential values stay the same.
 _TAILED, _INDEX_ERROR, _MOST_INDEX = 0.05, 0.16, 0.32
-# Quantile of log(σ²/s²) at 97.5 %, for R values u^−k with uniform u. Rows are R and columns are k;
-# each entry comes from 1,200 to 20,000 simulated sets
+# Quantile of log(σ²/s²) at 97.5 %, for R values u^−k with uniform u. Rows are R and columns are k.
+# Each entry of the table comes from 1,200 to 20,000 simulated sets
 _TAIL_INDICES = (0.21, 0.26, 0.31, 0.36, 0.41, 0.46)
 _TAIL_COUNTS = (300, 1000, 3000, 10_000, 30_000, 100_000)
 _TAIL_ENDS = (
@@ -98,7 +99,7 @@ class Measured:
     def __truediv__(self, other: Measured | float) -> Measured:
         """Return the ratio to a number without error, or to a variance with an independent error.
 
-        For common random numbers the interval is too wide, because both variances vary together.
+        With common random numbers both variances vary together, so the interval is too wide.
         If a variance is not positive or has no upper bound, the ratio is NaN.
         """
         if not isinstance(other, Measured):
@@ -117,7 +118,7 @@ class Measured:
         return Measured(value, value - half, value + half)
 
     def widened(self, factor: float) -> tuple[float, float]:
-        """Return the ends of the interval after it is made wider by the factor."""
+        """Return the ends of the interval, widened by the factor."""
         ends = (self.low, self.high)
         if self.log and min(self.value, *ends) > 0:
             low, high = (self.value * (end / self.value) ** factor for end in ends)
@@ -131,8 +132,8 @@ class Measured:
 class StoredSets:
     """Moments for groups of stored sets, for samplers that reuse a limited number of sets.
 
-    Realization r uses the set r mod `sets`. Realizations with the same set are not independent,
-    so errors come from a jackknife that omits one group of sets at a time.
+    Realization r uses the set r mod `sets`. Realizations with the same set are not independent.
+    Therefore errors come from a jackknife that omits one group of sets at a time.
     """
 
     sets: int
@@ -142,7 +143,7 @@ class StoredSets:
 
     @staticmethod
     def of(values: Array, first: int, sets: int) -> StoredSets:
-        """Return moments of values (R, …) for groups of sets; `first` is the first realization."""
+        """Return moments of values (R, …) by group of sets; `first` is the first value's index."""
         groups = min(sets, _GROUPS)
         label = (first + np.arange(len(values))) % sets % groups
         count = np.bincount(label, minlength=groups).astype(float)
@@ -155,7 +156,7 @@ class StoredSets:
         return StoredSets(sets, count, mean, m2)
 
     def merge(self, other: StoredSets) -> StoredSets:
-        """Return the moments of two such objects, merged for each group."""
+        """Return the moments of two such objects, merged group by group."""
         count = self.count + other.count
         part = self._by_group(np.divide(other.count, count, out=0.0 * count, where=count > 0))
         delta = other.mean - self.mean
@@ -163,10 +164,10 @@ class StoredSets:
         return StoredSets(self.sets, count, self.mean + part * delta, m2)
 
     def errors(self) -> tuple[Array, Array]:
-        """Return standard errors of the variance and of the mean of all values.
+        """Return standard errors of the variance and of the mean, computed from all values.
 
-        The error of the variance is relative to the variance.
-        Both errors are infinite for a single set. All groups must have values.
+        The error of the variance is divided by the variance.
+        Both errors are infinite for a single set. Each group must have values.
         """
         groups, total = len(self.count), self.count.sum()
         if groups < 2:
@@ -204,10 +205,10 @@ class Moments:
     # Smallest and largest values, sorted along the first axis; None if tails are not examined
     extremes: Array | None = None
     kept: int = field(default=_TAIL, kw_only=True)  # Number of extreme values at each end
-    # If these values are means over points, moments of the values at single points.
+    # Moments of the values at single points, if the values here are means over points.
     # Single values show tails that are hidden in means
     points: Moments | None = field(default=None, kw_only=True)
-    # For samplers with few sets: moments by stored sets. Errors use them once a set is reused
+    # Moments by stored sets, if the sampler has few. Errors use them once a set is reused
     stored: StoredSets | None = field(default=None, kw_only=True)
 
     @staticmethod
@@ -219,9 +220,10 @@ class Moments:
         first: int = 0,
         sets: int | None = None,
     ) -> Moments:
-        """Return moments of values (R, ...) over their first axis; with `tails`, store extremes.
+        """Return moments of values (R, ...) over the first axis; with `tails`, store extremes.
 
-        `sets` is the number of stored sets of the sampler. `first` is the first realization.
+        `sets` is the number of sets that the sampler stores.
+        `first` is the index of the first realization.
         """
         mean = values.mean(axis=0)
         deviation = values - mean
@@ -284,7 +286,7 @@ class Moments:
 
     @property
     def largest_share(self) -> Array:
-        """Share of the largest square in Σ (value − mean)², or 0 without spread; needs `tails`."""
+        """Share of the largest square in Σ (value − mean)²; 0 if all values are equal."""
         assert self.extremes is not None
         square = np.maximum(self.extremes[-1] - self.mean, self.mean - self.extremes[0]) ** 2
         return np.asarray(np.divide(square, self.m2, out=np.zeros_like(self.m2), where=self.m2 > 0))
@@ -294,8 +296,8 @@ class Moments:
         """Relative standard error of the variance, from the kurtosis of the values.
 
         Var(s²)/σ⁴ = (κ − (R−3)/(R−1))/R [Kenney & Keeping 1951].
-        Few values underestimate the kurtosis κ. Therefore κ is averaged with its normal value, 3:
-        κ has the weight of the number of values, and 3 has the weight of 20 values.
+        Few values underestimate the kurtosis κ. Therefore κ is averaged with 3, the normal one.
+        The weight of κ is the number of values, and the weight of 3 is 20.
         If stored sets are reused, the result is at least the error from the jackknife.
         """
         return np.maximum(self._alone_se, self._stored_errors()[0])
@@ -309,7 +311,7 @@ class Moments:
 
     @property
     def degrees(self) -> int:
-        """Number of independent values behind the errors, or of groups of stored sets."""
+        """Number of independent values or of groups of stored sets that determine the errors."""
         return len(self.stored.count) if self.stored is not None and self._reused else self.count
 
     @property
@@ -337,21 +339,21 @@ class Moments:
 
     @property
     def known_se(self) -> Array:
-        """The error `relative_se`, or infinity if the variance is not `resolved`."""
+        """Relative standard error of the variance; infinite if the variance is not `resolved`."""
         return np.where(self.resolved, self.relative_se, np.inf)
 
     @property
     def variance_ci(self) -> Array:
-        """95 % interval of the variance, (..., 2). Without `resolved`, the upper end is infinite.
+        """95 % interval of the variance, (..., 2). Its upper end is infinite unless `resolved`.
 
         The interval is logarithmic and uses the kurtosis, as in [Bonett2006]_.
-        The kurtosis is about a center that the skewness moves, where Bonett uses a trimmed mean.
-        It is wider upward, because values that miss a tail make s² and its error too small.
-        If the tail index is above 0.05, the upper end is at least the quantile for values u^−k,
-        where k is one standard error above the index.
-        With these constants, intervals of 20 or more values hold in 93 to 97 % of cases.
-        This was tested for kurtoses up to 10 and for laws that are skewed, heavy-tailed, flat
-        or two-peaked (``python -m benchmarks coverage``).
+        The kurtosis is about a center that depends on the skewness; Bonett uses a trimmed mean.
+        The interval is wider upward: values that miss a tail make s² and its error too small.
+        If the tail index is above 0.05, the upper end is at least the quantile for values u^−k.
+        Here k is one standard error above the index.
+        With these constants, 93 to 97 % of the intervals from 20 or more values are correct.
+        This was tested by ``python -m benchmarks coverage``, for kurtoses up to 10.
+        The tested laws were skewed, heavy-tailed, flat and two-peaked.
         The effect of the constants vanishes as the number of values R grows.
         """
         low, high = self._log_errors()
@@ -372,9 +374,9 @@ class Moments:
 
         In three cases the values do not bound the variance.
         First, one or two values may have most of the variance.
-        Second, the tail index of the squared values may exceed 0.64 and the kurtosis 4.
+        Second, the tail index of the squared values may exceed 0.64 while the kurtosis exceeds 4.
         Above 0.64 the mean is far from normal for any feasible number of values [Vehtari2024]_.
-        The limit of the kurtosis excludes values in a few clumps.
+        The limit of the kurtosis excludes values that form a few clumps.
         Third, each value may be a mean over points, and g at these points may follow a power law.
         Values of g larger than all sampled values may then cause much of the variance.
         """
@@ -391,8 +393,8 @@ class Moments:
         """Index k̂ of a generalized Pareto distribution that is fitted to the farthest values.
 
         An index of 0 means an exponential tail, and ½ means infinite variance.
-        Probability-weighted moments [HoskingWallis1987]_ estimate the index from 63 distances:
-        those of the 63 largest values from the 64th, on the side of the mean that reaches farther.
+        Probability-weighted moments [HoskingWallis1987]_ estimate the index from 63 distances.
+        They are the distances of the 63 largest values from the 64th, in the longer tail.
         The two sides are not combined, because one tail may end where the other begins.
         The index is NaN for fewer than 300 values, or without `tails`.
         """
@@ -401,10 +403,10 @@ class Moments:
         return self._farthest(_TAIL)[1]
 
     def beyond(self, many: int) -> Array:
-        """Return the share of the variance beyond all values, from the `many` farthest ones.
+        """Return the share of the variance that comes from values beyond all sampled ones.
 
-        Let values follow t^-k, and let M values be above a quantile. In expectation, values beyond
-        the largest of the M values contribute the fraction M^(2k − 1) of the sum of squares.
+        A tail t^-k is fitted to the `many` farthest values. Let M values lie in this tail.
+        In expectation, values beyond all of them contribute M^(2k − 1) of the sum of squares.
         """
         far, index = self._farthest(many)
         share = np.divide((far**2).sum(axis=0), self.m2, out=0.0 * self.m2, where=self.m2 > 0)
@@ -412,7 +414,7 @@ class Moments:
         return np.asarray(np.where(np.isfinite(index), share * law, 0.0))
 
     def _farthest(self, many: int) -> tuple[Array, Array]:
-        """Return distances of far values from the mean, on its longer side, and the tail index."""
+        """Return distances of far values from the mean, on the farther side, and the tail index."""
         assert self.extremes is not None
         below = (self.mean - self.extremes[:many])[::-1]
         above = self.extremes[-many:] - self.mean
@@ -420,7 +422,7 @@ class Moments:
         excess = far[1:] - far[0]
 
         # Values on a grid, such as shares of hits, represent cells of the grid.
-        # Therefore the tail begins half a step of the grid below the smallest of the values
+        # Therefore the tail begins half a grid step below the smallest of the far values
         step = np.where(excess > 0, excess, np.inf).min(axis=0)
         grid = (excess[0] == 0) & (far[0] > 0) & np.isfinite(step)
         excess = excess + np.where(grid, step / 2, 0.0)
@@ -430,7 +432,7 @@ class Moments:
             return far, np.asarray(2.0 - first / (first - 2.0 * second))
 
     def _log_errors(self) -> tuple[Array, Array]:
-        """Return standard errors of log s²: one for the lower end, and one for the upper end."""
+        """Return two standard errors of log s², for the lower and the upper end of the interval."""
         n = self.count
         if n < 2:
             return np.full_like(self.m2, np.nan), np.full_like(self.m2, np.nan)
@@ -438,8 +440,8 @@ class Moments:
         with np.errstate(invalid="ignore", divide="ignore"):
             kurtosis = np.where(self.m2 > 0, n * self.m4 / self.m2**2, 3.0)
             skewness = np.where(self.m2 > 0, np.sqrt(n) * self.m3 / self.m2**1.5, 0.0)
-        # Move the center of the fourth moment against the skewness.
-        # Add the part of the kurtosis that few values miss
+        # Move the center of the fourth moment opposite to the skewness.
+        # Add the part of the kurtosis that a small number of values misses
         shift = 0.5 * n**-0.25 * skewness
         kurtosis = kurtosis + 4 * shift * skewness + 6 * shift**2 + shift**4
         unseen = 36.0 * n ** (-2 / 3) * np.sqrt(np.maximum(kurtosis - 2.0, 0.0))
@@ -457,11 +459,11 @@ class Moments:
 
 
 def _tail_end(index: Array, count: int) -> Array:
-    """Return the upper end of log(σ²/s²) for values with a tail, interpolated in `_TAIL_ENDS`."""
+    """Return the upper end of log(σ²/s²) for values with a tail, interpolated in the table."""
     k = np.clip(index + _INDEX_ERROR, _TAIL_INDICES[0], _TAIL_INDICES[-1])
     columns = np.arange(len(_TAIL_INDICES))
     place, rows = np.interp(k, _TAIL_INDICES, columns), np.log(_TAIL_COUNTS)
-    # Between rows of the table the end is a power of the count; beyond it, the last power is used
+    # Between rows, the end is a power of the count. Outside the table, the nearest power is used
     x = math.log(count)
     row = int(np.clip(np.searchsorted(rows, x) - 1, 0, len(rows) - 2))
     part = (x - rows[row]) / (rows[row + 1] - rows[row])
@@ -486,7 +488,7 @@ def variance_interval(variance: Array, relative_se: Array) -> Array:
     from scipy.special import gammaincinv
 
     half = 1.0 / np.square(relative_se)
-    with np.errstate(divide="ignore"):  # a small fraction of a degree gives no upper end
+    with np.errstate(divide="ignore"):  # If ν is tiny, there is no upper end
         low, high = (variance * half / gammaincinv(half, p) for p in (0.975, 0.025))
     return np.stack([low, high], axis=-1)
 
@@ -494,8 +496,8 @@ def variance_interval(variance: Array, relative_se: Array) -> Array:
 def mean_interval(values: Array) -> tuple[float, float]:
     """Return a 95 % interval of the mean of independent estimates, (R,).
 
-    The interval contains Student's t interval and the interval by Hall's cubic transform,
-    which depends on the skewness [Hall1992]_. Both agree for normal estimates.
+    The interval contains Student's t interval and the interval by Hall's cubic transform.
+    Hall's interval depends on the skewness [Hall1992]_. Both agree for normal estimates.
     For skewed estimates, the interval extends farther on the side of the tail.
     """
     count = len(values)

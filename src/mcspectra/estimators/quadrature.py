@@ -1,8 +1,8 @@
 """Quadrature of primary-space integrands: means over strata and shifted grids, and ∫g².
 
-Strata are cut at the seam of the torus, and at the discontinuities that the integrand declares
-(`breaks`). The pieces of strata are smaller toward 0 and 1, where warps are singular.
-Pieces are integrated by Gauss-Legendre rules.
+Strata are cut at the seam of the torus and at the integrand's declared `breaks`.
+The pieces are smaller toward 0 and 1, where warps are singular.
+Gauss-Legendre rules integrate each piece.
 If the integrand has closed-form moments over boxes, they are integrated exactly.
 """
 
@@ -57,21 +57,21 @@ MOST_EVALUATIONS = 2.0**26
 DIVERGES = 0.4995
 """Exponent of g above which ∫g² counts as infinite: ½ minus the error of measured slopes."""
 
-_BLOCK = 2**18  # Number of evaluations in a call
+_BLOCK = 2**18  # Number of evaluations in one call
 _ORDERS = ((12, 20), (6, 10), (4, 6))
-# For more strata than this, orders are lower. Nets in 2-D have n² cells,
-# and 10² nodes in each cell would be too many
+# If there are more strata than this, the orders of the rules are lower.
+# Nets in 2-D have n² cells, and 10² nodes in each cell would be too many
 _MANY = 400
-# In 1-D, means over offsets divide [0, 1] into at least this number of panels
+# For means over offsets in 1-D, [0, 1] is divided into at least this number of panels
 _LEAST_PANELS = 32
-# Maximum number of cells per level. It is enough to resolve jumps along curves,
-# and needs an eighth of the time of the default number of cells
+# Maximum number of cells in a level. It is enough to resolve jumps along curves.
+# It takes an eighth of the time of the default number of cells
 _FEW_CELLS = 2**13
-# If a mean has an error below this fraction of √∫g², the rule resolves all of g
+# If a mean has an error below this fraction of √∫g², the rule resolves g everywhere
 _SAME = 1e-9
-# If ∫g² has a larger relative error, g has jumps that boxes did not resolve
+# If the relative error of ∫g² is larger, g has jumps that the boxes do not resolve
 _RESOLVED = 1e-10
-_CENTER = 2**10  # Number of points of the mean that is subtracted from g
+_CENTER = 2**10  # The mean of this number of values is subtracted from g
 # Next to a pole, g² exceeds its largest value at the points of `probe` by this factor
 _POLE = 2.0
 # If the relative error is larger, there may be a pole, and all levels are computed
@@ -79,19 +79,21 @@ _SUSPECT = 0.01
 _LOOKED_DIMS = 5
 # Largest fraction of the error that may come from regions between the nodes
 _HIDDEN = 0.1
-# Number of lines, and largest difference of two slopes that count as equal
+# Number of lines, and the largest difference between two slopes that count as equal
 _GROWTH_LINES, _STEADY = 4, 0.02
-# Binary logarithm of the inverse distance from 0, from 1 and from a break
+# Binary logarithms of inverse distances: from 0, from 1, and from a break
 _FAR, _NEAR, _INSIDE = (30, 60, 90, 120), (20, 30, 40, 50), (8, 14, 20, 26)
-# Number of largest values at the points of `probe` that are stored,
-# and rank above which the power law is used
+# Number of the largest values at the points of `probe` that are stored,
+# and the rank above which a power law replaces these values
 _TOP, _RANK = 256, 8
-# Power law t^-a: least a, least ratio of the slopes at high and lower ranks, largest a for ∫g²
+# Limits for a power law t^-a: a is above the first number.
+# The slope from rank 4 to 32 exceeds the slope from rank 32 to 256, times the second number.
+# To integrate g², a is lowered to the third
 _HEAVY, _AS_POWER, _LARGEST_POWER = 0.1, 0.6, 0.47
-# Growth is unbounded if log2 |g| rises by at least this much from each distance to the next
+# Growth is unbounded if log2 |g| rises by at least this much at each step toward the plane
 _RISES = 0.02
 
-# Panels down to 2^-20 integrate √u near 0 to 1e-6. Each panel adds a row of panels in 2-D
+# Panels down to 2^-20 integrate √u near 0 to 1e-6. In 2-D, each panel adds a row of panels
 _GRADED = {
     dims: tuple(x for k in range(1, depth) for x in (0.5**k, 1.0 - 0.5**k))
     for dims, depth in ((1, 40), (2, 14))
@@ -101,7 +103,7 @@ _GRADED = {
 @final
 @dataclass(frozen=True, eq=False)
 class Pointwise(Derived):
-    """A pointwise function of an integrand with `width` channels, or as many as the integrand."""
+    """A pointwise function of an integrand, with `width` channels or as many as the integrand."""
 
     name: ClassVar[str] = "pointwise"
     text = "{0.label}"
@@ -130,7 +132,7 @@ class Pointwise(Derived):
 @final
 @dataclass(frozen=True, eq=False)
 class _Cut(Derived):
-    """An integrand with its declared breaks and with the breaks that were detected."""
+    """An integrand with its declared breaks and the breaks that line searches detected."""
 
     name: ClassVar[str] = "cut"
     text = "{0.integrand.spec}"
@@ -148,11 +150,11 @@ class _Cut(Derived):
 
 
 def looked_at(g: Integrand) -> Integrand:
-    """Return g with additional breaks: the jumps that line searches along the axes detect.
+    """Return g with additional breaks: the jumps that are detected by line searches along the axes.
 
     Only jumps normal to an axis are detected; see `found_breaks`.
-    g is returned unchanged if its calls are costly, if it has a closed form or its own rule,
-    or if it has more than 5 dims.
+    g is returned unchanged if it has more than 5 dims, or if its calls are costly.
+    The same applies if g has a closed form or its own rule.
     """
     cache = g._cache
     if cache.cut is None:
@@ -165,7 +167,7 @@ def looked_at(g: Integrand) -> Integrand:
 
 
 def blindness(g: Integrand, means: Array, squares: Array) -> Array:
-    """Return the error of a rule for ∫g and ∫g², expressed as a variance, (channels,).
+    """Return the error of a rule for ∫g and ∫g², in units of a variance, (channels,).
 
     Parameters
     ----------
@@ -177,11 +179,11 @@ def blindness(g: Integrand, means: Array, squares: Array) -> Array:
     Returns
     -------
     ndarray
-        Difference of the means from integrals by a second rule, plus the error of the integrals.
+        Difference between the means and a second rule's integrals, plus these integrals' error.
         The second rule detects regions between nodes
         (`mcspectra.integrands._quadrature.adaptive_integral`).
-        The result is 0 if the two rules agree and the second rule resolves g,
-        or if the sums agree with a closed form of ∫g.
+        The result is 0 if the two rules agree and the second rule resolves g.
+        It is also 0 if the sums agree with a closed form of ∫g.
     """
     mean, square = means.mean(axis=0), squares.mean(axis=0)
     exact = g._integral()
@@ -195,8 +197,8 @@ def blindness(g: Integrand, means: Array, squares: Array) -> Array:
     square_off = np.abs(square - 2.0 * middle * mean + middle**2 - second) - error - rounding
     largest = np.abs(means - middle).max(axis=0)
     missed = np.maximum(square_off, 0.0) + 2.0 * largest * np.maximum(off, 0.0)
-    # If the second rule does not resolve ∫g², the first rule may miss as much as this error.
-    # If breaks were detected, g has jumps
+    # If the second rule does not resolve ∫g², the first may miss as much as the second's error.
+    # If breaks were detected, g has jumps, so the same applies
     hides = (error > _RESOLVED * second) | isinstance(g, _Cut)
     return np.asarray(missed + np.where(hides, error, 0.0))
 
@@ -204,10 +206,10 @@ def blindness(g: Integrand, means: Array, squares: Array) -> Array:
 def moments(g: Integrand) -> tuple[Array, Array, Array, Array]:
     """Return a number a near ∫g, with ∫(g − a), ∫(g − a)² and their error, each (channels or 1,).
 
-    They have a closed form, or come from the rule that detects regions between nodes.
-    The integrals are cached. With a learned density, f is integrated over the domain:
-    there, the knots of the density are on planes normal to the axes,
-    whereas in primary space the knots are on curves.
+    The integrals have a closed form, or come from the rule that detects regions between nodes.
+    They are cached. With a learned density, f is integrated over the domain.
+    There, the knots of the density are on planes normal to the axes.
+    In primary space, the knots are on curves.
     """
     cache = g._cache
     if cache.moments is None:
@@ -223,7 +225,7 @@ def moments(g: Integrand) -> tuple[Array, Array, Array, Array]:
                 p = density.pdf(x)[..., None] if over_domain else 1.0
                 values = values_at(inside.integrand if over_domain else g, x)
                 first = values / p - middle
-                with np.errstate(over="ignore"):  # May overflow next to a pole
+                with np.errstate(over="ignore"):  # Values may overflow next to a pole
                     return np.concatenate([first * p, first**2 * p], axis=-1)
 
             label, width = f"moments of {g.spec}", 2 * len(middle)
@@ -245,14 +247,14 @@ def moments(g: Integrand) -> tuple[Array, Array, Array, Array]:
 @final
 @dataclass(frozen=True)
 class Rule:
-    """Order of a Gauss-Legendre rule, its maximum number of evaluations, and a second order."""
+    """A Gauss-Legendre rule: its order, its maximum number of evaluations, and a second order."""
 
     order: int
     most: float = MOST_EVALUATIONS
     against: int = 0
 
     def each(self, g: Integrand) -> int:
-        """Return the evaluations for one box; closed-form moments count as one for each corner."""
+        """Return the evaluations for one box. Closed-form moments take one at each corner."""
         return int((2 if in_closed_form(g) else self.order) ** g.dims)
 
     def check(self, what: str, evaluations: float) -> None:
@@ -271,7 +273,7 @@ def orders_of(cells: int, dims: int) -> tuple[int, int]:
 
 
 def unseen(g: Integrand) -> Array:
-    """Return the error of ∫g² from regions between nodes, (channels or 1,); see `moments`."""
+    """Return the error of ∫g² that comes from regions between nodes, (channels or 1,)."""
     none = np.zeros(max(1, g.channels))
     if g.costly or g.dims > _LOOKED_DIMS or in_closed_form(g):
         return none
@@ -280,12 +282,12 @@ def unseen(g: Integrand) -> Array:
 
 
 def beyond_points(g: Integrand) -> Array:
-    """Return the part of ∫g² next to poles that the probe's points miss, (channels or 1,).
+    """Return the part of ∫g² next to poles that the points of the probe miss, (channels or 1,).
 
-    It is 0 without poles. A pole is assumed if g is `unbounded` on lines,
-    or if its largest values follow a power law.
-    Values t^-a fall from rank 4 to rank 32 by about the same factor as from 32 to 256.
-    For a smooth peak, log(g_4/g_32) is only an eighth of log(g_32/g_256), with g_k of rank k.
+    The part is 0 if there are no poles. A pole is assumed in two cases:
+    g is `unbounded` on lines, or the largest values of |g| follow a power law.
+    By a power law, values fall from rank 4 to rank 32 by about the same factor as from 32 to 256.
+    Let g_k be the value of rank k. For a smooth peak, log(g_4/g_32) is only log(g_32/g_256)/8.
     For N points with values t^-a, ranks above k contribute k g_k² / (N (1 − 2a)) to ∫g².
     """
     none = np.zeros(max(1, g.channels))
@@ -309,7 +311,7 @@ def beyond_points(g: Integrand) -> Array:
 
 
 def constant(g: Integrand) -> str:
-    """Return a sentence if an integrand has one value at all points of the probe, else ''."""
+    """Return a sentence if an integrand has the same value at all points of the probe, else ''."""
     if g.costly or in_closed_form(g) or g._integral() is not None:
         return ""
     values = g(probe(g.dims)).reshape(PROBE, -1)
@@ -325,7 +327,7 @@ def constant(g: Integrand) -> str:
 
 
 def closed_moments(g: Integrand) -> tuple[Array, Array] | None:
-    """Return ∫g and ∫g², each (channels or 1,); None without closed-form moments over boxes."""
+    """Return ∫g and ∫g², each (channels or 1,), from closed-form moments over boxes, or None."""
     found = g.box_moments(np.zeros((1, g.dims)), np.ones((1, g.dims)))
     if found is None:
         return None
@@ -356,17 +358,17 @@ def grid(axis: Array, dims: int) -> Array:
 def strata(
     g: Integrand, sides: tuple[int, ...], offset: Array, rule: Rule
 ) -> tuple[Array, Array, Array]:
-    """Return means over displaced strata, the mean variance within strata, and its error.
+    """Return means over displaced strata, the mean variance within a stratum, and its error.
 
     Strata are displaced by `offset` on the torus.
 
-    The shapes are (strata, channels), (channels,) and (channels,). The error is the `blindness`.
+    The shapes are (strata, channels), (channels,) and (channels,). The error is from `blindness`.
     If jumps of g are unknown, rules of two orders may give the same variance by chance.
-    Therefore the error includes twice the standard error of their differences in single strata.
+    Therefore twice the standard error of the two rules' differences in single strata is added.
     """
     means, squares = stratum_moments(g, sides, offset, rule.order, rule.most)
     unseen = blindness(g, means, squares)
-    # Rounding can make this negative: clip it, as a second pass would cost more evaluations
+    # Rounding can make the variance negative. Clipping avoids a second pass of evaluations
     within = np.maximum(squares - means * means, 0.0)
     if rule.against and not in_closed_form(g):
         coarse, squares = stratum_moments(g, sides, offset, rule.against, rule.most)
@@ -410,7 +412,7 @@ def stratum_moments(
         both = np.stack([np.asarray(m) for m in g.box_moments(*box) or ()])
         both = both.reshape(2, *(len(low) for low, _ in axes), -1)
     else:
-        # Apply the Gauss-Legendre rule to each piece, and sum along all axes except the first
+        # Apply the Gauss-Legendre rule to each piece. Sum along all axes except the first
         rules = [gauss_rule(each) for each in orders]
         grids = [
             (low[:, None] + (high - low)[:, None] * node).ravel()
@@ -427,7 +429,7 @@ def stratum_moments(
             parts.append(part)
         both = _sums(np.concatenate(parts, axis=1), 1, rules[0][1])
 
-    # Average over strata, one axis after another, with the size of a piece as its weight
+    # Average over each stratum, one axis after another. The weight of a piece is its size
     for i, (low, high) in enumerate(axes):
         middle = (0.5 * (low + high) - float(offset[i])) % 1.0
         stratum = np.minimum(np.floor(middle * sides[i]).astype(np.int64), sides[i] - 1)
@@ -441,13 +443,13 @@ def stratum_moments(
 
 
 def _sums(values: Array, axis: int, weights: Array) -> Array:
-    """Return the weighted sum of each group of len(weights) successive values along an axis."""
+    """Return weighted sums along an axis: one for each group of len(weights) successive values."""
     shape = (*values.shape[:axis], -1, len(weights), *values.shape[axis + 1 :])
     return np.asarray(np.moveaxis(values.reshape(shape), axis + 1, -1) @ weights)
 
 
 def offset_rule(g: Integrand, sides: tuple[int, ...], order: int) -> tuple[Array, Array]:
-    """Return Gauss nodes and weights over the offsets of a stratum, cut at the folded breaks."""
+    """Return Gauss nodes and weights over the offsets of a stratum, divided at all breaks."""
     node, weight = gauss_rule(order)
     per_axis = []
     for s, breaks in zip(sides, g.breaks, strict=True):
@@ -473,14 +475,14 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
     """Return ∫g² and an estimate of its absolute error, each (channels or 1,).
 
     The result is infinite if g grows too fast toward a plane normal to an axis (`growth`).
-    Otherwise it comes from `moments`. In 1-D and 2-D there is a second quadrature by levels,
-    which records the unresolved part of each level (`mcspectra.densities.adaptive`).
-    If g = f/p, it integrates f²/p over the domain:
-    in primary space, double precision has few points next to 1.
-    The integral is infinite if the unresolved part does not shrink,
-    unless g grows toward a plane normal to an axis with an exponent below ½ (`growth`).
+    Otherwise it comes from `moments`. In 1-D and 2-D there is a second quadrature by levels.
+    It records the unresolved part of each level (`mcspectra.densities.adaptive`).
+    If g = f/p, this second quadrature integrates f²/p over the domain:
+    in primary space, floating-point numbers are sparse next to 1.
+    The integral is infinite if the unresolved part does not shrink.
+    The exception is growth with an exponent below ½ toward a plane normal to an axis (`growth`).
     Otherwise the result with the smaller error is used.
-    In more dims, other poles are visible at best as a large error.
+    In more dims, other poles can at best be recognized by a large error.
     """
     cache = g._cache
     if cache.square is not None:
@@ -493,7 +495,7 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
     over_domain = warped and inside.density.dims == g.dims  # type: ignore[attr-defined]
 
     def square(x: Array) -> Array:
-        """Return g² at points (..., d), with channels; over the domain return f²/p."""
+        """Return g² at points (..., d), with channels. Over the domain, return f²/p."""
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # g may be infinite
             if not over_domain:
                 return values_at(g, x) ** 2
@@ -513,7 +515,7 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
         level = positive_integral(of_channel, g.dims, most_cells=_FEW_CELLS)
         if level[1] > _SUSPECT * level[0]:
             level = positive_integral(of_channel, g.dims)
-        # Narrow ridges grow from level to level as poles do, but not above the values of the probe
+        # Narrow ridges also grow from level to level, but not above the values at the probe.
         # If the exponent of a pole is known, use it instead
         largest = max(seen)
         pole = largest > _POLE * float(of_channel(probe(g.dims)).max())
@@ -528,10 +530,10 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
     value = second + 2.0 * middle * first + middle**2
     error = error * (1.0 + 2.0 * np.abs(middle))
     with np.errstate(invalid="ignore"):
-        # The rule by levels can miss thin slabs, and the rule by boxes can miss the tips of poles
+        # The levels can miss thin slabs, and the boxes can miss the tips of poles
         more = by_levels - value - level_errors - error
         alike = np.abs(by_levels - value) <= level_errors + error
-    hidden = unseen(g)  # Error from thin slabs, which the rule by levels misses
+    hidden = unseen(g)  # This error comes from thin slabs that the levels miss
     better = alike & (level_errors + hidden < error) & (hidden < _HIDDEN * error)
     better |= np.isinf(by_levels) | over_domain & (more > 0.0)
     level_errors = np.where(np.isinf(by_levels), 0.0, level_errors + hidden)
@@ -543,26 +545,27 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
 
 
 def _inside(g: Integrand) -> tuple[Integrand, bool]:
-    """Return g without detected breaks, and whether g is warped by a density."""
+    """Return g without detected breaks, and whether a density warps g."""
     inside = g.integrand if isinstance(g, _Cut) else g
     return inside, isinstance(inside, PrimaryIntegrand) and isinstance(inside.estimator, Estimator)
 
 
 def growth(g: Integrand) -> Array:
-    """Return the largest exponent a of g ~ t^-a near an end of an axis or a break; 0 if bounded.
+    """Return the largest exponent a of growth t^-a near an end of an axis or a break; 0 if bounded.
 
-    Here t is the distance. The exponents, (channels or 1,), are slopes of log |g|
-    at the smallest distances on some lines. The last two slopes of a line must agree.
+    Here t is the distance to the end or break. The exponents have the shape (channels or 1,).
+    They are slopes of log |g| at the smallest distances on some lines.
+    The last two slopes of a line must agree.
     ∫g² diverges for a ≥ ½, and ∫g⁴ for a ≥ ¼. Integrands in closed form have no such poles.
-    Integrands that are costly or warped by a density are not tested.
+    An integrand is not tested if it is costly or warped by a density.
     """
     return _growth(g)[0]
 
 
 def unbounded(g: Integrand) -> bool:
-    """Return whether g is unbounded near an end of an axis or a break, on the lines of `growth`.
+    """Return whether g is unbounded near an end of an axis or a break, tested on some lines.
 
-    Growth that is slower than any power also counts, such as growth of logarithms and quantiles.
+    Growth slower than any power also counts, for example that of logarithms and quantiles.
     """
     return bool(_growth(g)[1])
 

@@ -7,13 +7,14 @@ All probes are the same in each run:
 * known zeros of the densities (empty cells of tables at any position);
 * landmarks of integrands: both sides of their breaks, and the brightest pixels of an image;
 * gaps of warps in 1-D, and in 1-D parts of products and mixtures.
-  A warp x = T(u) has a gap where x jumps over a region with p = 0.
-    In each of 1024 intervals of u, bisection finds the largest jump if it is wider than 2^-30.
+  A warp x = T(u) has a gap if x jumps across an interval in which p = 0.
+  In each of 1024 intervals of u, bisection finds the largest jump. Jumps above 2^-30 count.
 
-A density may be 0 at single points, such as a power at 0 or a tent at its ends,
-because no probe lies at these points. Regions without a probe are missed in 2-D and more.
-The search also misses gaps of the density that the warp does not have.
-A warp from a pdf alone has all gaps wider than 2^-18 (`mcspectra.densities.NumericalDensity`).
+A density may be 0 at single points, such as a power at 0 or a tent at its ends.
+No probe lies at these points. In 2-D and more, regions that contain no probe are missed.
+The search also misses a gap of the density if the warp has no gap there.
+If a warp is computed from a pdf, it has all gaps wider than 2^-18
+(see `mcspectra.densities.NumericalDensity`).
 """
 
 from __future__ import annotations
@@ -66,7 +67,7 @@ def uncovered(integrand: Integrand, densities: Sequence[Density]) -> Array:
     dims = integrand.dims
     found = [probe_points(dims)]
 
-    # Add points next to faces, one axis after another; in few dims, add points next to all corners
+    # Add points next to faces, one axis after another. In few dims, add points next to the corners
     points, k, near = found[0][:_FACES].copy(), np.arange(_FACES), np.resize(_NEAR, _FACES)
     points[k, k % dims] = np.where(k // dims % 2 == 0, near, 1.0 - near)
     found.append(points)
@@ -76,7 +77,7 @@ def uncovered(integrand: Integrand, densities: Sequence[Density]) -> Array:
     if dims == 1:
         found.append(((np.arange(_CELLS) + 0.5) / _CELLS)[:, None])
 
-    # Add both sides of every break of f, with other coordinates from probes, and landmarks of f
+    # Add both sides of every break of f, with other coordinates from probes. Add landmarks of f
     found.append(integrand.landmarks())
     for axis, breaks in enumerate(integrand.breaks):
         sides = np.array([*np.subtract(breaks, _BESIDE), *np.add(breaks, _BESIDE)])
@@ -94,7 +95,7 @@ def uncovered(integrand: Integrand, densities: Sequence[Density]) -> Array:
 
 
 def probe_points(dims: int, count: int = _PROBES) -> Array:
-    """Return points (count, dims) that avoid all grid lines, from square roots of primes."""
+    """Return points (count, dims) off all grid lines: multiples of square roots, modulo 1."""
     primes = np.array([2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47, 53, 59, 61, 67, 71])
     steps = np.sqrt(np.resize(primes, dims) + np.arange(dims) // primes.size)
     return np.asarray((0.5 + np.arange(1, count + 1)[:, None] * steps) % 1.0)
@@ -103,9 +104,9 @@ def probe_points(dims: int, count: int = _PROBES) -> Array:
 def _gaps(density: Density) -> Array:
     """Return points in gaps of a 1-D warp, or of 1-D parts of a product or mixture.
 
-    Each point is the middle of the largest step of T in one of 1024 intervals of u.
-    An interval is halved 32 times, and the half in which x moves more is kept.
-    At a jump, x moves by the width of the gap; elsewhere, the step goes to zero.
+    Each point is the middle of the largest step of x = T(u) in one of 1024 intervals of u.
+    Each interval is halved 32 times: the half in which x moves more is kept.
+    At a jump, x moves by the width of the gap; elsewhere, the movement goes to zero.
     """
     if isinstance(density, Product):
         return density.lifted([_gaps(part) for part in density.parts])

@@ -1,13 +1,13 @@
 """Parts of the variance that samples miss: ∫f²/p where no sample falls, and growth at the border.
 
 ∫1/p and the variance may be finite and yet far larger than any simulation can measure.
-As an example, let f = 1, and let p be normal about ½ with σ = 0.02. Then ∫f²/p is 4e131,
-of which x within 0.005 of 0 and of 1 contributes 99.8 %. One sample in 3e134 has such an x.
+As an example, let f = 1, and let p be normal about ½ with σ = 0.02. Then ∫f²/p is 4e131.
+Points x within 0.005 of 0 or 1 contribute 99.8 % of it, and one sample in 3e134 is such a point.
 
 If f grows without bound toward a face of the cube,
 the outermost stratum causes most of the variance of stratified points.
-If f ∝ t^−κ at the distance t, the error of a point set is proportional to u^−κ,
-where u is a uniform random number.
+If f ∝ t^−κ at the distance t, the error of a point set is proportional to u^−κ.
+Here u is a uniform random number.
 For a few point sets, the distribution of Student's t of these errors is skewed.
 The quantiles of this t depend only on κ and on the number of point sets.
 `growing_interval` computes these quantiles by simulation.
@@ -53,41 +53,42 @@ _LARGE = 0.1  # Least share of ∫f²/p in regions without samples that is repor
 class TailSettings:
     """Settings that detect from values at points whether f grows at the border."""
 
-    # The exponent is fitted to values at the points closest to a face:
-    # at most `most` points, and at most the fraction 1/`part` of all points
+    # The exponent is fitted to the values at the points closest to a face.
+    # There are at most `most` of these points, and at most the fraction 1/`part` of all points
     most: int = 64
     part: int = 16
     # Least number of points in a fit, which has three parameters
     least: int = 16
     # Candidates for the exponent κ, from −1 for a smooth function to values above a pole of order 1
     exponents: tuple[float, float, int] = (-1.0, 1.3, 116)
-    # Exponent above which errors of strata are skewed.
-    # It is −1 for bounded smooth functions, −½ for square roots, and 0 for logarithms
+    # If the exponent exceeds this limit, errors of strata are skewed.
+    # The exponent is −1 for smooth bounded functions, −½ for square roots, and 0 for logarithms
     skewed: float = -0.25
-    # Least slope in units of its standard error. The value allows for up to 100 faces
+    # The fitted slope must exceed this many standard errors; up to 100 faces are tested
     sure: float = 4.0
-    # f grows if the median of the closest 1/64 of points exceeds this quantile of all values
+    # f grows if the median at the closest 1/64 of the points exceeds this quantile of all values
     outermost: float = 0.95
-    # Exponents above which f has no variance, and above which f has no integral.
-    # In theory they are ½ and 1. The error of a fit of 64 points is subtracted
+    # Exponents above the first limit make the variance infinite; above the second, ∫f diverges.
+    # In theory the limits are ½ and 1. The error of a fit of 64 points is subtracted
     no_variance: float = 0.48
     no_integral: float = 0.95
     # Least exponent for which ∫f⁴ is infinite, so that the error of a variance is unknown: ¼
     infinite_error: float = 0.25
-    # Largest exponent whose quantiles are computed. Above this exponent,
-    # the interval of the mean is infinite if the lower end of the exponent exceeds `surely`.
+    # Largest exponent for which quantiles are computed.
+    # If the exponent is larger and the lower end of its interval exceeds `surely`,
+    # the interval of the mean is infinite.
     # Among 2,700 integrals of exp(x + y), five had an exponent above `largest` by chance
     largest: float = 0.46
     surely: float = 0.25
-    # Probability that the integral is beyond the end of its interval toward which f grows.
-    # The other end comes from Student's t, and the integral is hardly ever beyond it
+    # Probability that the integral lies beyond the extended end of its interval.
+    # The other end comes from Student's t; the integral hardly ever lies beyond this other end
     beyond: float = 0.04
     # If fewer values than this hold half of the variance, most sets miss important regions.
     # Of 8,192 values of a smooth function, 700 or more hold half of the variance.
-    # For x^−0.3 these are 60 values, and for a peak on 1 % of the square 45 values.
+    # For x^−0.3, 60 values hold half of it; for a peak on 1 % of the square, 45 values do.
     # For three narrow peaks in 8 dims, a single value holds half of the variance
     few: int = 4
-    # Number of simulated values of Student's t. Quantiles at 4 % then have errors of 1 %
+    # Number of simulated values of Student's t. The error of its quantile at 4 % is then about 1 %
     samples: int = 40_000
 
 
@@ -98,14 +99,14 @@ TAIL_SETTINGS = TailSettings()
 @final
 @dataclass(frozen=True)
 class BorderGrowth:
-    """Growth of f toward a face of the cube, about as t^−κ at the distance t.
+    """Growth of f toward a face of the cube, about as t^−κ, where t is the distance to the face.
 
     Attributes
     ----------
     axis, high
         The face: x_axis = 1 if `high`, and x_axis = 0 otherwise.
     exponent, low
-        The exponent κ, which is 0 for a logarithm; and the lower end of its 95 % interval.
+        The exponent κ and the lower end of its 95 % interval. A logarithm has κ = 0.
     sign
         1 if f grows to +∞, and −1 if f falls to −∞.
     nearest
@@ -144,7 +145,7 @@ def border_growth(
     centre = float(np.median(values))
 
     def fitted(logs: Array, y: Array) -> tuple[float, float, float, float]:
-        """Fit by weighted least squares: exponent with lower end, and slope with its error."""
+        """Return exponent, its lower end, slope and its error, by weighted least squares."""
         size, free = np.abs(y - centre), len(y) - 3
         weight = np.maximum(size, 1e-3 * size.max()) ** -2.0
         weight /= weight.sum()
@@ -170,7 +171,7 @@ def border_growth(
         fits = [fitted(logs, y), fitted(logs[1:], y[1:])]
         exponent, low = (min(fit[k] for fit in fits) for k in (0, 1))
         sign = 1 if fits[0][2] > 0.0 else -1
-        # Growth must lead away from the median, to values that are rare elsewhere
+        # Growth means that values rise away from the median and are rare elsewhere
         usual = np.quantile(sign * (values - centre), settings.outermost)
         grows = np.median(sign * (y[: count // 4] - centre)) > usual
         grows &= all(sign * slope > settings.sure * error for _, _, slope, error in fits)
@@ -182,11 +183,11 @@ def border_growth(
 def growing_interval(
     estimates: Array, growths: Sequence[BorderGrowth], settings: TailSettings = TAIL_SETTINGS
 ) -> tuple[float, float]:
-    """Return a 95 % interval of the mean of estimates (R,) by strata, for a growing function.
+    """Return a 95 % interval of the mean of stratified estimates (R,) if f grows at a border.
 
-    The interval is `mean_interval`, extended on the side toward which f grows:
-    the extended end is the quantile of Student's t for errors proportional to u^−κ.
-    It is infinite if the exponent is close to ½ or above.
+    The interval is `mean_interval`, but it extends farther on the side toward which f grows.
+    The extended end is the quantile of Student's t for errors proportional to u^−κ.
+    If the exponent is close to ½ or above, the interval is infinite.
     """
     low, high = mean_interval(estimates)
     mean = float(estimates.mean())
@@ -204,7 +205,7 @@ def growing_interval(
 
 @lru_cache(maxsize=256)
 def _growing_quantile(exponent: float, count: int, settings: TailSettings) -> float:
-    """Return by how many standard errors a mean of `count` values u^−κ may be too small."""
+    """Return by how many standard errors the mean of `count` values u^−κ may be too small."""
     rng = np.random.default_rng((count, round(1000.0 * (exponent + 1.0))))
     u = rng.random((max(1000, min(settings.samples, 10_000_000 // count)), count))
     x = -np.log(u) if exponent == 0.0 else (u**-exponent - 1.0) / exponent
@@ -213,14 +214,14 @@ def _growing_quantile(exponent: float, count: int, settings: TailSettings) -> fl
 
 
 def tied_error(values: Array) -> float:
-    """Return how far the mean of R equal estimates may be from the integral, from f at all points.
+    """Return a bound for the error of the mean if all R estimates are equal, from all values of f.
 
     A function with jumps and few values, such as an indicator, may have equal estimates by chance.
     Let a point cross the i-th jump with probability p_i in one set of n points.
     No set has crossed a jump with probability (1 − Σp_i)^R, so that Σp_i < ln(20)/R at 95 %.
-    A crossing changes an estimate by at most the range of f over n.
-    The result is therefore ln(20) times the range over the number of all values, R·n.
-    It is zero for a function whose values differ: its estimates are equal only if they are exact.
+    A crossing changes an estimate by at most (max f − min f)/n.
+    The result is therefore ln(20) (max f − min f)/(R n), where R n is the number of all values.
+    The result is 0 if most values of f differ, because equal estimates are then exact.
 
     Parameters
     ----------
@@ -278,9 +279,9 @@ def doubt(
     Returns
     -------
     tuple or None
-        A sentence, and whether the values give no information on the variance at all:
-        the variance may be infinite, or may come from a region without points.
-        None if the values bound the variance. Without points, growth is not tested.
+        A sentence, and whether the values give no information on the variance at all.
+        This is so if the variance may be infinite, or may come from a region without points.
+        None if the values bound the variance. If no points are given, growth is not tested.
     """
     for each in values.T:
         if not np.ptp(each):
@@ -308,21 +309,21 @@ def doubt(
 
 
 def unsampled_share(estimator: AbstractEstimator, samples: int) -> float:
-    """Return the share of ∫f²/p where p is smallest, in a region that holds less than one sample.
+    """Return the share of ∫f²/p in the region of smallest p, where less than one sample falls.
 
     Parameters
     ----------
     estimator
         The estimator. If it has no density, the share is 0.
     samples
-        Number N of samples in all realizations together. The region has the mass 1/N.
+        Number N of samples in all realizations together. The region has the probability 1/N.
 
     Notes
     -----
     Means are taken over as many points of an additive recurrence as there are samples.
-    At least 4096 and at most 65,536 points are used, so this costs no more than the simulation.
-    A region without any of these points counts as empty,
-    so in many dims the share is more likely too small than too large.
+    There are 4096 to 65,536 of them, so this costs no more than the simulation.
+    A region without any of these points counts as empty.
+    Therefore, in many dims the share is more likely too small than too large.
     With several channels the largest share is returned.
     """
     if not isinstance(estimator, Estimator) or estimator.density is None:
@@ -334,7 +335,7 @@ def unsampled_share(estimator: AbstractEstimator, samples: int) -> float:
     unsampled = int(np.searchsorted(np.cumsum(p[order]) / count, 1.0 / samples))
     values = np.asarray(estimator.integrand(x[order])).reshape(count, -1)
 
-    # Compute f²/p relative to the largest of its channel. Use logarithms, as p may be 1e-300
+    # Divide f²/p by its largest value in each channel. Use logarithms, as p may be 1e-300
     with np.errstate(divide="ignore"):
         floor = np.maximum(p[order, None], np.finfo(float).tiny)
         logarithms = 2 * np.log(np.abs(values)) - np.log(floor)
@@ -346,9 +347,9 @@ def unsampled_share(estimator: AbstractEstimator, samples: int) -> float:
 
 
 def unsampled_note(estimator: AbstractEstimator, samples: int) -> str | None:
-    """Return a sentence if at least a tenth of ∫f²/p is where no sample is expected.
+    """Return a sentence if regions where no sample is expected hold at least a tenth of ∫f²/p.
 
-    A black box is not called; for it, the result is None.
+    A black box is not called: the result is None.
     """
     share = 0.0 if estimator.is_black_box else unsampled_share(estimator, samples)
     if share < _LARGE:
@@ -361,7 +362,7 @@ def unsampled_note(estimator: AbstractEstimator, samples: int) -> str | None:
 
 
 def tail_note(moments: Moments) -> str | None:
-    """Return a sentence about the channel whose tails are resolved worst by the estimates."""
+    """Return a sentence about tails if the estimates do not resolve them in some channel."""
     unresolved = ~np.atleast_1d(moments.resolved)
     if not unresolved.any():
         return None

@@ -1,17 +1,17 @@
-"""Quadrature for integrands: Fourier coefficients on tensor grids, integrals on adaptive boxes.
+"""Quadrature of integrands: Fourier coefficients on tensor grids, and integrals on adaptive boxes.
 
 Method
 ------
-An axis is cut into C cells of width 1/C, each with q Gauss-Legendre nodes at offsets o_q:
+Each axis is divided into C cells of width 1/C, with q Gauss-Legendre nodes at offsets o_q:
 
     ∫_0^1 f(x) exp(−2πi m x) dx ≈ Σ_q (w_q/C) exp(−2πi m o_q) FFT_q[m mod C],
 
-where FFT_q is the transform, over the cells, of the values at node q of each cell.
-With q = 1 this is the midpoint grid, whose half-sample phase exp(−πi m/C) is required.
-Unlike a plain FFT, the rule has no jump between f(1) and f(0): the border is the edge of a cell.
+where FFT_q transforms, over the cells, the values at node q of each cell.
+For q = 1 this is the midpoint grid, which requires its half-sample phase exp(−πi m/C).
+In contrast to a plain FFT, the jump between f(1) and f(0) does no harm: it is at a cell's edge.
 For smooth f, periodic or not, the rule converges spectrally in q.
-A cell with a discontinuity inside is replaced by its pieces, each with q nodes.
-These pieces are few, so the rule sums over their nodes directly.
+If a cell contains a discontinuity, it is divided there into pieces of q nodes each.
+There are few such pieces, so the rule sums over their nodes directly.
 """
 
 from __future__ import annotations
@@ -45,18 +45,18 @@ __all__ = [
     "slabs",
 ]
 
-# Nodes per cell. With 16 nodes, the error is 1e-10 at 4 nodes per wavelength.
-# At 8 nodes per wavelength, the error is at rounding level
+# Nodes per cell. With 16 of them, the error is 1e-10 at 4 nodes per wavelength.
+# At 8 nodes per wavelength, the error is at the level of rounding
 _ORDER = 16
 _LEAST_NODES = {1: 256, 2: 256, 3: 64, 4: 32}
 _BUDGET = 2**22  # Maximum number of evaluations of a refined grid
-_LIMIT = 2**24  # Maximum number of evaluations of a first grid; more raise an error
+_LIMIT = 2**24  # Maximum number of evaluations of a first grid. More raise an error
 _FOURIER_TOLERANCE = 1e-10
-_BLOCK = 2**18  # Number of points evaluated at once
-_CACHED = 2**17  # Maximum number of floats in a block that stays in the processor's cache
+_BLOCK = 2**18  # Number of points that are evaluated at once
+_CACHED = 2**17  # Maximum number of floats of a block in the processor's cache
 
-_PRODUCT_NODES = {1: 512, 2: 512, 3: 64, 4: 32}  # Nodes per axis for other product bases
-# Nodes per axis of a cell, for bases that are constant in cells
+_PRODUCT_NODES = {1: 512, 2: 512, 3: 64, 4: 32}  # Nodes per axis for the other product bases
+# Nodes per axis of a cell, for bases of functions that are constant in cells
 _CELL_NODES = {1: 64, 2: 16, 3: 4, 4: 2}
 _CELLS = {1: 32, 2: 8, 3: 4, 4: 2, 5: 2}
 _CELL_ORDER = {1: 16, 2: 8, 3: 6, 4: 5, 5: 4}
@@ -64,33 +64,33 @@ _INTEGRAL_BUDGET = 2**21  # Maximum number of evaluations of an integral on boxe
 _INTEGRAL_TOLERANCE = 1e-12
 _LATTICE_POINTS = 2**20
 PROBE = 2**17
-"""Number of points of `probe`; each represents 1/PROBE of the volume."""
+"""Number of points of `probe`. Each of them represents 1/PROBE of the volume."""
 _SIGMAS = 3.0
-# f is evaluated near the corners of a box, at this distance in 1-D and in more dims.
-# The distance is a fraction of the box
+# f is evaluated near the corners of a box, at a distance that is this fraction of the box.
+# The first number is for 1-D, and the second for more dims
 _INSET = (1e-10, 1e-6)
-_LEAST_INSET = 2.0**-51  # Least distance to a corner, as a fraction of the corner's position
-# At a corner, smooth functions change by at most this multiple of the last coefficients
+_LEAST_INSET = 2.0**-51  # Least distance to a corner, as a fraction of its coordinate
+# Near a corner, smooth functions change by at most this multiple of the last coefficients
 _SMOOTH = 100.0
-_LEAST_SEEN = 30  # Least number of nonzero residuals whose spread is used as an error estimate
+_LEAST_SEEN = 30  # The spread of residuals gives an error if at least this many are not 0
 _LOOKS = 2  # Number of points of the second probe, as a multiple of the first
-# Smallest sizes of a box: relative to its position, and at 0
+# Smallest sizes of a box: as a fraction of its position, and for a box at 0
 _SMALLEST, _TINIEST = 2.0**-44, 2.0**-500
-# Largest ratio of differences of successive levels, and number of levels for its fit
+# Largest ratio between differences of successive levels, and number of levels for this ratio
 _SLOW, _LEVELS = 0.99, 4
 _HALVES, _UNSETTLED = 0.55, 1.5
 
-_LINE, _END = 2**14, 2.0**-40  # Number of steps of a line, and position of its first point
-_CANDIDATES = 16  # Number of largest steps of a line that are searched for jumps
-# Number of times that a step is cut, down to 2^-46. The place of a cut is not a dyadic fraction
+_LINE, _END = 2**14, 2.0**-40  # Number of steps along a line, and position of its first point
+_CANDIDATES = 16  # Number of steps of a line that are searched for jumps: the largest ones
+# Number of cuts of a step, down to 2^-46. Cuts are not at the middle, to avoid dyadic fractions
 _CUTS, _CUT = 34, 0.4871
-# Number of peaks of a line, halvings around each peak, and growth that indicates a pole
+# Number of peaks of a line, number of halvings around each, and growth that indicates a pole
 _PEAKS, _CLIMBS, _GROWN = 4, 24, 4.0
-_STAYS = 0.5  # Fraction of the first step that must remain at a jump
-# Offset of the second line, and distance from the jump at which lines are compared
+_STAYS = 0.5  # Fraction of the change over the first step that must remain at a jump
+# Offset of a second line, and distance from a jump at which the two lines are compared
 _ASIDE, _ABOUT = 2.0**-20, 2.0**-30
 _SAME_BREAK = 2.0**-40
-_FOUND = 2.0**-46  # Uncertainty of the position of a detected break
+_FOUND = 2.0**-46  # Uncertainty of the position of a break that was detected
 
 
 class QuadratureIntegrand(Protocol):
@@ -123,9 +123,9 @@ class Estimate:
     Attributes
     ----------
     value, error, method
-        The value, an estimate of its largest absolute error, and the method.
+        The value, an estimate of its largest absolute error, and the name of the method.
     unseen
-        Part of the error, by channel, from regions that only the test points of `probe` hit.
+        Part of the error, by channel, that comes from regions which only test points (`probe`) hit.
         None if the nodes resolve f at all of these test points.
     """
 
@@ -138,14 +138,14 @@ class Estimate:
 @final
 @dataclass(frozen=True)
 class AxisRule:
-    """Composite Gauss-Legendre rule on [0,1], ready to integrate against exp(−2πi m x).
+    """Composite Gauss-Legendre rule on [0,1], for integrals of f(x) exp(−2πi m x).
 
     Attributes
     ----------
     cells, order
         Number C of equal cells, and number q of nodes in each cell.
-        The first C q nodes belong to these cells, and are called uniform.
-        All further nodes are in the parts of cells that are cut at a break.
+        The first C q nodes belong to these cells, and are called *uniform*.
+        All other nodes belong to parts of cells that are cut at a break.
     nodes, weights
         Arrays of shape (P,). Uniform nodes in cut cells have weight 0.
     """
@@ -157,7 +157,7 @@ class AxisRule:
 
     @staticmethod
     def make(count: int, order: int, breaks: Sequence[float] = ()) -> AxisRule:
-        """Make a rule of `count` uniform nodes, `order` per cell, with cells cut at `breaks`."""
+        """Make a rule of `count` uniform nodes, `order` nodes per cell, and cut cells at breaks."""
         cells = count // order
         node, weight = gauss_rule(order)
         nodes = ((np.arange(cells)[:, None] + node) / cells).ravel()
@@ -179,7 +179,7 @@ class AxisRule:
         )
 
     def transform(self, values: Array, m: Array) -> Array:
-        """Return coefficients (..., U) at integers m (U,) of values (..., P) at the nodes."""
+        """Return coefficients (..., U) at integers m (U,), from values (..., P) at the nodes."""
         uniform = self.cells * self.order
         weighted = values * self.weights
         grid = weighted[..., :uniform].reshape(*values.shape[:-1], self.cells, self.order)
@@ -194,12 +194,12 @@ class AxisRule:
 
 
 def refined_coefficients(function: QuadratureIntegrand, m: Sequence[Array]) -> Estimate:
-    """Return coefficients at a product of integers m[i] (U_i,): (U_0, …, U_{d−1}[, channels]).
+    """Return coefficients (U_0, …, U_{d−1}[, channels]) at the product of integers m[i] (U_i,).
 
     The first grid has 16 nodes per wavelength of the highest frequency, or 8 in three or more dims.
-    If more nodes would exceed 2^24 evaluations, it has 4 nodes per wavelength.
+    If this would exceed 2^24 evaluations, it has 4 nodes per wavelength.
     The grid has at least 256 nodes per axis (64 in 3-D, 32 in 4-D, 16 in more dims).
-    Grids are doubled until two of them agree to 1e-10 of the largest coefficient.
+    The number of nodes is doubled until two grids agree to 1e-10 of the largest coefficient.
     Doubling also ends if the next grid would exceed 2^22 evaluations.
 
     Raises
@@ -207,7 +207,7 @@ def refined_coefficients(function: QuadratureIntegrand, m: Sequence[Array]) -> E
     ParameterError
         If the first grid exceeds 2^24 evaluations.
     """
-    # Choose the first grid by the highest frequency along each axis
+    # Choose the size of the first grid from the highest frequency along each axis
     dims, least = len(m), _LEAST_NODES.get(len(m), 16)
     highest = [int(np.abs(axis).max()) for axis in m]
     for per_wave in (16, 8, 4) if dims <= 2 else (8, 4):
@@ -235,7 +235,7 @@ def refined_coefficients(function: QuadratureIntegrand, m: Sequence[Array]) -> E
 def grid_coefficients(
     function: QuadratureIntegrand, counts: Sequence[int], m: Sequence[Array]
 ) -> Array:
-    """Transform one tensor grid slab by slab along all axes but the first, then along the first."""
+    """Transform one tensor grid, slab by slab: first along all other axes, then along the first."""
     rules = [
         AxisRule.make(count, min(_ORDER, count), breaks)
         for count, breaks in zip(counts, function.breaks, strict=True)
@@ -252,7 +252,7 @@ def grid_coefficients(
 
 
 def slabs(function: QuadratureIntegrand, rules: Sequence[AxisRule]) -> Iterator[tuple[int, Array]]:
-    """Yield slabs of the node grid along the first axis: start, and values (C, p, P_1, …)."""
+    """Yield slabs of the node grid along the first axis: their start, and values (C, p, P_1, …)."""
     first, rest = rules[0].nodes, [rule.nodes for rule in rules[1:]]
     step = max(1, _BLOCK // math.prod(nodes.size for nodes in rest))
     for start in range(0, first.size, step):
@@ -277,28 +277,28 @@ def adaptive_integral(
     *,
     budget: int = _INTEGRAL_BUDGET,
 ) -> Estimate:
-    """Return ∫ f of C ≥ 1 channels in up to 5 dims, on boxes that split until their sums agree.
+    """Return ∫ f of C ≥ 1 channels in up to 5 dims, on boxes that are divided until sums agree.
 
-    Gauss-Legendre tensor rules are used on cells cut at the `breaks` of each axis.
-    `probed` holds the values at the points of `probe`, if they are known.
+    Cells are first cut at the `breaks` of each axis. In each, a Gauss-Legendre tensor rule is used.
+    If `probed` is given, it holds the values at the points of `probe`.
     Each point of the probe represents 2^-17 of the volume.
 
-    While the `budget` of evaluations lasts, a cell is replaced by its 2^d parts in two cases.
-    First case: integrals over cell and parts differ by more than the cell's share of 1e-12 ∫|f|.
-    Second case: at a point of the probe, f differs from the polynomial through the parts' nodes.
+    While the `budget` of evaluations lasts, a cell is divided into 2^d parts in two cases.
+    First, integrals over cell and parts differ by more than the cell's share of 1e-12 ∫|f|.
+    Second, f at a point of the probe differs from the polynomial through the nodes of a part.
 
-    The error is the sum of the last differences and of the estimated later differences.
-    An alternative value is corrected by the mean over the probe of f minus the polynomials.
+    The error is the sum of the last differences, and of an estimate of all later ones.
+    An alternative is to correct the value by the mean over the probe of f minus the polynomials.
     The error of the corrected value is three standard errors of this mean.
-    The value with the smaller error is used.
+    Of the two values, the one with the smaller error is used.
 
-    Boxes that split only because of the probe show that other regions may have been missed.
-    If such boxes exist, 2^18 other points correct the value and give its error.
+    If boxes were divided only because of the probe, other regions may have been missed.
+    In this case, 2^18 other points correct the value and give its error.
     """
     dims, method = function.dims, "adaptive Gauss-Legendre quadrature with a probe"
     order = _CELL_ORDER[dims]
 
-    # Cut the first cells at the breaks: lower corners and sizes (N, d)
+    # Cut the first cells at the breaks. They have lower corners and sizes (N, d)
     edges = [np.union1d(_uniform(dims), axis) for axis in breaks]
     low = _tensor([e[:-1] for e in edges]).reshape(-1, dims)
     size = _tensor([np.diff(e) for e in edges]).reshape(-1, dims)
@@ -319,12 +319,12 @@ def adaptive_integral(
     halves = _tensor([np.array([0.0, 0.5])] * dims).reshape(-1, dims)
     digits = 2 ** np.arange(dims)[::-1]
     fresh, surprises = np.full(len(points), True), np.zeros(coarse.shape[1])
-    # Sum the errors at the probe in boxes whose integral did not change
+    # Sum of the errors at the probe's points, in boxes whose integral did not change
     alone = np.zeros(coarse.shape[1])
     levels: list[tuple[Array, Array, Array, Array, Array]] = []
-    left: list[Array] = []  # Total difference of each level, over cells whose integral changed
+    left: list[Array] = []  # sum of differences at each level, over cells whose integral changed
     while True:
-        # Halve the boxes along every axis; the parts of a box are adjacent
+        # Halve the boxes along every axis. The parts of a box are stored next to each other
         budget -= len(low) * (2 * order) ** dims
         part = cell * 2**dims + (points >= (low + 0.5 * size)[cell]) @ digits
         low = (low[:, None] + halves * size[:, None]).reshape(-1, dims)
@@ -334,7 +334,7 @@ def adaptive_integral(
         fine = (weights @ values * volume[:, None]).reshape(len(coarse), 2**dims, -1)
         better = fine.sum(axis=1)
 
-        # Keep splitting boxes that changed by more than their share, if the budget allows
+        # Divide boxes further if they changed by more than their share, and the budget allows it
         scale = np.maximum(scale, np.abs(fine).sum(axis=(0, 1)))
         difference = np.abs(better - coarse)
         changed = (difference > _INTEGRAL_TOLERANCE * scale / len(coarse)).any(axis=1)
@@ -364,22 +364,22 @@ def adaptive_integral(
         cell = (np.cumsum(keep) - 1)[part[inside]]
         points, seen, fresh = points[inside], seen[inside], (fresh & ~surprise)[inside]
 
-    # Correct the integral over unresolved boxes by the values at the points of the probe
+    # Correct the integral over unresolved boxes by the values at the probe's points
     rest = missed[changed[cell]] / PROBE
     shift, spread = rest.sum(axis=0), _SIGMAS * np.sqrt((rest**2).sum(axis=0))
     better_known = (np.count_nonzero(rest, axis=0) >= _LEAST_SEEN) & (spread < error)
     biased = ~better_known & (_SIGMAS * np.abs(shift) > 2.0 * spread)
     total = np.where(better_known, total + shift, total)
     error = np.where(better_known, spread, np.where(biased, error + np.abs(shift) + spread, error))
-    # Add the error of jumps in cells that are neglected because of their small weight
+    # Add the error from jumps in cells that are neglected, because their weight is small
     error += _SIGMAS * _INTEGRAL_TOLERANCE * scale
     error += _FOUND * sum(map(len, breaks)) * np.ptp(probed, axis=0)
     if not surprises.any():
         return Estimate(total, float(error.max()), method)
 
-    # Probe the unchanged cells again at other points.
-    # In 1-D, the first probe cannot miss any region as wide as one that it has found.
-    # In more dims, a region that 2^18 points miss may exist with probability 5 %
+    # Test the unchanged cells again, at other points.
+    # In 1-D, the first probe cannot have missed a region as wide as one that it found.
+    # In more dims, there may be a region that all 2^18 points miss, with probability 5 %
     again = probe(dims, _LOOKS)
     rest = _hidden(levels, again, cells_of(again), _at_points(function, again)) / len(again)
     rest[np.abs(rest) * len(again) <= _INTEGRAL_TOLERANCE * scale] = 0.0
@@ -396,16 +396,16 @@ def adaptive_integral(
 def search_breaks(
     function: QuadratureIntegrand, *, budget: int = _INTEGRAL_BUDGET
 ) -> tuple[tuple[Array, ...], Array]:
-    """Return the breaks that f declares along each axis, with the jumps and poles found.
+    """Return the breaks that f declares along each axis, and the jumps and poles that are found.
 
-    The search begins with the values at the points of `probe`, which are also returned.
+    The search begins with the values at the points of `probe`. These values are also returned.
 
-    Lines along each axis go through two points of the probe.
-    More lines go through the points of the probe at which f is least and greatest.
-    The largest steps of a line are cut down to 2^-46. A step that remains is a jump or a pole.
-    A jump is normal to the axis if a neighboring line has a jump at the same position.
-    Boxes and tables are then cut there, because their nodes or cells could miss a thin slab.
-    If the breaks would make too many boxes, the breaks with the largest jumps are kept.
+    Along each axis, two lines go through points of the probe.
+    Other lines go through the points of the probe where f is least and greatest.
+    The largest steps of each line are cut down to 2^-46. If a step remains, it is a jump or a pole.
+    A jump is normal to the axis if a neighboring line jumps at the same position.
+    Boxes and tables are then cut at it, because their nodes or cells could miss a thin slab.
+    If all breaks would make too many boxes, those with the largest jumps are used.
     """
     dims, points = function.dims, probe(function.dims)
     breaks = [np.array([b for b in axis if 0.0 < b < 1.0]) for axis in function.breaks]
@@ -413,12 +413,12 @@ def search_breaks(
     spread = np.where(seen.std(axis=0) > 0.0, seen.std(axis=0), np.inf)
     lines = points[np.unique([0, 1, *seen.argmin(axis=0), *seen.argmax(axis=0)])]
     rows, steps = np.arange(len(lines))[:, None], (np.arange(_LINE) + math.sqrt(0.5)) / _LINE
-    # Breaks found, as tuples: whether it is a peak, minus its height, its axis, its position
+    # Tuples of the breaks: whether there is a peak, minus its height, axis, position
     found: list[tuple[bool, float, int, float]] = []
     for axis in range(dims):
 
         def at(t: Array, aside: float = 0.0, axis: int = axis) -> Array:
-            """Return values (L, M, C) of f at positions t (L, M) on lines, or `aside` of lines."""
+            """Return values (L, M, C) of f at t (L, M) on lines that are moved by `aside`."""
             x = np.repeat((lines[:, None] + aside) % 1.0, t.shape[1], axis=1)
             x[..., axis] = np.clip(t, _END, 1.0 - _END)
             return _at_points(function, x.reshape(-1, dims)).reshape(*t.shape, -1) / spread
@@ -454,7 +454,7 @@ def search_breaks(
             stays &= beside > _STAYS * here
         places = 0.5 * (low + high)
 
-        # Search for the tops of the highest peaks on each line. At a pole, the values keep growing
+        # Search for the tops of the highest peaks on each line. Toward a pole, values keep growing
         size = np.abs(y_line).max(axis=-1)
         peaks = (size[:, 1:-1] >= size[:, :-2]) & (size[:, 1:-1] >= size[:, 2:])
         top = 1 + np.argpartition(peaks * size[:, 1:-1], -_PEAKS, axis=1)[:, -_PEAKS:]
@@ -475,8 +475,8 @@ def search_breaks(
         ):
             found += [(peak, -h, axis, b) for h, b in zip(heights, at_places, strict=True)]
 
-    # Take jumps before peaks, and the highest first, while more boxes are affordable.
-    # Growth at a border needs no break, because the boxes end at the border
+    # Take jumps before peaks, and the highest first, while the number of boxes is affordable.
+    # If f grows at the border of the cube, no break is needed, because boxes end there
     for peak, _, axis, place in sorted(found):
         if min(place, 1.0 - place) < _ABOUT:
             continue
@@ -500,11 +500,11 @@ def _at_points(function: QuadratureIntegrand, points: Array) -> Array:
 
 
 def _after(left: list[Array]) -> Array:
-    """Return the sum of all later differences in units of the last, by a geometric series.
+    """Return the sum of all later differences, divided by the last, from a geometric series.
 
     If each difference is half of the difference before, the sum is 1.
-    Next to a pole, the differences of levels shrink slowly, and their ratio still rises.
-    Therefore the sum is increased by half if this ratio exceeds 0.55.
+    Next to a pole, the differences between levels shrink slowly, and their ratio still rises.
+    Therefore, if the ratio exceeds 0.55, the sum is increased by half.
     """
     first, last = np.maximum(left[0], 1e-300), left[-1]
     ratio = np.minimum((last / first) ** (1.0 / max(1, len(left) - 1)), _SLOW)
@@ -517,12 +517,12 @@ def _hidden(
     cell: Array,
     seen: Array,
 ) -> Array:
-    """Return values `seen` minus the polynomials of the smallest boxes with the points: (K, C).
+    """Return `seen` minus the polynomials of the smallest boxes that contain the points: (K, C).
 
-    Each of the `levels` has lower corners, sizes, values at nodes, and two flags of its boxes.
-    The flags say that the box was split again, or that its integral changed.
-    `cell` is the index of the starting box that contains each of the points (K, d).
-    The result is 0 at points in boxes whose integral changed at the last split.
+    Each of the `levels` has the lower corners, sizes and values at nodes of its boxes.
+    Two flags tell for each box whether it was divided again, and whether its integral changed.
+    `cell` is the index of the starting box of each of the points (K, d).
+    If the integral of a box changed at the last division, the result at its points is 0.
     """
     dims, found, number = points.shape[1], np.zeros(seen.shape), np.arange(len(points))
     digits = 2 ** np.arange(dims)[::-1]
@@ -541,11 +541,11 @@ def _hidden(
 def probe(dims: int, times: int = 1) -> Array:
     """Return points (2^17 `times`, d) that avoid cell borders, nodes and dyadic numbers.
 
-    The points are the same at every call. They form a Latin hypercube.
-    Along each axis, the points are a permuted regular grid with an irrational offset.
-    A slab across an axis is always hit if its width is at least 2^-17.
-    Any other region of volume v is hit with probability 1 − exp(−2^17 v).
-    A region of volume v = 8e-5 is missed with probability below 5e-5.
+    The points are the same in every call. They form a Latin hypercube.
+    Along each axis, their coordinates are a permuted regular grid with an irrational offset.
+    A slab normal to an axis is always hit if its width is at least 2^-17.
+    Another region of volume v is hit with probability 1 − exp(−2^17 v).
+    For v = 8e-5, the probability that it is missed is below 5e-5.
     """
     keys = Stream(times - 1).uniforms(0, dims, times * PROBE)
     offsets = np.sqrt(np.arange(2, 2 + dims) + 0.5)[:, None] % 1.0
@@ -557,7 +557,7 @@ def probe(dims: int, times: int = 1) -> Array:
 def _residuals(
     values: Array, seen: Array, points: Array, low: Array, size: Array, cell: Array
 ) -> Array:
-    """Return residuals (K, C): `seen` at the points (K, d) minus polynomials.
+    """Return residuals (K, C): values `seen` at the points (K, d), minus polynomials.
 
     The polynomial of each of the N cells interpolates the `values` (N, q^d, C) at its nodes.
     """
@@ -598,12 +598,11 @@ def _cell_values(
 
 
 def _slivers(values: Array, corners: Array) -> Array:
-    """Return the largest ∫|f| that nodes may miss along the faces of a box: (N, C).
+    """Return a bound of ∫|f| between the outer nodes and the faces of a box: (N, C).
 
-    The result is relative to the volume of the box.
-    f may jump beyond the outer nodes.
-    A jump is assumed if f at a corner is too far from the polynomial through the nodes.
-    The limit is a multiple of the polynomial's last coefficients, which estimate its error.
+    The bound is divided by the volume of the box. f may jump beyond the outer nodes.
+    There is a jump if f near a corner differs too much from the polynomial through the nodes.
+    The polynomial's last coefficients estimate its error. The limit is a multiple of them.
     """
     dims = round(math.log2(corners.shape[1]))
     order = round(values.shape[1] ** (1.0 / dims))
@@ -626,9 +625,9 @@ def _slivers(values: Array, corners: Array) -> Array:
 def lattice_integral(function: QuadratureIntegrand) -> Estimate:
     """Return ∫ f in any number of dims as a mean over 2^20 Kronecker points: value (C,).
 
-    The points are ½ + k α mod 1 with the steps α of `golden_vector`.
-    The points are split into 16 successive parts, which are shifted copies of each other.
-    The error is three standard errors of the means of these parts; it exceeds the true error.
+    The points are ½ + k α modulo 1, with the steps α of `golden_vector`.
+    They are divided into 16 successive parts, which are shifted copies of each other.
+    The error is three standard errors of the means of these parts. The true error is smaller.
     """
     alpha, sums = golden_vector(function.dims), []
     for start in range(1, _LATTICE_POINTS, 2**14):
@@ -641,7 +640,7 @@ def lattice_integral(function: QuadratureIntegrand) -> Estimate:
 
 
 def axis_rules(f: QuadratureIntegrand, half_width: int) -> list[AxisRule]:
-    """Return composite Gauss-Legendre rules with 16 nodes per wavelength (fewer beyond 2-D).
+    """Return composite Gauss-Legendre rules with 16 nodes per wavelength, or fewer beyond 2-D.
 
     Raises
     ------
@@ -664,7 +663,7 @@ def axis_rules(f: QuadratureIntegrand, half_width: int) -> list[AxisRule]:
 def product_coefficients(
     f: QuadratureIntegrand, rules: Sequence[AxisRule], functions: Sequence[Array]
 ) -> Array:
-    """Return ∫ f Π_i φ_i for all products of real functions of one variable.
+    """Return ∫ f Π_i φ_i for all products of real functions φ_i of one coordinate each.
 
     Parameters
     ----------
@@ -684,7 +683,7 @@ def product_coefficients(
     for start, values in slabs(f, rules):
         weighted = [rule.weights[:, None] * phi for rule, phi in zip(rules, functions, strict=True)]
         weighted[0] = weighted[0][start : start + values.shape[1]]
-        # Contract the first axis of nodes of values (C, P_0, …) and append an axis of functions
+        # Sum over the first axis of nodes in values (C, P_0, …), and append an axis of functions
         for phi in weighted:
             values = np.tensordot(values, phi, axes=([1], [0]))
         total = total + values
@@ -706,14 +705,14 @@ def cell_integrals(f: QuadratureIntegrand, size: int) -> tuple[Array, str]:
             Parameter("half_width"),
             " or levels.",
         )
-    # Use means over boxes if the integrand has them
+    # Use the means over boxes, if the integrand has them
     low = np.stack(np.meshgrid(*[np.arange(size) / size] * f.dims, indexing="ij"), axis=-1)
     low = low.reshape(-1, f.dims)
     moments = f.box_moments(low, low + 1.0 / size)
     if moments is not None:
         return np.asarray(moments[0]).reshape(len(low), -1).T / cells, "exact"
 
-    # Otherwise add up the nodes of each cell, slab by slab
+    # Otherwise sum over the nodes of each cell, slab by slab
     nodes = _CELL_NODES.get(f.dims, 2)
     while nodes > 1 and (float(nodes) * size) ** f.dims > _LIMIT:
         nodes //= 2
@@ -731,7 +730,7 @@ def cell_integrals(f: QuadratureIntegrand, size: int) -> tuple[Array, str]:
 
 
 def _sum_by(values: Array, axis: int, weights: Array, cell: Array) -> Array:
-    """Return weighted sums along an axis over the nodes of each nonempty cell, in order."""
+    """Return weighted sums over the nodes of each nonempty cell along an axis, in order."""
     order = np.argsort(cell, kind="stable")
     first = np.flatnonzero(np.diff(cell[order], prepend=-1))
     shape = [1] * values.ndim

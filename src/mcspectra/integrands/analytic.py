@@ -20,11 +20,11 @@ from mcspectra.integrands.base import Integrand, any_dims, per_axis
 
 __all__ = ["Constant", "Cosine", "Gaussian", "Linear", "Polynomial", "squared_distance"]
 
-_MAX_DEGREE = 20  # Higher powers of x are ill-conditioned; see `Polynomial._fourier`
-# A Gauss rule is used below this number of cycles; from 4 cycles, integration by parts is stable:
-# 2π·4 exceeds the highest degree, 20
+_MAX_DEGREE = 20  # higher powers of x are ill-conditioned (see `Polynomial._fourier`)
+# Below this number of cycles, a Gauss rule is used. Above it, integration by parts is stable.
+# The reason is that 2π·4 exceeds the highest degree, 20
 _LOW_FREQUENCY = 4
-_NARROW = 0.5  # Width below which 8 Gauss nodes replace differences of erf (error 1e-19)
+_NARROW = 0.5  # below this width, 8 Gauss nodes replace differences of erf, with an error of 1e-19
 
 
 def _as_coefficients(name: str, given: object) -> tuple[float, ...]:
@@ -80,14 +80,14 @@ class Constant(Integrand):
 @final
 @dataclass(frozen=True, kw_only=True)
 class Linear(Integrand):
-    """A plane, f(x) = offset + Σ_i gradient_i x_i; by default f(x) = x_0.
+    """A plane, f(x) = offset + Σ_i gradient_i x_i. The default is f(x) = x_0.
 
     Parameters
     ----------
     gradient
-        Slopes: a single number is the slope along the first axis, a list has one for each axis.
+        Slopes. A single number is the slope along the first axis; a list has one for each axis.
     offset
-        Value at the origin.
+        Value of f at the origin.
     dims
         Number of dims.
     """
@@ -101,7 +101,7 @@ class Linear(Integrand):
         return _along_first_axis(self.gradient, self.dims)
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array]:
-        """Return f at the center. The mean of f² adds Σ_i (g_i h_i)²/12: slopes g, sides h."""
+        """Return f at the centers. The mean of f² adds Σ_i (g_i h_i)²/12 for sides h_i."""
         mean = self._evaluate(0.5 * (lo + hi))
         return mean, mean**2 + ((hi - lo) ** 2 @ self._slopes**2) / 12.0
 
@@ -112,7 +112,7 @@ class Linear(Integrand):
         return float(self.offset + 0.5 * self._slopes.sum())
 
     def _fourier(self, m: Array) -> Array:
-        # ∫ x exp(−2πi m x) dx = i/(2π m): only frequencies along one axis have a coefficient.
+        # ∫ x exp(−2πi m x) dx = i/(2π m), so only frequencies along one axis have a coefficient
         nonzero = m != 0
         along = np.where(nonzero, self._slopes / np.where(nonzero, m, 1.0), 0.0).sum(axis=-1)
         count = nonzero.sum(axis=-1)
@@ -136,7 +136,7 @@ class Polynomial(Integrand):
     dims: int = any_dims()
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array]:
-        """Return products over axes of a Gauss rule that is exact for the squared polynomial."""
+        """Return products over axes of a Gauss rule that is exact for the polynomial squared."""
         node, weight = gauss_rule(len(self.coefficients))
         values = self._factor(lo[..., None] + (hi - lo)[..., None] * node)
         return (values @ weight).prod(axis=-1), (values**2 @ weight).prod(axis=-1)
@@ -153,7 +153,7 @@ class Polynomial(Integrand):
     def _fourier(self, m: Array) -> Array:
         # Integration by parts gives I_k = ∫ x^k exp(−2πi m x) dx = (k I_{k−1} − 1)/(2πi m).
         # Rounding errors do not grow while k < 2π|m|.
-        # At lower frequencies (up to 4 cycles), a Gauss rule of degree 79 is exact to rounding.
+        # At lower frequencies (up to 4 cycles), a Gauss rule of degree 79 is exact to rounding
         node, weight = gauss_rule(40)
 
         def factor(frequency: Array) -> Array:
@@ -191,13 +191,13 @@ class Gaussian(Integrand):
     dims: int = any_dims()
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array]:
-        """Return products of error functions; f² is a Gaussian of width/√2."""
+        """Return products of error functions. f² is a Gaussian of width width/√2."""
         mean = _gaussian_mean(lo, hi, self._centers, self.width)
         square = _gaussian_mean(lo, hi, self._centers, self.width / math.sqrt(2.0))
         return mean.prod(axis=-1), square.prod(axis=-1)
 
     def _evaluate(self, x: Array) -> Array:
-        scale = min(math.sqrt(0.5) / self.width, sys.float_info.max)  # otherwise 0 · ∞ = NaN
+        scale = min(math.sqrt(0.5) / self.width, sys.float_info.max)  # avoids ∞ · 0 = NaN
         exponent = squared_distance(x, self._centers, scale)
         np.negative(exponent, out=exponent)
         return np.asarray(np.exp(exponent, out=exponent))
@@ -218,7 +218,7 @@ class Cosine(Integrand):
     Parameters
     ----------
     frequency
-        Whole cycles: a single number is along the first axis, a list has one for each axis.
+        Whole cycles. A single number is along the first axis; a list has one for each axis.
     phase
         Phase in radians.
     dims
@@ -234,7 +234,7 @@ class Cosine(Integrand):
         return _along_first_axis(self.frequency, self.dims)
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array]:
-        """Use cos at the center times Π sinc. f² is ½ + ½ cos of the doubled argument."""
+        """Return means: cos at the center times Π sinc. For f², the argument is doubled."""
         argument = 2.0 * np.pi * (0.5 * (lo + hi) @ self._wave) + self.phase
         cycles = (hi - lo) * self._wave
         mean = np.cos(argument) * np.sinc(cycles).prod(axis=-1)
@@ -254,14 +254,14 @@ class Cosine(Integrand):
 
 
 def _along_first_axis(value: float | Sequence[float], dims: int) -> Array:
-    """Return a vector (d,); a single number becomes its first component."""
+    """Return a vector (d,). A single number becomes its first component."""
     vector = np.zeros(dims)
     vector[: 1 if isinstance(value, int | float) else dims] = value
     return vector
 
 
 def _product_over_axes(m: Array, factors: Sequence[Callable[[Array], Array]]) -> Array:
-    """Return Π_i factors[i](m_i) for m (..., d), each factor called once for each distinct m_i."""
+    """Return Π_i factors[i](m_i) for m (..., d). Each factor is called once per distinct m_i."""
     product = np.ones(m.shape[:-1], np.complex128)
     for i, factor in enumerate(factors):
         distinct, where = np.unique(m[..., i], return_inverse=True)
@@ -271,7 +271,7 @@ def _product_over_axes(m: Array, factors: Sequence[Callable[[Array], Array]]) ->
 
 def squared_distance(x: Array, center: Array, scale: float = 1.0) -> Array:
     """Return Σ_i (scale (x_i − c_i))² at points x (..., d): float64 (...)."""
-    # NumPy sums over a last axis of two or three numbers several times more slowly
+    # For a last axis of two or three numbers, sums by NumPy are several times slower
     from mcspectra.integrands._kernels import fill_squared_distances
 
     out = np.empty(x.shape[:-1])
@@ -283,10 +283,10 @@ def squared_distance(x: Array, center: Array, scale: float = 1.0) -> Array:
 def _gaussian_fourier(m: Array, center: float, width: float) -> Array:
     """Return ∫_0^1 exp(−(x−c)²/(2w²)) exp(−2πi m x) dx for integer m.
 
-    Let t = (x−c)/(w√2), β = π m w√2, and F(x) = w√2 e^{−2πimc} e^{−β²} (√π/2) erf(t + iβ).
+    Let t = (x−c)/(w√2), let β = π m w√2, and F(x) = w√2 e^{−2πimc} e^{−β²} (√π/2) erf(t + iβ).
     The integral is F(1) − F(0).
-    F is written with the Faddeeva function W(z) = e^{−z²} erfc(−iz) in the upper half plane.
-    In this half plane |W| ≤ 1, so nothing overflows. The phases at the ends are exp(−2πi m) = 1.
+    In the upper half plane, F is written with the Faddeeva function W(z) = e^{−z²} erfc(−iz).
+    There |W| ≤ 1, so nothing overflows. The phases at both ends are exp(−2πi m) = 1.
     """
     from scipy.special import wofz
 

@@ -1,11 +1,11 @@
-"""The interface of integrands: values, integral, Fourier coefficients; integrands of callables.
+"""The interface of integrands (values, integral, coefficients), and integrands of callables.
 
-The coefficients are f_m = ∫ f(x) exp(−2πi m·x) dx over [0,1)^d for integer m.
-Implementations define `_evaluate`, and also `_integral` and `_fourier` if these are known exactly.
-Otherwise composite Gauss-Legendre quadrature is used, with an FFT for the coefficients.
-`integral_source` and `fourier_source` report the method.
+The coefficients are f_m = ∫ f(x) exp(−2πi m·x) dx over [0,1)^d, for integer m.
+Classes define the method `_evaluate`, and `_integral` or `_fourier` if exact values are known.
+Otherwise composite Gauss-Legendre quadrature is used. For the coefficients it uses an FFT.
+The attributes `integral_source` and `fourier_source` report the method.
 Each integrand stores results of quadrature in its `IntegrandCache`.
-Because of this cache, an integrand must always give the same values.
+Therefore an integrand must always give the same values.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ _MOST_COEFFICIENTS = 2**26  # Largest number of coefficients: 1 GiB of complex n
 _EXACT_BLOCK = 2**20
 _KEPT = 4
 _ADAPTIVE_DIMS = 5
-_PROBE = (4, 7)  # Points with two leading axes detect functions that accept only lists
+_PROBE = (4, 7)  # points with two leading axes detect functions that accept only lists of points
 
 
 def any_dims() -> Any:
@@ -100,7 +100,7 @@ def axis_number() -> Any:
 
 
 def per_axis(default: float | None, **limits: float) -> Any:
-    """Declare a field of one finite number, or one per axis; a single number stays single."""
+    """Declare a field of one finite number, or one per axis. A single number is not repeated."""
 
     def check(name: str, given: object, dims: int) -> float | tuple[float, ...]:
         found = as_reals(name, given, dims, **limits)
@@ -112,27 +112,27 @@ def per_axis(default: float | None, **limits: float) -> Any:
 @final
 @dataclass(slots=True, eq=False, repr=False)
 class IntegrandCache:
-    """Results about one integrand. Each is computed at its first use and is None before.
+    """Results about one integrand. Each is computed when it is first used, and is None before.
 
     Attributes
     ----------
     integral
         ∫ f by quadrature, or by the integrand's own rule (`numeric_integral`).
     coefficients
-        Fourier coefficients by the tensor product of their frequencies; the last four are kept.
+        Fourier coefficients, by the frequencies along all axes. Only the last four sets are stored.
     breaks
-        Positions along each axis where f jumps, declared or detected (`found_breaks`).
+        Positions along each axis where f jumps, whether declared or detected (`found_breaks`).
     probed
         Values at the points of `mcspectra.integrands._quadrature.probe`.
-        The search for breaks stores these values for the integral, which then deletes them.
+        The search for breaks stores these values for the integral. The integral then deletes them.
     cut
-        The integrand with these breaks, or the integrand itself if it declares all of them.
+        The integrand with these breaks. If it declares all of them, the integrand itself.
         See `mcspectra.estimators.quadrature.looked_at`.
     moments
-        A number a close to ∫ f; ∫ (f − a) and ∫ (f − a)²; and the errors of both integrals
+        A number a close to ∫ f, then ∫ (f − a) and ∫ (f − a)², and the errors of both integrals
         (`mcspectra.estimators.quadrature.moments`).
     unseen_square
-        Error of ∫ (f − a)² from regions that only test points (`probe`) hit
+        Error of ∫ (f − a)² from regions that only the points of `probe` hit
         (`mcspectra.estimators.quadrature.unseen`).
     square
         ∫ f² and its absolute error (`mcspectra.estimators.quadrature.square_integral`).
@@ -143,8 +143,8 @@ class IntegrandCache:
         Largest values at the points of the probe, in descending order
         (`mcspectra.estimators.quadrature.beyond_points`).
     separable
-        f as sums or products of functions of one axis, one entry per channel.
-        Empty if f has no such form (`mcspectra.prediction.separable.separated`).
+        f as sums or products of functions of single axes, for each channel.
+        It is empty if f has no such form (`mcspectra.prediction.separable.separated`).
     """
 
     integral: Estimate | None = None
@@ -168,20 +168,20 @@ class Integrand(Component, ABC):
     dims
         Number of dimensions d.
     channels
-        Number of channels, which is the last axis of values; 0 for a scalar function.
+        Number of channels, which is the length of the last axis of values. It is 0 for a scalar f.
     stock_samplers
-        Specs of the samplers that come with the program that evaluates f.
+        Specs of samplers that belong to the program that evaluates f.
     """
 
     stock_samplers: ClassVar[tuple[str, ...]] = ()
     costly: ClassVar[bool] = False
-    """Whether an evaluation is so slow that predictions avoid methods with many evaluations."""
+    """Whether evaluations are so slow that predictions avoid methods that need many."""
     dims: int
     channels: int = 0
 
     @cached_property
     def _cache(self) -> IntegrandCache:
-        """Results about this integrand; they are deleted with it."""
+        """Results about this integrand. They are deleted together with it."""
         return IntegrandCache()
 
     def __call__(self, x: object) -> Array:
@@ -192,7 +192,7 @@ class Integrand(Component, ABC):
         DomainError
             If x has another number of dims, or is not finite.
         ParameterError
-            If the function does not return real numbers of that shape.
+            If the function does not return real numbers in this shape.
         """
         points = as_real_array("x", x)
         if points.ndim == 0 or points.shape[-1] != self.dims:
@@ -205,19 +205,19 @@ class Integrand(Component, ABC):
                 "points of the unit cube."
             )
         if type(self).is_black_box is Integrand.is_black_box and self.is_black_box:
-            # Count calls only for classes of other packages; functions count their own calls
+            # Count calls here only for classes of other packages: functions count their own calls
             spend(points.size // self.dims)
         return self._evaluate(points)
 
     @property
     def integral(self) -> Any:
-        """∫ f over [0,1]^d: a float or an array (channels,); see `integral_source`."""
+        """∫ f over [0,1]^d, as a float or an array (channels,). See `integral_source`."""
         exact = self._integral()
         return numeric_integral(self) if exact is None else exact
 
     @property
     def integral_source(self) -> str:
-        """``"exact"`` or the method of `integral`; `integral_accuracy` gives its error."""
+        """``"exact"``, or the method that computed the integral (see `integral_accuracy`)."""
         return "exact" if self._integral() is not None else "quadrature"
 
     def fourier(self, m: object) -> Array:
@@ -226,12 +226,12 @@ class Integrand(Component, ABC):
         Returns
         -------
         ndarray
-            complex128, shape (...) or (..., channels); `fourier_source` reports if they are exact.
+            complex128 (...) or (..., channels). `fourier_source` tells whether they are exact.
 
         Raises
         ------
         ParameterError
-            If m is not integer, or needs an FFT grid that is too large.
+            If m is not integer, or would need an FFT grid that is too large.
         """
         frequencies = as_frequencies(m, self.dims)
         if not np.array_equal(frequencies, np.rint(frequencies)):
@@ -242,7 +242,7 @@ class Integrand(Component, ABC):
         if exact is not None:
             return exact
 
-        # One tensor grid serves all frequencies; the highest |m_i| along each axis sets its size
+        # One tensor grid serves all frequencies. The highest |m_i| on each axis determines its size
         axes, places = [], []
         for i in range(self.dims):
             distinct, where = np.unique(frequencies[..., i], return_inverse=True)
@@ -281,45 +281,45 @@ class Integrand(Component, ABC):
 
     @property
     def fourier_source(self) -> str:
-        """``"exact"`` or the method of `fourier`."""
+        """``"exact"``, or the method that computes the Fourier coefficients."""
         probe = self._fourier(np.zeros((1, self.dims)))
         return "exact" if probe is not None else "FFT of composite Gauss-Legendre quadrature"
 
     @property
     def breaks(self) -> Breaks:
-        """Positions along each axis where f or a derivative jumps across a plane normal to it."""
+        """Positions of planes normal to each axis, across which f or a derivative jumps."""
         return ((),) * self.dims
 
     @property
     def is_black_box(self) -> bool:
-        """Whether a call may be expensive: a function of the user or of another package."""
+        """Whether a call may be expensive: the function is the user's or another package's."""
         return not type(self).__module__.startswith("mcspectra.")
 
     def landmarks(self) -> Array:
-        """Return points (k, d) in small regions where f may differ from 0; empty by default."""
+        """Return points (k, d) in small regions where f may differ from 0. The default is none."""
         return np.empty((0, self.dims))
 
     @property
     def evaluations_per_point(self) -> int:
-        """Evaluations of the underlying function per value; more than 1 if values are means."""
+        """Evaluations of the underlying function per value. More than 1 if values are means."""
         return 1
 
     pilot_evaluations: int = 0
-    """Evaluations of the underlying function before the first value, such as for a pilot."""
+    """Evaluations of the underlying function before the first value, for example for a pilot."""
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array] | None:  # noqa: ARG002
-        """Return means of f and of f² over axis-aligned boxes, if they have a closed form.
+        """Return the means of f and f² over axis-aligned boxes, if they have a closed form.
 
         Parameters
         ----------
         lo, hi
-            Corners of the boxes: float64 (..., d) in [0,1], lo < hi.
+            Corners of the boxes, float64 (..., d) in [0,1], with lo < hi.
 
         Returns
         -------
         tuple of ndarray, or None
-            Mean of f and mean of f², each (...) or (..., channels); None if they are not known.
-            The variance within a stratum is mean f² − (mean f)².
+            Mean of f and mean of f², each (...) or (..., channels). None if they are not known.
+            The variance within a stratum is the mean of f² minus the squared mean of f.
         """
         return None
 
@@ -332,11 +332,11 @@ class Integrand(Component, ABC):
         return None
 
     def _estimated_integral(self) -> Estimate | None:
-        """Return the integral by the integrand's own rule, or None for quadrature."""
+        """Return the integral by the integrand's own rule. Return None if it has no such rule."""
         return None
 
     def _fourier(self, m: Array) -> Array | None:  # noqa: ARG002
-        """Return exact coefficients at integer m (float64, shape (..., d)), or None."""
+        """Return exact coefficients at integer m (float64, shape (..., d)), or None if unknown."""
         return None
 
     @staticmethod
@@ -352,21 +352,21 @@ class Integrand(Component, ABC):
         Parameters
         ----------
         function
-            The function; it is called with float64 arrays of points.
+            The function. It is called with float64 arrays of points.
         dims
             Number of dimensions.
         integral
-            Exact integral of the function, if known. Measurements report a bias only then.
-            Otherwise the attribute `integral` is computed by quadrature of up to 2^21 calls.
+            Exact integral of the function, if known. Only then do measurements report a bias.
+            Otherwise a quadrature of up to 2^21 calls computes the attribute `integral`.
         fourier
-            Exact coefficients of the function, if known, as a callable of integer m (..., d).
+            Exact coefficients of the function, if known: a callable that takes integer m (..., d).
 
         Raises
         ------
         ParameterError
             If the function is not callable.
             If it returns another shape, complex numbers, NaN or infinity on 28 test points.
-            The test points are the only calls made here.
+            No other calls are made here.
         """
         if not callable(function):
             raise ParameterError(
@@ -388,11 +388,11 @@ class Integrand(Component, ABC):
 
 
 class Derived(Integrand):
-    """An integrand made from another integrand, which gives the default of every property.
+    """An integrand made from another integrand. By default, its properties are those of the other.
 
     Subclasses are dataclasses with the field `integrand`.
-    A subclass sets the format string `text`, in which ``{0}`` stands for the instance.
-    The formatted text is the `spec` in messages.
+    A subclass sets the format string `text`, in which ``{0}`` is replaced by the instance.
+    The result is the `spec` in messages.
     """
 
     text: ClassVar[str]
@@ -408,7 +408,7 @@ class Derived(Integrand):
 
     @property
     def spec(self) -> str:
-        """Text for messages; it cannot be parsed as a spec."""
+        """Text for messages. It cannot be parsed as a spec."""
         return self.text.format(self)
 
     @property
@@ -429,7 +429,7 @@ class Derived(Integrand):
 
 @dataclass(frozen=True, kw_only=True)
 class NamedFunction(Derived):
-    """A test function that has the name of its class and the values of its field `integrand`."""
+    """A test function under the name of its class, with the values of its field `integrand`."""
 
     integrand: Integrand = field(init=False, repr=False)
     spec = Component.spec
@@ -449,7 +449,7 @@ class NamedFunction(Derived):
 
 
 def _as_integrand(given: Integrand) -> Integrand:
-    """Return the given integrand; only `mcspectra.integrand` reads spec strings."""
+    """Return the given integrand. Only `mcspectra.integrand` reads spec strings."""
     if not isinstance(given, Integrand):
         raise ParameterError(
             f"{given!r:.80} is not an integrand; give the result of mcs.integrand."
@@ -520,9 +520,9 @@ class Channel(Derived):
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FunctionIntegrand(Integrand):
-    """A vectorized callable, made with `Integrand.from_function`, which tests it.
+    """A vectorized callable. `Integrand.from_function` makes it and tests it.
 
-    The callable must always give the same values, because integrals and coefficients are cached.
+    The callable must always give the same values, because integrals and coefficients are stored.
     """
 
     name: ClassVar[str] = "function"
@@ -535,7 +535,7 @@ class FunctionIntegrand(Integrand):
 
     @property
     def spec(self) -> str:
-        """``function(name)``, for messages; it cannot be parsed as a spec."""
+        """The text ``function(name)`` for messages. It cannot be parsed as a spec."""
         return f"function({getattr(self.function, '__name__', type(self.function).__name__)})"
 
     def _evaluate(self, x: Array) -> Array:
@@ -543,9 +543,9 @@ class FunctionIntegrand(Integrand):
         return self.checked_values(x)
 
     def checked_values(self, x: Array, *, finite: bool = True) -> Array:
-        """Return values at points of the unit cube, checked but not counted: shape and finiteness.
+        """Return values at points of the unit cube. Their shape is checked; calls are not counted.
 
-        Without `finite`, values may be NaN or infinite.
+        If `finite` is true, values must not be NaN or infinite.
         """
         shape = (*x.shape[:-1], self.channels) if self.channels else x.shape[:-1]
         try:
@@ -574,12 +574,12 @@ class FunctionIntegrand(Integrand):
 
 
 def fourier_grid(integrand: Integrand, half_width: int) -> Array:
-    """Return the coefficients that `Integrand.fourier_grid` returns for an integrand."""
+    """Return all coefficients up to a half width, as described in `Integrand.fourier_grid`."""
     return _as_integrand(integrand).fourier_grid(half_width)
 
 
 def fourier_accuracy(integrand: Integrand, half_width: int) -> tuple[str, float]:
-    """Return the method of `fourier_grid` and its error.
+    """Return the method of `fourier_grid`, and its error.
 
     Returns
     -------
@@ -599,19 +599,19 @@ def numeric_integral(integrand: Integrand) -> Any:
     """Return ∫ f by quadrature: a float, or an array (channels,).
 
     In up to 5 dims, Gauss-Legendre quadrature on boxes is used.
-    The boxes are cut at the breaks, and at jumps across an axis that line searches detect.
-    Boxes are split adaptively to 1e-12 of ∫|f| or 2^21 evaluations.
+    The boxes are cut at the breaks, and at jumps normal to an axis that line searches detect.
+    Boxes are divided until the accuracy is 1e-12 of ∫|f|, or after 2^21 evaluations.
     In more dims, the result is the mean over 2^20 points of a Kronecker sequence.
-    The mean over Kronecker points is accurate to three to six digits.
-    An integrand with its own rule, such as a pixel, uses that rule.
-    `integral_accuracy` estimates the error.
+    This mean has three to six accurate digits.
+    An integrand with its own rule, such as a pixel, uses its own rule.
+    `integral_accuracy` returns an estimate of the error.
     """
     value = integral_estimate(integrand).value
     return value.copy() if integrand.channels else float(value[0])
 
 
 def integral_accuracy(integrand: Integrand) -> tuple[str, float]:
-    """Return the method of `integral` and an estimate of its absolute error (0 if exact)."""
+    """Return the method of `integral`, and an estimate of its absolute error (0 if exact)."""
     if _as_integrand(integrand)._integral() is not None:
         return "exact", 0.0
     found = integral_estimate(integrand)
@@ -636,16 +636,16 @@ def _check_size(integrand: Integrand, sizes: list[int]) -> None:
 
 
 def _quadrature(integrand: Integrand, m: Sequence[Array]) -> Estimate:
-    """Return coefficients on a tensor product of frequencies, cached."""
+    """Return coefficients at all products of frequencies along the axes. They are stored."""
     kept = integrand._cache.coefficients
     key = tuple(axis.tobytes() for axis in m)
     if key in kept:
         return kept[key]
     found = refined_coefficients(integrand, m)
     if all((axis == 0).any() for axis in m):
-        # The integral, exact or from the better rule, replaces the coefficient at 0.
-        # Two grids can agree by chance, for instance if a border runs along their diagonals.
-        # If they agree by chance, the difference from the integral reveals their error
+        # The integral replaces the coefficient at 0. It is exact or comes from a better rule.
+        # Two grids may agree by chance, for instance if a border runs along their diagonals.
+        # In this case, the difference from the integral reveals their error
         zero = tuple(int(np.flatnonzero(axis == 0)[0]) for axis in m)
         value, integral = found.value.copy(), integrand.integral
         error = max(found.error, float(np.abs(value[zero] - integral).max()))
@@ -658,7 +658,7 @@ def _quadrature(integrand: Integrand, m: Sequence[Array]) -> Estimate:
 
 
 def integral_estimate(integrand: Integrand) -> Estimate:
-    """Return ∫ f by quadrature as in `numeric_integral`, with its error; cached."""
+    """Return ∫ f by quadrature and its error, as in `numeric_integral`. They are stored."""
     cache = integrand._cache
     if cache.integral is None:
         found = integrand._estimated_integral()
@@ -671,7 +671,7 @@ def integral_estimate(integrand: Integrand) -> Estimate:
 
 
 def found_breaks(integrand: Integrand) -> tuple[Array, ...]:
-    """Return the breaks along each axis that f declares or line searches detect; cached.
+    """Return the breaks along each axis: those that f declares, and those that searches detect.
 
     See `mcspectra.integrands._quadrature.search_breaks`.
     """
@@ -682,8 +682,8 @@ def found_breaks(integrand: Integrand) -> tuple[Array, ...]:
 
 
 def _probe(function: Callable[[Any], Any], dims: int) -> int:
-    """Return the number of channels, 0 for a scalar function, after a test on 28 points."""
-    # Use points of an additive recurrence, which lie off all grid lines
+    """Return the number of channels, after a test of the function on 28 points. Scalars have 0."""
+    # Use points of an additive recurrence, which do not lie on any grid line
     steps = np.sqrt(np.arange(2, 2 + dims) + 0.5)
     x = ((0.5 + np.arange(1, 29)[:, None] * steps) % 1.0).reshape(*_PROBE, dims)
     try:
@@ -708,16 +708,16 @@ def _probe(function: Callable[[Any], Any], dims: int) -> int:
 
 
 def _works_on_one_point(function: Callable[[Any], Any], point: Array) -> bool:
-    """Return whether a function that fails on arrays takes a point, or a number in 1-D."""
+    """Return whether a function that fails on arrays accepts a single point, or a number in 1-D."""
     for x in (point, float(point[0])):
-        with contextlib.suppress(Exception):  # Only the first failure is reported
+        with contextlib.suppress(Exception):  # only the first failure is reported
             if np.ndim(function(x)) <= 1:
                 return True
     return False
 
 
 def _real_values(function: Callable[[Any], Any], x: Array) -> Array:
-    """Call `function` with a read-only view, because the points are used again afterward."""
+    """Call `function` with a read-only view of the points, because they are used again later."""
     view = x.view()
     view.flags.writeable = False
     try:
@@ -765,7 +765,7 @@ def _check_integral(integral: object, channels: int) -> Any:
 
 
 def _coefficients(fourier: Callable[[Any], Any], m: Array, channels: int) -> Array:
-    """Return complex128 coefficients of a user's callable, after checks of shape and values."""
+    """Return complex128 coefficients from a user's callable, after checks of shape and values."""
     shape = (*m.shape[:-1], channels) if channels else m.shape[:-1]
     found = np.asarray(fourier(m))
     if found.shape != shape or found.dtype.kind not in "biufc":

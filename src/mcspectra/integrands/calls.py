@@ -1,10 +1,10 @@
-"""Calls of an expensive function: counted, limited by a budget, parallel, cached on disk.
+"""Calls of an expensive function: they are counted, limited, parallel, and cached on disk.
 
-`Calls` is the only way to call an expensive function.
-`Calls` raises an error before a call that the budget does not cover.
-A point found in the cache counts toward the budget like any other, although it costs no call.
-Results therefore do not depend on the state of the cache.
-An interrupted run gives the same bits when it is repeated.
+Expensive functions are called only through `Calls`.
+If the budget does not cover a call, `Calls` raises an error and does not call.
+A point in the cache counts toward the budget like any other, although it costs no call.
+Therefore results do not depend on the state of the cache:
+an interrupted run gives the same bits when it is repeated.
 """
 
 from __future__ import annotations
@@ -48,38 +48,38 @@ from mcspectra.integrands.base import FunctionIntegrand, Integrand
 __all__ = ["Calls"]
 
 # Number of points in one call of a vectorized function.
-# For a function of single points: number of calls whose values are stored together
+# If the function takes single points, this many values are stored at the same time
 _BLOCK, _FEW = 128, 8
-_SAME = 1e-9  # Relative difference up to which a cached value agrees with the function's value
+_SAME = 1e-9  # largest relative difference for which a cached value counts as the function's
 
-_integrand: Integrand  # Integrand that a worker process evaluates
+_integrand: Integrand  # integrand that a worker process evaluates
 
 
 @final
 class Calls:
     """A scalar function on [0,1)^d with a limited number of calls.
 
-    With workers or a cache, close it or use it in a ``with`` statement.
+    If it has workers or a cache, close it, or use it in a ``with`` statement.
 
     Parameters
     ----------
     f
-        A callable that maps points (k, d) to (k,), or an integrand without channels.
+        A callable that maps points (k, d) to values (k,), or an integrand without channels.
     dims
         Number of dimensions d.
     budget
-        Largest total number of points.
+        Largest number of points in total.
     vectorized
-        False for a function that maps a single point, an array (d,), to a number.
+        Set this to False if the function maps a single point, an array (d,), to a number.
     workers
-        Number of processes that call f, each on its own points.
-        With more than 1, a script needs the guard ``if __name__ == "__main__":``.
+        Number of processes that call f. Each of them gets other points.
+        If it is above 1, a script needs the guard ``if __name__ == "__main__":``.
     cache
-        Path of a file that stores the values by point; it is created if missing.
-        One file is for one function with one set of parameters.
+        Path of a file that stores the values by point. It is created if it does not exist.
+        One file can store only one function with one set of parameters.
     on_error
-        With ``"raise"``, an error is raised if f fails or gives NaN or infinity.
-        With ``"skip"``, values at such points are NaN.
+        ``"raise"``: an error is raised if f fails or gives NaN or infinity.
+        ``"skip"``: values at such points are NaN.
         If f fails on several points at once, f is called again for each of these points.
 
     Attributes
@@ -87,9 +87,9 @@ class Calls:
     made
         Number of points at which f was called.
     left
-        Number of points still allowed: `budget` minus all requested points, cached or not.
+        Number of points that are still allowed: `budget` minus all points requested, cached or not.
     skipped
-        Number of points where f failed.
+        Number of points at which f failed.
     skips
         Whether values are NaN where f fails.
     first_skipped
@@ -101,7 +101,7 @@ class Calls:
         If f has channels or another number of dims, or cannot be called or sent to processes.
         If an argument is out of range, or if the cache belongs to another function.
     FileFormatError
-        If the cache is another kind of file.
+        If the cache is a file of another kind.
 
     Examples
     --------
@@ -148,7 +148,7 @@ class Calls:
             if isinstance(f, Integrand)
             else FunctionIntegrand(function=f if vectorized else _OneByOne(f), dims=self.dims)
         )
-        # Calls are counted here, so tallies must not count them again
+        # Calls are counted here, so open tallies must not count them again
         g = self._f
         self._values = g.checked_values if isinstance(g, FunctionIntegrand) else g._evaluate
         self.skips = skips and isinstance(g, FunctionIntegrand)
@@ -160,7 +160,7 @@ class Calls:
             else None
         )
         self._cache = None if cache is None else _Cache(cache, self.name, self.dims)
-        self._checked = False  # Whether one cached value was compared with the function
+        self._checked = False  # whether a cached value has been compared with the function
         self._lock = threading.RLock()
 
     @property
@@ -173,11 +173,11 @@ class Calls:
         Raises
         ------
         BudgetError
-            If more points are given than the limit still allows; f was not called.
+            If there are more points than the limit still allows. f is then not called.
         DomainError
-            If the points have another number of dims, or lie outside the unit cube.
+            If the points have another number of dims or lie outside the unit cube.
         ParameterError
-            If f does not give one finite real number per point, or differs from the cache.
+            If f does not give one finite real number per point, or differs from cached values.
         StorageError
             If the cache cannot be written.
         """
@@ -214,7 +214,7 @@ class Calls:
         return values.reshape(points.shape[:-1])
 
     def skipped_in_words(self, least: float, most: float) -> str:
-        """Describe where f failed, and the range of f that the interval assumes at these points."""
+        """Describe where f failed, and which range of f the interval assumes at these points."""
         assert self.first_skipped is not None
         return (
             f"{self.skipped} of {self._asked} evaluations failed and were skipped, the first at "
@@ -223,7 +223,7 @@ class Calls:
         )
 
     def close(self) -> None:
-        """Stop the processes and close the cache; the values stay in its file."""
+        """Stop the processes and close the cache. Its file keeps the values."""
         report(f"{self.budget} calls of {self.name}", 1.0)
         if self._pool is not None:
             self._pool.shutdown(wait=False, cancel_futures=True)
@@ -237,13 +237,13 @@ class Calls:
         self.close()
 
     def _evaluated(self, x: Array, fresh: Array) -> Generator[tuple[Array, Array], None, None]:
-        """Yield positions of points and their values in order of completion."""
+        """Yield positions of points with their values, in the order in which they are finished."""
         blocks = [fresh[i : i + self._block] for i in range(0, fresh.size, self._block)]
         if self._pool is None:
             for where in blocks:
                 try:
                     found = self._values(x[where])
-                # A shape error means that f failed or gave another shape
+                # A shape error means that f failed, or that its result has another shape
                 except ParameterError as error:
                     if self.made or self._block == _FEW or "shape" not in str(error):
                         raise
@@ -267,7 +267,7 @@ class Calls:
                 task.cancel()
 
     def _check_cache(self, x: Array, values: Array) -> None:
-        """Raise if the cache disagrees with f at one point; done once, by one call."""
+        """Raise an error if the cache disagrees with f at one point. Only one call checks this."""
         held = np.flatnonzero(~np.isnan(values))
         if self._checked or not held.size:
             return
@@ -302,7 +302,7 @@ class _OneByOne:
 
 
 def _pool(f: Integrand, workers: int) -> ProcessPoolExecutor:
-    """Return processes that hold f; they are spawned, because forking with threads may hang."""
+    """Return processes that contain f. They are spawned, because forking with threads may hang."""
     from multiprocessing import get_context
 
     cloudpickle = optional_package("cloudpickle", "cluster", "Calls in other processes need")
@@ -320,7 +320,7 @@ def _start_worker(sent: bytes) -> None:
     import cloudpickle
 
     global _integrand
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # The main process ends the workers
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the main process ends the workers
     _integrand = cloudpickle.loads(sent)
 
 
@@ -333,7 +333,7 @@ def _in_worker_or_nan(x: Array) -> Array:
 
 
 def _values_or_nan(f: FunctionIntegrand, x: Array) -> Array:
-    """Return values (k,), NaN where f fails or gives infinity."""
+    """Return values (k,). They are NaN where f fails or gives infinity."""
     try:
         values = f.checked_values(x, finite=False)
     except ParameterError:
@@ -345,7 +345,7 @@ def _values_or_nan(f: FunctionIntegrand, x: Array) -> Array:
 
 @final
 class _Cache:
-    """Values of one function by a digest of each point's bytes, in an SQLite file."""
+    """Values of one function in an SQLite file. Keys are digests of the bytes of points."""
 
     def __init__(self, path: str | os.PathLike[str], function: str, dims: int) -> None:
         if not is_path(path):
@@ -355,7 +355,7 @@ class _Cache:
             self._file = sqlite3.connect(self._path, timeout=60.0, check_same_thread=False)
             self._file.execute(
                 "PRAGMA synchronous = OFF"
-            )  # Ctrl-C loses nothing; a power failure may
+            )  # Ctrl-C loses no values, but a power failure may
             with self._file:
                 self._file.execute("CREATE TABLE IF NOT EXISTS about (function TEXT, dims INTEGER)")
                 self._file.execute(
@@ -377,7 +377,7 @@ class _Cache:
             )
 
     def values(self, x: Array) -> Array:
-        """Return the values at points (k, d), NaN for unknown points."""
+        """Return the values at points (k, d). They are NaN for unknown points."""
         find = "SELECT value FROM calls WHERE point = ?"
         found = (self._file.execute(find, (_digest(point),)).fetchone() for point in x)
         return np.array([np.nan if each is None else each[0] for each in found], float)

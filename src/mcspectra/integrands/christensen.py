@@ -1,7 +1,7 @@
 """The five test functions on the unit square of [Christensen2018]_.
 
-Three are discontinuous (quarter disk, triangle, step) and two are smooth (Gaussian, bilinear).
-Each is an integrand of this package under the name of the paper.
+Three are discontinuous (quarter disk, triangle, step). Two are smooth (Gaussian, bilinear).
+Each is an integrand of this package, under the name that the paper gives it.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""Integrands written as a formula such as ``exp(-x**2 - y**2)``, read as data.
+"""Integrands that are written as a formula, such as ``exp(-x**2 - y**2)``, and read as data.
 
-Python's parser reads the text, and its tree is converted once into a tree of NumPy functions.
-Syntax that is not in the lists below is an error.
-No other name is looked up and no Python is evaluated.
-Numbers become floats first, so ``9**9**9`` is infinite and does not run forever.
+Python's parser reads the text. Its syntax tree is converted once into a tree of NumPy functions.
+Syntax is an error unless it is in the lists below.
+No other name is looked up, and no Python code is evaluated.
+Numbers are first converted to floats, so ``9**9**9`` is infinite and does not run forever.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ from mcspectra.integrands.base import Breaks, Integrand, any_dims
 
 __all__ = ["Formula"]
 
-MOST_PARTS = 300  # Maximum number of numbers, names, operators and calls in a formula
+MOST_PARTS = 300  # maximum number of numbers, names, operators and calls in a formula
 _MARK = re.compile(r"\w+|[^\w\s]")
-# Maximum number of tokens: a call has a name, brackets, commas and an exponent
+# Maximum number of tokens. One call has a name, brackets, commas and maybe an exponent
 _MOST_MARKS = 6 * MOST_PARTS
 _PROBES = 4
-# Maximum depth of the tree: reading and evaluation recurse with three frames per level
+# Maximum depth of the tree. Reading and evaluation recurse, with three stack frames per level
 _MOST_DEPTH = 100
 
 Evaluation: TypeAlias = Callable[[Array], Any]
-"""Maps points (..., d) to values, an array (...) or a number."""
+"""Function that maps points (..., d) to values: an array (...) or a number."""
 
 FUNCTIONS: Mapping[str, tuple[Callable[..., Any], int]] = {
     **{name: (getattr(np, name), 1) for name in (
@@ -48,7 +48,7 @@ FUNCTIONS: Mapping[str, tuple[Callable[..., Any], int]] = {
     "max": (np.maximum, 2),
     "where": (np.where, 3),
 }  # fmt: skip
-"""Functions by name, each with its number of arguments."""
+"""Functions by name, each with the number of its arguments."""
 
 _CONSTANTS = {"pi": math.pi, "e": math.e}
 _AXES = "xyz"
@@ -62,12 +62,12 @@ _OPERATORS: Mapping[type, Callable[..., Any]] = {
 @final
 @dataclass(frozen=True, kw_only=True)
 class Formula(Integrand):
-    """A formula of the coordinates, read as data.
+    """A formula of the coordinates, which is read as data.
 
     An example is ``exp(-x**2 - y**2)``. A formula may contain numbers, pi and e.
     The coordinates are x, y, z (or x0, x1, …).
     A formula may also contain the operators + - * / ** %, comparisons and functions.
-    A comparison is 1 where it holds and 0 elsewhere.
+    A comparison is 1 where it is true, and 0 elsewhere.
     The functions are sin, cos, tan, arcsin, arccos, arctan, arctan2, sinh, cosh, tanh, exp, log,
     log2, log10, sqrt, hypot, abs, sign, sinc, floor, ceil, min, max and where.
     Any other name is an error, and nothing is run as Python.
@@ -82,8 +82,8 @@ class Formula(Integrand):
     Raises
     ------
     ParameterError
-        If the text is not such a formula, or names a coordinate beyond `dims`.
-        If it is not finite at four test points inside the cube.
+        If the text is not such a formula, or names a coordinate that `dims` does not include.
+        If the value is not finite at four test points inside the cube.
 
     Examples
     --------
@@ -107,7 +107,7 @@ class Formula(Integrand):
 
     @property
     def breaks(self) -> Breaks:
-        """Positions at which a coordinate is compared to a number."""
+        """Positions at which the formula compares a coordinate with a number."""
         return _compiled(self.expression, self.dims)[1]
 
     def _evaluate(self, x: Array) -> Array:
@@ -126,8 +126,8 @@ class Formula(Integrand):
 
 @lru_cache(64)
 def _compiled(text: str, dims: int) -> tuple[Evaluation, Breaks]:
-    """Read a formula; return its function and the numbers that coordinates are compared to."""
-    # Python's parser needs stack for every token; a million tokens may end the process
+    """Read a formula. Return its function, and the numbers with which it compares coordinates."""
+    # Python's parser needs stack space for each token. A million tokens may end the process
     marks = sum(1 for _ in itertools.islice(_MARK.finditer(text), _MOST_MARKS + 1))
     if marks > _MOST_MARKS:
         raise ParameterError(
@@ -143,7 +143,7 @@ def _compiled(text: str, dims: int) -> tuple[Evaluation, Breaks]:
             "such as 'exp(-x**2 - y**2)', with * for products."
         ) from None
 
-    # Count parts and levels without recursion; operators and contexts are not parts
+    # Count parts and levels without recursion. Operators and contexts do not count as parts
     level: list[ast.AST] = [tree]
     parts = depth = 0
     kinds = ast.expr | ast.comprehension | ast.keyword
@@ -163,7 +163,7 @@ def _compiled(text: str, dims: int) -> tuple[Evaluation, Breaks]:
 
 
 class _TreeReader:
-    """Converts a syntax tree into an evaluation and collects `breaks`."""
+    """Converts a syntax tree into a function that evaluates it, and collects `breaks`."""
 
     def __init__(self, dims: int) -> None:
         self.dims = dims
@@ -208,7 +208,7 @@ class _TreeReader:
         )
 
     def _comparison(self, node: ast.Compare) -> Evaluation:
-        """Return 1 where all of ``a < b < c`` hold, else 0."""
+        """Return 1 where all comparisons in ``a < b < c`` are true, else 0."""
         sides = [node.left, *node.comparators]
         for a, b in itertools.pairwise(sides):
             self._note_break(a, b)
@@ -239,7 +239,7 @@ class _TreeReader:
 
 
 def _number(value: object) -> Evaluation:
-    """Return a constant as a float; Python's integers have no limit, floats have one."""
+    """Return a constant as a float. Python's integers have no limit, but floats do."""
     try:
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise TypeError

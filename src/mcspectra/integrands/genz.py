@@ -26,7 +26,7 @@ __all__ = [
     "GenzProductPeak",
 ]
 
-# Range of log s. The right end is relative to log d; beyond this end e^−s is negligible
+# Range of log s. The right end is added to log d. Beyond it, e^−s is negligible
 _LEFT, _RIGHT = -40.0, 5.0
 
 
@@ -39,9 +39,9 @@ class Genz(Integrand):
     a
         Difficulty along the axes, > 0: one number for all axes or one for each.
     u
-        Positions of peaks, kinks or jumps, in [0,1]: one number for all axes or one for each.
-        For ``genz-oscillatory``, u is one number, a phase in cycles.
-        ``genz-corner-peak`` has no u.
+        Positions of peaks, kinks or jumps in [0,1]: one number for all axes or one for each.
+        In ``genz-oscillatory``, u is one number: a phase in cycles.
+        ``genz-corner-peak`` does not have u.
     dims
         Number of dims.
     """
@@ -60,7 +60,7 @@ class GenzProduct(Genz):
 
     @abstractmethod
     def _factors(self, x: Array) -> Array:
-        """Return the values of all factors at points x, both of shape (..., d)."""
+        """Return the values of all factors at points x. Both have the shape (..., d)."""
 
     @abstractmethod
     def _means(self) -> Array:
@@ -93,7 +93,7 @@ class GenzOscillatory(Genz):
         return float(self._fourier(np.zeros(self.dims)).real)
 
     def _fourier(self, m: Array) -> Array:
-        """Add two waves: ∫ exp(iax − 2πimx) dx = e^{iθ} sin θ/θ with θ = a/2 − πm."""
+        """Add two waves. For each, ∫ exp(iax − 2πimx) dx = e^{iθ} sin θ/θ with θ = a/2 − πm."""
         waves = []
         for sign in (1.0, -1.0):
             theta = 0.5 * sign * self._a - np.pi * m
@@ -127,9 +127,9 @@ class GenzCornerPeak(Genz):
     def _integral(self) -> float:
         # The alternating sum over 2^d corners suffers from cancellation.
         # Use the integral ∫_0^∞ s^d e^{-s}/d! Π (1 − e^{−a_i s})/(a_i s) ds with s = e^y instead.
-        # All terms of this integral are positive
+        # All terms of this integral are positive, so there is no cancellation
         d = self.dims
-        # A step of a quarter of a standard deviation gives rounding accuracy
+        # Steps of a quarter of a standard deviation give rounding accuracy
         step = 0.25 / math.sqrt(d + 64.0)
         y = np.arange(_LEFT, math.log(d + 1.0) + _RIGHT, step)
         s = np.exp(y)
@@ -154,7 +154,7 @@ class GenzGaussian(GenzProduct):
 
 @final
 class GenzContinuous(GenzProduct):
-    """Genz's continuous function with kinks at u, f(x) = exp(−Σ_i a_i |x_i − u_i|)."""
+    """Genz's continuous function f(x) = exp(−Σ_i a_i |x_i − u_i|), with kinks at u."""
 
     @property
     def breaks(self) -> Breaks:
@@ -171,9 +171,9 @@ class GenzContinuous(GenzProduct):
 
 @final
 class GenzDiscontinuous(GenzProduct):
-    """Genz's discontinuous function, f(x) = exp(Σ_i a_i x_i) where x_0 < u_0 and x_1 < u_1, else 0.
+    """Genz's discontinuous function: exp(Σ_i a_i x_i) where x_0 < u_0 and x_1 < u_1, else 0.
 
-    Only the first two components of u have an effect.
+    Only the first two components of u matter.
     """
 
     @property

@@ -2,10 +2,10 @@
 
 Environment maps follow `mcspectra.core.environments`: x_0 is φ/2π and x_1 is θ/π.
 The matching density is ``environment`` of `mcspectra.densities.environment`.
-Under sampling by luminance, a channel c keeps the ratio L_c / luminance.
-The ratio L_c / luminance jumps at the borders of colored pixels.
+If points are sampled by luminance, the ratio L_c / luminance remains in each channel c.
+This ratio jumps at the borders of colored pixels.
 With the channel's own density, f/p is proportional to the cosine at the surface.
-The cosine is smooth except at the horizon.
+This cosine is smooth except at the horizon.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _LANDMARKS = 4096
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Picture(Integrand):
-    """Base class of functions of x that look up pixels (h, w) or (h, w, channels)."""
+    """Base class of functions of x that are given by pixels (h, w) or (h, w, channels)."""
 
     path: str | os.PathLike[str] | None = checked(
         lambda _, given: os.fspath(given) if isinstance(given, os.PathLike) else given, None
@@ -44,14 +44,14 @@ class _Picture(Integrand):
     values: npt.ArrayLike | None = None
     channel: int | str | None = None
     dims: int = field(default=2, init=False)
-    _pixels: ClassVar[Any]  # Pixels (h, w) or (h, w, channels), made by subclasses
+    _pixels: ClassVar[Any]  # pixels (h, w) or (h, w, channels), which subclasses provide
 
     def _check(self) -> None:
         self._pixels  # noqa: B018 - reads the file and raises on bad pixels
 
     @property
     def channels(self) -> int:  # type: ignore[override]
-        """Number of the selected channels, 0 if f is scalar."""
+        """Number of selected channels. It is 0 if f is scalar."""
         return 0 if self._pixels.ndim == 2 else self._pixels.shape[2]
 
     def _pixel(self, x: Array) -> Array:
@@ -62,7 +62,7 @@ class _Picture(Integrand):
         return np.asarray(self._pixels[row, column])
 
     def _lines(self, first: float) -> Breaks:
-        """Return pixel borders, or centers if `first` is ½, along axes with at most 64 pixels."""
+        """Return pixel borders (or, if `first` is ½, centers) along axes with at most 64 pixels."""
         height, width = self._pixels.shape[:2]
         return tuple(
             tuple((np.arange(first, size) / size).tolist()) if size <= _MOST_BREAKS else ()
@@ -73,22 +73,22 @@ class _Picture(Integrand):
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Image(_Picture):
-    """An image on the unit square, constant in each pixel; x_0 runs along rows, x_1 down them.
+    """An image on the unit square, constant in each pixel. x_0 runs along rows, and x_1 down them.
 
     The Fourier coefficients are exact at every frequency.
-    With the periodic discrete Fourier transform V of the w × h pixels, the coefficients are
+    If V is the periodic discrete Fourier transform of the w × h pixels, the coefficients are
 
       f_m = V[m_1 mod h, m_0 mod w]/(w h) · sinc(π m_0/w) sinc(π m_1/h) · exp(−πi (m_0/w + m_1/h)).
 
     Parameters
     ----------
     path
-        Image file that `mcspectra.core.images.read_image` reads; PNG and JPEG are made linear.
+        Image file that `mcspectra.core.images.read_image` reads. PNG and JPEG become linear.
     values
-        Pixels instead of a file: numbers of shape (h, w) or (h, w, channels), top row first.
+        Pixels instead of a file: numbers of shape (h, w) or (h, w, channels). The top row is first.
     channel
         Number of one channel, ``"luminance"`` (Rec. 709, three channels), or None for all.
-        An image with one channel is a scalar integrand.
+        If an image has one channel, the integrand is scalar.
 
     Raises
     ------
@@ -126,11 +126,11 @@ class Image(_Picture):
 
     @property
     def breaks(self) -> Breaks:
-        """Pixel borders, along axes with at most 64 pixels."""
+        """Pixel borders, for axes with at most 64 pixels."""
         return self._lines(1.0)
 
     def landmarks(self) -> Array:
-        """Return centers of the nonzero pixels, at most the 4096 largest."""
+        """Return centers of nonzero pixels: of the 4096 largest if there are more."""
         size = np.abs(self._pixels).reshape(*self._pixels.shape[:2], -1).max(axis=2)
         height, width = size.shape
         order = np.argpartition(size, max(0, size.size - _LANDMARKS), axis=None)[-_LANDMARKS:]
@@ -139,7 +139,7 @@ class Image(_Picture):
         return np.stack([(column + 0.5) / width, (row + 0.5) / height], axis=-1)
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array]:
-        """Return means of the pixels and of their squares over rectangles."""
+        """Return means over rectangles of the pixels and of their squares."""
         plain, squared = self._tables
         return _box_means(plain, lo, hi), _box_means(squared, lo, hi)
 
@@ -174,30 +174,30 @@ class Image(_Picture):
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Environment(_Picture):
-    """Irradiance by a lat-long environment map: L(ω) max(0, n·ω), per unit of the square.
+    """Irradiance by a lat-long environment map, L(ω) max(0, n·ω), as a function on the unit square.
 
     f(x) = 2π² sin(π x_1) L(x) max(0, n·ω(x)), with radiance L and direction ω.
-    The integral of f is the irradiance of a surface with the normal n.
+    The integral of f is the irradiance of a surface with normal n.
 
     Parameters
     ----------
     path, values
-        Image file that `mcspectra.core.images.read_image` reads, or linear pixels of at least 0.
+        Image file that `mcspectra.core.images.read_image` reads, or linear pixels, all at least 0.
         Pixels have the shape (h, w) or (h, w, channels). The default is `synthetic_sky`.
     channel
         Number of one channel, ``"luminance"`` (Rec. 709, three channels), or None for all.
-        A map with one channel is a scalar integrand.
+        If a map has one channel, the integrand is scalar.
     normal
-        Three numbers, not all 0, of any length; +z points to the first row.
+        The normal n: three numbers, not all 0, of any length. +z points to the first row.
     interpolation
-        ``"constant"`` in each pixel, or ``"bilinear"`` between centers.
-        ``"bilinear"`` is periodic in φ and constant between the outermost rows and the poles.
+        ``"constant"`` in each pixel, or ``"bilinear"`` between the centers of pixels.
+        ``"bilinear"`` is periodic in φ. Between the outermost rows and the poles it is constant.
 
     Raises
     ------
     ParameterError
         If both path and values are given.
-        If the pixels, channel, normal or interpolation are invalid.
+        If the pixels, the channel, the normal or the interpolation are invalid.
     FileFormatError
         If the file is missing or cannot be read.
     """
@@ -221,7 +221,7 @@ class Environment(_Picture):
 
     @property
     def breaks(self) -> Breaks:
-        """Pixel borders or centers on axes with at most 64; the horizon of vertical normals."""
+        """Pixel borders or centers, for axes with at most 64; horizon of a vertical normal."""
         columns, rows = self._lines(1.0 if self.interpolation == "constant" else 0.5)
         return columns, tuple(sorted({*rows, 0.5})) if self._vertical else rows
 
@@ -234,7 +234,7 @@ class Environment(_Picture):
         factor = 2 * math.pi**2 * np.sin(np.pi * x[..., 1]) * cosine
         if self.interpolation == "constant":
             radiance = self._pixel(x)
-        else:  # Interpolate between the four centers around x
+        else:  # interpolate between the four centers around x
             height, width = self._pixels.shape[:2]
             s, t = x[..., 0] * width - 0.5, np.clip(x[..., 1] * height - 0.5, 0, height - 1)
             left, top = np.floor(s).astype(np.intp), np.floor(t).astype(np.intp)
@@ -278,7 +278,7 @@ def _summed_area(pixels: Array) -> Array:
 
 
 def _box_means(table: Array, lo: Array, hi: Array) -> Array:
-    """Return means over boxes; bilinear interpolation of a summed-area table is exact."""
+    """Return means over boxes. Bilinear interpolation of a summed-area table gives exact means."""
     height, width = table.shape[0] - 1, table.shape[1] - 1
     total: Any = 0.0
     for x, sx in ((hi[..., 0], 1.0), (lo[..., 0], -1.0)):
@@ -295,7 +295,7 @@ def _box_means(table: Array, lo: Array, hi: Array) -> Array:
 def _between(
     table: Array, columns: tuple[Array, Array], rows: tuple[Array, Array], s: Array, t: Array
 ) -> Array:
-    """Interpolate bilinearly at fractions s between two columns and t between two rows."""
+    """Interpolate bilinearly, at the fractions s between two columns and t between two rows."""
     if table.ndim == 3:
         s, t = s[..., None], t[..., None]
     (left, right), (top, bottom) = columns, rows

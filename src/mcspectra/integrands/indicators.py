@@ -1,4 +1,4 @@
-"""Discontinuous integrands: steps, disks and half-spaces; and a ramp, the smoothed step.
+"""Discontinuous integrands (steps, disks, half-spaces), and the ramp, which smooths a step.
 
 The inequality is strict at borders, so 1[x < a] is 0 at a grid point x = a.
 """
@@ -29,9 +29,9 @@ from mcspectra.integrands.base import (
 
 __all__ = ["Disk", "HalfSpace", "SmoothedStep", "Step"]
 
-_CYCLES, _ORDER = 8, 32  # Number of cycles of a wave in a panel, and Gauss nodes of the panel
-_BLOCK = 2**22  # Complex numbers in one block of a sum over nodes: 64 MiB
-_CONDITION = 1e-10  # Largest relative rounding error that inclusion and exclusion may cause
+_CYCLES, _ORDER = 8, 32  # number of cycles of a wave in one panel, and its number of Gauss nodes
+_BLOCK = 2**22  # number of complex numbers in one block of a sum over nodes: 64 MiB
+_CONDITION = 1e-10  # largest relative rounding error that inclusion and exclusion may have
 
 
 class _Indicator(Integrand):
@@ -39,10 +39,10 @@ class _Indicator(Integrand):
 
     @abstractmethod
     def _share(self, lo: Array, hi: Array) -> Array | None:
-        """Return the fraction of each box where f is 1, or None if it is not known."""
+        """Return the fraction of each box in which f is 1. Return None if it is not known."""
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array] | None:
-        """Return the fraction of each box where f is 1, for both f and f², since f² = f."""
+        """Return the fraction of each box in which f is 1, twice: means of f and f² are equal."""
         share = self._share(lo, hi)
         return None if share is None else (share, share)
 
@@ -72,7 +72,7 @@ class Step(_Indicator):
 
     @property
     def breaks(self) -> Breaks:
-        """The position of the step."""
+        """The position of the step on its axis."""
         return _on_axis(self.dims, self.axis, self.at)
 
     def _share(self, lo: Array, hi: Array) -> Array:
@@ -95,7 +95,7 @@ class SmoothedStep(Integrand):
     at
         Middle of the ramp, in [0,1].
     width
-        Width of the ramp, > 0; the ramp may reach beyond the domain.
+        Width of the ramp, > 0. The ramp may extend beyond the domain.
     axis
         Number of the axis, from 0.
     dims
@@ -109,20 +109,20 @@ class SmoothedStep(Integrand):
 
     @property
     def _ramp(self) -> tuple[float, float]:
-        """The part of the ramp inside [0,1]."""
+        """The part of the ramp that lies inside [0,1]."""
         return max(self.at - 0.5 * self.width, 0.0), min(self.at + 0.5 * self.width, 1.0)
 
     @property
     def breaks(self) -> Breaks:
-        """The two ends of the ramp that lie inside the domain."""
+        """Those ends of the ramp that lie inside the domain."""
         inside = (knee for knee in self._ramp if 0.0 < knee < 1.0)
         return _on_axis(self.dims, self.axis, *inside)
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array]:
         """Return the means of f and f² over each box.
 
-        Below the ramp f is 1, so this part adds its fraction of the box.
-        Within the ramp f is linear.
+        Where x is below the ramp, f is 1, so this part of a box adds its fraction of the box.
+        Within the ramp, f is linear.
         """
         start, stop = self._ramp
         low, high = lo[..., self.axis], hi[..., self.axis]
@@ -157,15 +157,16 @@ class SmoothedStep(Integrand):
 class Disk(_Indicator):
     """The indicator of a ball, f(x) = 1 where |x − center| < radius, else 0.
 
-    In 2-D, integral and coefficients are exact.
-    If the domain cuts the disk, coefficients are integrated chord by chord, to rounding accuracy.
-    In 3-D and more, a ball inside the domain is exact (Bessel functions).
-    A ball that the domain cuts needs quadrature. The ball does not wrap around.
+    In 2-D, the integral and the coefficients are exact.
+    If the faces of the domain cut the disk, its coefficients are integrals over chords.
+    These integrals have rounding accuracy.
+    In 3-D and more, the coefficients of a ball inside the domain are exact (Bessel functions).
+    A ball that the faces cut needs quadrature. Balls do not wrap around.
 
     Parameters
     ----------
     center
-        One number for all axes or one for each; it may lie outside the domain.
+        One number for all axes or one for each. The center may lie outside the domain.
     radius
         Radius, > 0.
     dims
@@ -184,20 +185,20 @@ class Disk(_Indicator):
 
     @property
     def _interval(self) -> tuple[float, float]:
-        """The part of a 1-D disk inside [0,1]."""
+        """The part of a 1-D disk that lies inside [0,1]."""
         c = float(self._centers[0])
         low, high = max(c - self.radius, 0.0), min(c + self.radius, 1.0)
         return low, max(low, high)
 
     @property
     def breaks(self) -> Breaks:
-        """Ends of a 1-D disk; empty in more dims, where the border is not normal to an axis."""
+        """Ends of a disk in 1-D. Empty in more dims: the border is not normal to an axis."""
         inside = tuple(end for end in self._interval if 0.0 < end < 1.0)
         return (inside,) if self.dims == 1 else ((),) * self.dims
 
     @property
     def fourier_source(self) -> str:
-        """Bessel functions if the disk is inside the domain, else chords."""
+        """Bessel functions if the disk lies inside the domain, otherwise chords."""
         if self.dims == 2 and not self._inside:
             return "Gauss-Legendre quadrature over exact chords, to rounding"
         return super().fourier_source
@@ -234,15 +235,15 @@ class Disk(_Indicator):
 class HalfSpace(_Indicator):
     """The indicator of a half-space, f(x) = 1 where normal·x < offset, else 0.
 
-    Integral and coefficients are exact in 1-D and 2-D.
+    The integral and the coefficients are exact in 1-D and 2-D.
     In more dims, the coefficients come from quadrature.
-    In at most 16 dims, the integral is a sum over the cube's corners by inclusion and exclusion.
-    The sum counts as exact if it keeps ten digits.
+    In at most 16 dims, inclusion and exclusion give the integral, as a sum over the cube's corners.
+    This sum counts as exact if ten of its digits are correct.
 
     Parameters
     ----------
     normal
-        One number for all axes or one for each, not all 0.
+        One number for all axes or one for each. They must not all be 0.
     offset
         Position of the border, normal·x = offset.
     dims
@@ -262,7 +263,7 @@ class HalfSpace(_Indicator):
 
     @property
     def breaks(self) -> Breaks:
-        """The border, if it is normal to an axis."""
+        """The border of the half-space, if it is normal to an axis."""
         axes = np.flatnonzero(self._normal)
         at = float(self.offset / self._normal[axes[0]])
         if axes.size > 1 or not 0.0 < at < 1.0:
@@ -304,7 +305,7 @@ def _overlap(low: Array, high: Array, start: float, stop: float) -> Array:
 
 
 def _interval_fourier(nu: Array, low: Array | float, high: Array | float) -> Array:
-    """Return ∫_low^high exp(−2πi ν x) dx for real ν, also at ν = 0."""
+    """Return ∫_low^high exp(−2πi ν x) dx for real ν, with its limit at ν = 0."""
     width = high - low
     return np.asarray(width * np.sinc(nu * width) * np.exp(-1j * np.pi * nu * (low + high)))
 
@@ -317,9 +318,9 @@ def _ball_volume(dims: int, radius: float) -> float:
 def _disk_share(lo: Array, hi: Array, center: Array, radius: float) -> Array:
     """Return the fraction of the rectangles [lo, hi], (..., 2), that lies in a disk.
 
-    Areas of quadrants are combined by inclusion and exclusion.
+    Inclusion and exclusion combines areas of quadrants.
     Differences of nearly equal areas would leave rounding errors.
-    Therefore rectangles wholly inside or outside the disk are first set to 1 or 0.
+    Therefore rectangles that lie completely inside or outside the disk are set to 1 or 0.
     """
     a, b = (lo - center) / radius, (hi - center) / radius
     box = (b - a).prod(axis=-1)
@@ -336,7 +337,7 @@ def _disk_share(lo: Array, hi: Array, center: Array, radius: float) -> Array:
 
 
 def _quadrant(x: Array, y: Array) -> Array:
-    """Return the area of the unit disk within (−∞, x] × (−∞, y]."""
+    """Return the area of the part of the unit disk in (−∞, x] × (−∞, y]."""
     x, y = np.clip(x, -1.0, 1.0), np.clip(y, -1.0, 1.0)
     k = np.sqrt(1.0 - y * y)
     inner = np.clip(x, -k, k)
@@ -352,17 +353,17 @@ def _half_area(x: Array) -> Array:
 
 
 def _cut_disk_fourier(m: Array, center: Array, radius: float) -> Array:
-    """Return coefficients of a disk cut by the unit square at m (..., 2), chord by chord.
+    """Return coefficients, at m (..., 2), of a disk that the unit square cuts, chord by chord.
 
     The integral along a chord is exact. With x_0 = c_0 + r sin θ, chords are functions of θ.
-    Chords are smooth between the kinks at which the circle meets the borders.
-    Gauss-Legendre panels between kinks integrate the highest frequency to rounding accuracy.
+    Between the kinks where the circle meets the borders, these functions are smooth.
+    Gauss-Legendre panels between the kinks integrate the highest frequency to rounding accuracy.
     The cost is O(U_0 U_1 (|m| + const)) for U_i distinct m_i.
     """
     m0, where0 = np.unique(m[..., 0], return_inverse=True)
     m1, where1 = np.unique(m[..., 1], return_inverse=True)
 
-    # Cut θ at the kinks, and into panels of at most 8 cycles
+    # Divide the range of θ at the kinks, and into panels of at most 8 cycles
     cycles = float(np.abs(m).sum(axis=-1).max())
     ends = np.arcsin(np.clip((np.array([0.0, 1.0]) - center[0]) / radius, -1.0, 1.0))
     meets = np.arccos(np.clip(np.abs(np.array([center[1], 1.0 - center[1]])) / radius, 0.0, 1.0))
@@ -376,7 +377,7 @@ def _cut_disk_fourier(m: Array, center: Array, radius: float) -> Array:
     node, rule = gauss_rule(_ORDER)
     theta, weight = (lower + width * node).ravel(), (width * rule).ravel()
 
-    # Sum over blocks of chords
+    # Sum over the chords in blocks
     total = np.zeros((m0.size, m1.size), np.complex128)
     step = max(1, _BLOCK // (m0.size + m1.size))
     for start in range(0, theta.size, step):
@@ -390,10 +391,10 @@ def _cut_disk_fourier(m: Array, center: Array, radius: float) -> Array:
 
 
 def _half_plane_share(lo: Array, hi: Array, normal: Array, offset: float) -> Array:
-    """Return the fraction of the boxes [lo, hi], (..., 1) or (..., 2), with normal·x < offset.
+    """Return the fraction of boxes [lo, hi], (..., 1) or (..., 2), where normal·x < offset.
 
-    Let a ≥ b ≥ 0 be the absolute components of the normal, times the sides of the box.
-    The fraction is the distribution function of a u + b v, for u and v uniform in [0, 1].
+    Let a ≥ b ≥ 0 be the absolute components of the normal, multiplied by the sides of the box.
+    The fraction is the distribution function of a u + b v, where u and v are uniform in [0, 1].
     The density of a u + b v is a trapezoid with corners at b and a.
     """
     sides = (hi - lo) * normal
@@ -402,19 +403,19 @@ def _half_plane_share(lo: Array, hi: Array, normal: Array, offset: float) -> Arr
     a = sides[..., -1]
     b = sides[..., 0] if sides.shape[-1] == 2 else np.zeros_like(a)
     level = np.clip(level, 0.0, a + b)
-    mirrored = np.minimum(level, a + b - level)  # The distribution is symmetric about (a + b)/2
+    mirrored = np.minimum(level, a + b - level)  # the distribution is symmetric about (a + b)/2
     twice = np.where(b > 0, 2.0 * a * b, 1.0)
     share = np.where(mirrored < b, mirrored**2 / twice, (mirrored - 0.5 * b) / a)
     return np.asarray(np.where(level > 0.5 * (a + b), 1.0 - share, share))
 
 
 def _cut_cube_volume(normal: Array, offset: float) -> float | None:
-    """Return the volume of {x in [0,1]^d: normal·x < offset}, or None if rounding spoils it.
+    """Return the volume of {x in [0,1]^d: normal·x < offset}. Return None if rounding spoils it.
 
-    Reflection makes the components of the normal ≥ 0; n_i are the k components above 0.
+    Reflections make all components of the normal ≥ 0. The k components above 0 are the n_i.
     The volume is Σ_v (−1)^|v| (offset − n·v)_+^k / (k! Π n_i) [BarrowSmith1979]_.
     The sum is over the corners v of the cube.
-    The terms cancel, so the relative rounding error is checked.
+    The terms of the sum cancel, so its relative rounding error is checked.
     """
     level = offset - np.minimum(normal, 0.0).sum()
     n = np.abs(normal[normal != 0])
@@ -432,12 +433,12 @@ def _cut_cube_volume(normal: Array, offset: float) -> float | None:
 
 
 def _half_plane_fourier(m: Array, normal: Array, offset: float) -> Array:
-    """Return coefficients of the indicator of normal·x < offset on the unit square, m (..., 2).
+    """Return coefficients of the indicator of normal·x < offset on the unit square, at m (..., 2).
 
     The region is {x_k < α + β x_j} or its complement.
-    Axis k has the larger component of the normal, so |β| ≤ 1.
-    The line is inside the square for x_j in [a, b], where the integral along x_k is exact.
-    The integral of exp(−2πi (m_j + β m_k) x_j) remains, which is regular for all m.
+    The larger component of the normal is on axis k, so |β| ≤ 1.
+    For x_j in [a, b] the line lies inside the square, and the integral along x_k is exact.
+    The remaining integral, of exp(−2πi (m_j + β m_k) x_j), is regular for all m.
     """
     k = int(np.argmax(np.abs(normal)))
     mj, mk = m[..., 1 - k], m[..., k]
@@ -446,13 +447,13 @@ def _half_plane_fourier(m: Array, normal: Array, offset: float) -> Array:
         a, b = (0.0, 1.0) if 0 < alpha < 1 else (0.0, 0.0)
     else:
         a, b = np.clip(sorted((-alpha / beta, (1 - alpha) / beta)), 0, 1).tolist()
-    if beta == 0:  # Find the x_j at which the line is above the unit square
+    if beta == 0:  # find the x_j for which the line lies above the unit square
         full = (0.0, 1.0) if alpha >= 1 else (0.0, 0.0)
     else:
         cross = min(max((1.0 - alpha) / beta, 0.0), 1.0)
         full = (cross, 1.0) if beta > 0 else (0.0, cross)
 
-    # Integrate ∫_a^b ∫_0^{α+βx} exp(−2πi (m_j x + m_k y)) dy dx, and add the full columns
+    # Integrate ∫_a^b ∫_0^{α+βx} exp(−2πi (m_j x + m_k y)) dy dx. Then add columns of full height
     flat = mk == 0
     edge = np.exp(-2j * np.pi * mk * alpha) * _interval_fourier(mj + beta * mk, a, b)
     base = _interval_fourier(mj, a, b)
@@ -464,7 +465,7 @@ def _half_plane_fourier(m: Array, normal: Array, offset: float) -> Array:
 
 
 def _ramp_fourier(m: Array, a: float, b: float) -> Array:
-    """Return ∫_a^b x exp(−2πi m x) dx for integer m, by parts."""
+    """Return ∫_a^b x exp(−2πi m x) dx for integer m. It is integrated by parts."""
     zero = m == 0
     c = 2j * np.pi * np.where(zero, 1.0, m)
     at_a, at_b = np.exp(-c * a), np.exp(-c * b)

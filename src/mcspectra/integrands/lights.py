@@ -1,4 +1,4 @@
-"""Irradiance from a rectangular light: a rendering integrand whose exact integral is known."""
+"""Irradiance from a rectangular light: a rendering integrand with a known exact integral."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["RectangleLight"]
 Vector = tuple[float, float, float]
 
 _CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-# An occluder hides nothing if its plane is at most at this relative height over the origin
+# An occluder hides nothing if the height of its plane is at most this fraction of its size
 _FLAT = 1e-12
 
 
@@ -38,35 +38,35 @@ def _as_occluder(_: str, value: Any) -> tuple[Vector, Vector, Vector]:
 @final
 @dataclass(frozen=True, kw_only=True)
 class RectangleLight(Integrand):
-    """Irradiance at a point lit by a rectangle: f(s, t) = L cos θ cos θ' V area / r².
+    """Irradiance at a point that a rectangle illuminates: f(s, t) = L cos θ cos θ' V area / r².
 
-    (s, t) stands for the point corner + s e_0 + t e_1 of the light.
+    (s, t) are the coordinates of the point corner + s e_0 + t e_1 on the light.
     The light emits the same radiance L on both sides.
-    θ is the angle to the receiver's normal, and f = 0 below the receiver's horizon.
-    θ' is the angle to the light's normal, and V is the visibility past the occluder.
+    θ is the angle from the receiver's normal. Below the receiver's horizon f is 0.
+    θ' is the angle from the light's normal. V is 0 if an occluder hides the point, else 1.
     The density ``spherical-rectangle`` samples these lights.
     For parallelograms, use the density ``spherical-triangle``.
 
     Attributes
     ----------
     corner, edge0, edge1
-        A corner of the light and the edges from it. Any parallelogram with an area is allowed.
+        A corner of the light, and the edges from it. Any parallelogram of positive area is allowed.
     origin
-        The lit point; it must not lie in the plane of the light.
+        The illuminated point. It must not lie in the plane of the light.
     normal
         Normal of the receiver, of any positive length.
     radiance
         Radiance L of the light, at least 0.
     occluder
-        None, or the corner and both edges of an opaque parallelogram: ``[[x, y, z], …]``.
+        None, or the corner and the two edges of an opaque parallelogram: ``[[x, y, z], …]``.
         Its shadow makes f discontinuous.
 
     Notes
     -----
-    The integral is exact, by Lambert's formula for polygons,
-    E = (L/2) Σ_i Γ_i n·(v_i × v_{i+1})/|…|, with the angle Γ_i of the edge v_i v_{i+1}.
-    The part of the light behind the occluder is subtracted.
-    The rounding error is about 1e-15 L for any size of the light.
+    The integral is exact, by Lambert's formula for polygons:
+    E = (L/2) Σ_i Γ_i n·(v_i × v_{i+1})/|…|, where Γ_i is the angle of the edge v_i v_{i+1}.
+    The part of the light that is behind the occluder is subtracted.
+    The rounding error is about 1e-15 L for lights of any size.
     """
 
     dims: int = field(default=2, init=False)
@@ -85,7 +85,7 @@ class RectangleLight(Integrand):
 
     @cached_property
     def _light(self) -> tuple[Array, Array, Array]:
-        """Corner of the light relative to the origin, and both edges of the light."""
+        """Corner of the light, relative to the origin, and its two edges."""
         return np.subtract(self.corner, self.origin), np.array(self.edge0), np.array(self.edge1)
 
     @cached_property
@@ -94,12 +94,12 @@ class RectangleLight(Integrand):
 
     @cached_property
     def _up(self) -> Array:
-        """The receiver's unit normal."""
+        """The unit normal of the receiver."""
         return np.asarray(self.normal / norm(np.array(self.normal)))
 
     @cached_property
     def _shade(self) -> tuple[Array, Array, Array] | None:
-        """Occluder relative to the origin, or None if it hides nothing."""
+        """The occluder, relative to the origin. None if it hides nothing."""
         if self.occluder is None:
             return None
         corner, edge0, edge1 = np.array(self.occluder)
@@ -116,7 +116,7 @@ class RectangleLight(Integrand):
         return np.asarray(self.radiance * cosines * self._visible(w) / norm(w) ** 4)
 
     def _visible(self, w: Array) -> Array:
-        """Return whether nothing lies between the origin and points w (..., 3)."""
+        """Return whether there is nothing between the origin and points w (..., 3)."""
         if self._shade is None:
             return np.ones(w.shape[:-1], bool)
         corner, e0, e1 = self._shade
@@ -135,7 +135,7 @@ class RectangleLight(Integrand):
         return self.radiance * (self._irradiance(lit) - self._irradiance(self._shadow(lit)))
 
     def _irradiance(self, polygon: Array) -> float:
-        """Apply Lambert's formula to corners (k, 3) above the horizon, for unit radiance."""
+        """Apply Lambert's formula to corners (k, 3) above the horizon, for radiance 1."""
         following = np.roll(polygon, -1, axis=0)
         crossed = np.cross(polygon, following)
         lengths = norm(crossed)
@@ -151,7 +151,7 @@ class RectangleLight(Integrand):
         toward = np.cross(self._light[1], self._light[2])
         toward = toward / norm(toward) * np.sign(self._light[0] @ toward)
         shade = _clip(corner + _CORNERS @ np.stack([e0, e1]), toward, 0.0)
-        # Parts of the occluder behind the light hide nothing
+        # Parts of the occluder that are behind the light hide nothing
         shade = -_clip(-shade, toward, -self._height)
         if len(shade) < 3:
             return lit[:0]
@@ -163,7 +163,7 @@ class RectangleLight(Integrand):
 
 
 def _clip(polygon: Array, normal: Array, offset: float) -> Array:
-    """Clip a convex polygon (k, 3) to normal·x >= offset [SutherlandHodgman1974]_."""
+    """Clip a convex polygon (k, 3) to a half-space, normal·x >= offset [SutherlandHodgman1974]_."""
     if not len(polygon):
         return polygon
     heights = polygon @ normal - offset

@@ -47,7 +47,7 @@ def integrand(spec: str, dims: int | None = None) -> Integrand:
     Raises
     ------
     SpecError
-        If the spec cannot be parsed; `UnknownName` if the name is not registered.
+        If the spec cannot be parsed. `UnknownName` is raised if the name is not registered.
     ParameterError
         If a parameter is unknown, missing or out of range, or the numbers of dims disagree.
     """
@@ -57,12 +57,12 @@ def integrand(spec: str, dims: int | None = None) -> Integrand:
 
 
 def as_integrand(given: object, dims: int | None = None) -> Integrand:
-    """Return an integrand, or make one from a spec string. It must have `dims` dims, if given.
+    """Return an integrand, or make one from a spec string. If `dims` is given, it must agree.
 
     Raises
     ------
     ParameterError
-        If `given` is not an integrand or a spec, or has another number of dims.
+        If `given` is not an integrand or spec, or has another number of dims.
     """
     if isinstance(given, str):
         return integrand(given, dims)

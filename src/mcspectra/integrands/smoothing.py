@@ -1,12 +1,12 @@
-"""Smoothed edges: ramps instead of jumps, for faster convergence at the price of a bias.
+"""Smoothed edges: ramps replace jumps, for faster convergence at the price of a bias.
 
-There are two methods. One needs the signed distance σ(x) to an edge, with f = 1 where σ < 0.
+There are two methods. The first needs the signed distance σ(x) to an edge; f = 1 where σ < 0.
 The edge becomes the linear ramp ½ − σ/δ of width δ, clipped to [0, 1].
-The ramp is the average of edges moved by τ, where τ is uniform in [−δ/2, δ/2].
-Integral and coefficients of the ramp are therefore averages over the moved edges.
+This ramp is the average over edges that are moved by τ, with τ uniform in [−δ/2, δ/2].
+Therefore the integral and the coefficients of the ramp are averages over moved edges.
 
-The other method averages an integrand over a box of side δ about x.
-Reflection at the faces of the domain keeps the integral.
+The second method averages an integrand over a box of side δ about x.
+The box is reflected at the faces of the domain, which keeps the integral.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from mcspectra.integrands.registry import as_integrand
 __all__ = ["BoxSmoothed", "EdgeSmoothed", "smoothed"]
 
 _METHODS = ("auto", "distance", "box")
-# Integrals over τ use this number of nodes per 8 cycles of a wave, for rounding accuracy
+# Number of nodes of integrals over τ per 8 cycles of a wave, for rounding accuracy
 _CYCLES, _ORDER = 8, 32
 _MOST_NODES = 4096
 
@@ -48,30 +48,30 @@ def smoothed(
     Parameters
     ----------
     integrand
-        f, or its spec string.
+        The integrand f, or its spec string.
     width
-        δ > 0, the width of the ramp across the edge or the side of the box.
+        δ > 0: the width of the ramp across the edge, or the side of the box.
     method
         ``"distance"`` is a linear ramp across the edge.
-        Step, disk, half-space and discontinuous functions of [Christensen2018]_ allow this method.
-        ``"box"`` is the mean over a box, for any f and δ ≤ 1.
-        ``"auto"`` uses the distance if it is known, else the box.
+        It applies to step, disk, half-space and the discontinuous functions of [Christensen2018]_.
+        ``"box"`` is the mean over a box. It applies to any f if δ ≤ 1.
+        ``"auto"`` uses the distance if it is known, otherwise the box.
     nodes
         Number of Gauss nodes along each axis for ``"box"``, at most 4096 in total.
-        The nodes are used if means over boxes have no closed form.
-        Each jump is then divided into `nodes` smaller jumps and not removed.
+        The nodes are used if the means of f over boxes have no closed form.
+        Each jump is then divided into `nodes` smaller jumps. It is not removed.
     dims
         Number of dims for a spec string without ``dims``.
 
     Returns
     -------
     Integrand
-        The smoothed f: `SmoothedStep` for a step, otherwise `EdgeSmoothed` or `BoxSmoothed`.
+        The smoothed f. A step becomes a `SmoothedStep`, others `EdgeSmoothed` or `BoxSmoothed`.
 
     Raises
     ------
     ParameterError
-        If the width is not positive or too large, or no distance is known.
+        If the width is not positive, is too large, or if no distance is known.
 
     Examples
     --------
@@ -98,14 +98,14 @@ def smoothed(
 @final
 @dataclass(frozen=True, kw_only=True)
 class EdgeSmoothed(Integrand):
-    """The indicator of a ball or half-space with a linear ramp across its border.
+    """The indicator of a ball or a half-space, with a linear ramp across its border.
 
     Parameters
     ----------
     edge
-        The indicator.
+        The indicator whose border is smoothed.
     width
-        Width of the ramp normal to the border, > 0; for a ball it must be less than the diameter.
+        Width of the ramp normal to the border, > 0. For a ball, it must be less than the diameter.
     """
 
     edge: Disk | HalfSpace
@@ -130,19 +130,19 @@ class EdgeSmoothed(Integrand):
 
     @property
     def breaks(self) -> Breaks:
-        """Breaks at both ends of the ramp; empty along axes where the edge has no breaks."""
+        """Breaks at both ends of the ramp. Axes without breaks of the edge have none."""
         ends = [self._moved(t).breaks for t in (-0.5 * self.width, 0.5 * self.width)]
         return tuple(tuple(sorted({*a, *b})) for a, b in zip(*ends, strict=True))
 
     @property
     def fourier_source(self) -> str:
-        """Name of the edge's own method, followed by quadrature over positions of the edge."""
+        """Method of the edge itself, and the quadrature over positions of the edge."""
         if self.edge._fourier(np.zeros((1, self.dims))) is None:
             return super().fourier_source
         return f"{self.edge.fourier_source}, averaged over edges by Gauss-Legendre quadrature"
 
     def _distance(self, x: Array) -> Array:
-        """Signed distance to the border, negative inside."""
+        """Signed distance to the border, which is negative inside."""
         if isinstance(self.edge, Disk):
             return np.asarray(np.linalg.norm(x - self.edge.center, axis=-1) - self.edge.radius)
         normal = self.edge._normal
@@ -159,7 +159,7 @@ class EdgeSmoothed(Integrand):
         return np.clip(0.5 - self._distance(x) / self.width, 0.0, 1.0)
 
     def _mean(self, known: Callable[[Disk | HalfSpace], Any], panels: int = 1) -> Any:
-        """Average a quantity over positions of the border; return None if it is not known."""
+        """Average a quantity over positions of the border. If it is not known, return None."""
         node, weight = gauss_rule(_ORDER)
         places = ((np.arange(panels)[:, None] + node) / panels).ravel()
         total: Any = 0.0
@@ -182,7 +182,7 @@ class EdgeSmoothed(Integrand):
 @final
 @dataclass(frozen=True, kw_only=True)
 class BoxSmoothed(Derived):
-    """The mean of an integrand over a box about x, reflected at the faces of the domain.
+    """The mean of an integrand over a box about x. The box is reflected at the faces of the domain.
 
     Parameters
     ----------
@@ -191,11 +191,11 @@ class BoxSmoothed(Derived):
     width
         Side of the box, in (0, 1].
     nodes
-        Number of Gauss nodes along each axis if f has no closed-form means over boxes.
+        Number of Gauss nodes along each axis, if means over boxes have no closed form.
 
     Notes
     -----
-    Reflection at the faces, with symmetric nodes and weights, keeps the integral: ∫ f_δ = ∫ f.
+    Reflection at the faces, with symmetric nodes and weights, does not change ∫ f.
     """
 
     text = "{0.integrand.spec} averaged over boxes of side {0.width:g}"
@@ -217,20 +217,20 @@ class BoxSmoothed(Derived):
 
     @property
     def evaluations_per_point(self) -> int:
-        """``nodes^d`` if f has no closed-form means over boxes."""
+        """Number of evaluations of f: ``nodes^d`` if means over boxes have no closed form."""
         inside = self.integrand.evaluations_per_point
         return inside if self._known else inside * self.nodes**self.dims
 
     @property
     def _known(self) -> bool:
         """Whether f has closed-form means over boxes."""
-        few = self.dims <= 6  # Reflections may divide a box into 3^d parts
+        few = self.dims <= 6  # reflections may divide a box into 3^d parts
         unit = np.zeros((1, self.dims)), np.ones((1, self.dims))
         return few and self.integrand.box_moments(*unit) is not None
 
     @property
     def breaks(self) -> Breaks:
-        """Points at which the box starts or stops covering a break of f, or crosses a face."""
+        """Points at which the box begins or ceases to cover a break of f, or crosses a face."""
         half = 0.5 * self.width
         moved = [
             {half, 1 - half, *(b - half for b in axis), *(b + half for b in axis)}
@@ -262,6 +262,6 @@ class BoxSmoothed(Derived):
             found = self.integrand.box_moments(
                 np.where(empty, 0.0, start), np.where(empty, 1.0, stop)
             )
-            assert found is not None  # means are known because `_known` is true
+            assert found is not None  # means are known, because `_known` is true
             total = total + (share[..., None] if self.channels else share) * found[0]
         return np.asarray(total)

@@ -1,4 +1,4 @@
-"""Quality figures of a sampler's realizations or of given point sets, and their summaries."""
+"""Measures of the quality of point sets, for samplers or given points, and their summaries."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ __all__ = [
 ]
 
 MOST_PROJECTED_AXES = 10
-"""Number of leading axes. Projections use all 45 pairs of these axes."""
+"""Number of leading axes that projections use. They form 45 pairs."""
 
-_MOST_TRANSPORTED = 2**13  # Largest number of points for the transport cost, which takes seconds
+_MOST_TRANSPORTED = 2**13  # Largest number of points for the transport cost; it then takes seconds
 
 
 def quality_figures(
@@ -62,7 +62,7 @@ def quality_figures(
     n
         Number of points per realization. It is optional for given points.
     figures
-        Names from `FIGURES`. The default is all names. Figures of projections need at least 3 dims.
+        Names from `FIGURES`. The default is all names. Figures on projections need at least 3 dims.
     realizations
         Number of realizations. The default is 16.
         For a deterministic sampler it is 1. For given points it is the number of sets.
@@ -74,11 +74,11 @@ def quality_figures(
     Returns
     -------
     xarray.Dataset
-        One variable per figure on the dim ``realization``.
-        A figure is NaN if it cannot be computed. Its attribute ``missing`` gives the reason.
-        There may be too many points or dims, or n may not be a power of the base.
-        The attribute ``sets`` is the number of different sets if the sampler has a limited number.
-        ``projections`` lists the pairs of axes that were used.
+        One variable per figure, on the dim ``realization``.
+        A figure is NaN if it cannot be computed. Its attribute ``missing`` gives the reason:
+        there are too many points or dims, or n is not a power of the base.
+        The attribute ``sets`` is the number of different sets, if the sampler has a limited number.
+        The attribute ``projections`` lists the pairs of axes that were used.
 
     Raises
     ------
@@ -117,7 +117,7 @@ def quality_figures(
     count = as_integer("realizations", count, least=1, most=MAX_REALIZATIONS)
 
     def one(realization: int) -> list[tuple[float, str]]:
-        """Return each figure's value and reason. The value is NaN if there is a reason."""
+        """Return the value of each figure, and the reason if the value is NaN."""
         points, found = sampler.draw_stream(n, stream, realization, 1)[0], []
         for name in names:
             try:
@@ -151,7 +151,7 @@ def quality_figures(
 @final
 @dataclass(frozen=True, kw_only=True)
 class FigureSummary:
-    """Summary of one quality figure over realizations.
+    """Summary over realizations of one quality figure.
 
     Attributes
     ----------
@@ -160,7 +160,7 @@ class FigureSummary:
     mean, standard_error
         Mean over realizations and its standard error, which is NaN for a single realization.
     missing
-        Reason why the mean is missing. It is empty if there is a mean.
+        Reason why the mean is missing. Empty if there is a mean.
     """
 
     name: str
@@ -195,7 +195,7 @@ def summarize(figures: xr.Dataset) -> list[FigureSummary]:
 
 
 def different_realizations(sampler: Sampler, n: int, stream: Stream, most: int = 16) -> int:
-    """Return the number of different realizations: 1 for a fixed set, all given sets, or `most`."""
+    """Return how many realizations differ: 1 for a fixed set, all for given sets, or `most`."""
     if isinstance(sampler, GivenPoints):
         sets = len(sampler.sets[n])
         return min(most, sets) if sampler.cycle else sets
@@ -210,7 +210,7 @@ def _pairs(dims: int) -> list[tuple[int, int]]:
 def _projected(
     figure: Callable[[Array], float], choose: Callable[[Array], Any], points: Array
 ) -> float:
-    """Return the worst or the mean value of a figure over the projections on two axes."""
+    """Return the worst or the mean value of a figure over projections onto two axes."""
     if points.shape[1] < 3:
         raise ParameterError("Projections on two axes need point sets in at least 3 dims.")
     values = [figure(points[:, pair]) for pair in map(list, _pairs(points.shape[1]))]
@@ -270,7 +270,7 @@ FIGURES: Mapping[str, Callable[..., float | None]] = {
     "worst_projected_diaphony": partial(_projected, diaphony, np.max),
     "mean_projected_diaphony": partial(_projected, diaphony, np.mean),
 }
-"""Functions that compute the figures of quality of a set (n, d), by the name of the figure.
+"""Functions by the name of a figure. Each computes its figure of quality for a set (n, d).
 
 `core.results` describes each figure.
 """

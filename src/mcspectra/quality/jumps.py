@@ -1,9 +1,9 @@
-"""Find discontinuities of functions on the unit interval or square by refinement.
+"""Discontinuities of functions on the unit interval or square, found by refinement.
 
 The interval between two neighboring grid points is halved repeatedly.
-Each halving keeps the half in which the function changes more.
-If the change between its ends shrinks with the interval, the function has a slope.
-If the change stays, it is a jump. If it grows, there is a pole.
+At each step, the half in which the function changes more is kept.
+If the change between the ends shrinks with the interval, the function has a slope there.
+If the change stays the same, there is a jump. If it grows, there is a pole.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from mcspectra.core.checks import Array
 
 __all__ = ["Jumps", "curve_length", "find_jumps", "grid_centers"]
 
-# Number of halvings before slopes are discarded, and number between two later comparisons
+# Number of halvings before slopes are discarded, and number of halvings between later comparisons
 _FIRST, _NEXT = 6, 12
 # Fraction of the change between two cells that must remain after the first halvings.
 # On a straight line, six halvings of the interval leave 1/64 of the change
@@ -39,11 +39,11 @@ class Jumps:
     Attributes
     ----------
     heights
-        Size of the jump between a cell and the next along each axis, (d, N) or (d, N, N).
-        The size is 0 without a jump. The last cell of each axis has no next cell.
+        Size of the jump between a cell and its next neighbor along each axis, (d, N) or (d, N, N).
+        If there is no jump, the size is 0. The last cell of each axis has no next neighbor.
     poles
-        Whether the function grows without bound at the jump, with the shape of `heights`.
-        A pole with similar values on both sides is not detected.
+        Whether the function grows without bound at the jump, as an array like `heights`.
+        A pole is not detected if the values on both its sides are similar.
     """
 
     heights: Array
@@ -51,18 +51,18 @@ class Jumps:
 
     @property
     def length(self) -> float:
-        """Total length of the jump curves. In 1-D it is the number of jumps."""
+        """Total length of the jump curves. In 1-D, the number of jumps."""
         return curve_length(self.heights > 0)
 
     @property
     def mean_height(self) -> float:
-        """Mean height of the jumps, or 0 without jumps."""
+        """Mean height of the jumps. It is 0 if there are no jumps."""
         found = self.heights[self.heights > 0]
         return float(found.mean()) if found.size else 0.0
 
 
 def grid_centers(side: int, dims: int) -> Array:
-    """Return the cell centers, (side, dims) or (side, side, dims), first axis first."""
+    """Return the cell centers, (side, dims) or (side, side, dims), with the first axis first."""
     line = (np.arange(side) + 0.5) / side
     return np.stack(np.meshgrid(*[line] * dims, indexing="ij"), axis=-1)
 
@@ -73,7 +73,7 @@ def find_jumps(function: Function, dims: int, side: int, *, scale: float) -> Jum
     Parameters
     ----------
     function
-        Function of points (k, d) with values (k, c). Changes are measured by Euclidean length.
+        Function of points (k, d) with values (k, c). The change of a value is its Euclidean length.
     dims
         Number of dims d, 1 or 2.
     side
@@ -84,15 +84,15 @@ def find_jumps(function: Function, dims: int, side: int, *, scale: float) -> Jum
     Notes
     -----
     Jumps below about 1/60 of the smooth change between two cells are taken for slopes.
-    Of several jumps in one interval only the largest is found.
-    The grid has d·side^d intervals. The search takes about 7 evaluations for each interval,
-    and 24 further evaluations for each possible jump.
+    If an interval has several jumps, only the largest is found.
+    The grid has d·side^d intervals. The search takes about 7 evaluations for each interval.
+    It takes 24 further evaluations for each possible jump.
     """
     heights = np.zeros((dims, *[side] * dims))
     poles = np.zeros(heights.shape, bool)
     centers = grid_centers(side, dims)
     for axis in range(dims):
-        # Halve the intervals between cells: first to discard slopes, then twice to compare
+        # Halve the intervals between cells: first to discard slopes, then twice to compare changes
         shape = np.moveaxis(centers, axis, 0)[:-1].shape
         near = np.moveaxis(centers, axis, 0)[:-1].reshape(-1, dims)
         far = near.copy()
@@ -117,13 +117,13 @@ def find_jumps(function: Function, dims: int, side: int, *, scale: float) -> Jum
 
 
 def curve_length(crossed: Array) -> float:
-    """Estimate the length of curves from the intervals that the curves cross.
+    """Estimate the length of curves from the intervals between cells that they cross.
 
     Parameters
     ----------
     crossed
         Booleans (1, N) or (2, N, N), one for each cell and axis.
-        Each boolean states whether a curve passes between a cell and the next along the axis.
+        Each boolean states whether a curve passes between a cell and its neighbor on the axis.
 
     Notes
     -----
@@ -142,7 +142,7 @@ def curve_length(crossed: Array) -> float:
 
 
 def _halve(function: Function, ends: Array, values: Array, times: int) -> tuple[Array, Array]:
-    """Halve intervals (2, k, d) with values (2, k, c), keeping the half with the larger change."""
+    """Halve intervals (2, k, d) with values (2, k, c). Keep the half with the larger change."""
     for _ in itertools.repeat(None, times):
         if not ends.shape[1]:
             break

@@ -1,4 +1,4 @@
-"""The quality parameter t of nets, found by counting points.
+"""The quality parameter t of nets, determined by counting points.
 
 An elementary interval in base b is a box with sides b^-k_j.
 The corners of the box are multiples of its sides.
@@ -18,7 +18,7 @@ from mcspectra.samplers._primes import LARGEST_BASE, power_from
 
 __all__ = ["elementary_intervals", "net_t_value"]
 
-_MOST_WORK = 2**34  # Largest points × interval shapes of one volume, which takes about a minute
+_MOST_WORK = 2**34  # Largest number of points times interval shapes: about a minute of work
 
 
 def net_t_value(points: object, base: int = 2) -> int | None:
@@ -28,7 +28,7 @@ def net_t_value(points: object, base: int = 2) -> int | None:
     ----------
     points
         Point set in [0,1), (n, d).
-        Coordinates at most 2^-52 below a multiple of b^-m are rounded up to the multiple.
+        Coordinates that are at most 2^-52 below a multiple of b^-m are rounded up to it.
     base
         Base b of the digits.
 
@@ -47,7 +47,7 @@ def net_t_value(points: object, base: int = 2) -> int | None:
     Notes
     -----
     Volumes b^-1, b^-2, … are checked until one fails.
-    There are binomial(q + d − 1, d − 1) shapes of volume b^-q. Each shape takes O(n d).
+    There are binomial(q + d − 1, d − 1) shapes of volume b^-q. The cost per shape is O(n d).
     """
     x, base, places = _as_net(points, base)
     if base**places != len(x):

@@ -1,6 +1,6 @@
 """Exact quality figures of one point set: toroidal distances, discrepancies and diaphony.
 
-Loops over pairs visit every pair of points once.
+Loops over pairs visit each pair of points once.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ __all__ = [
     "star_discrepancy",
 ]
 
-_MAX_PAIR_WORK = 2**27  # Largest n² d of loops over pairs: about a second, 8192 points in 2-D
-_TREE_DIMS = 6  # Most dims for a tree. In more dims a tree visits nearly all pairs
+_MAX_PAIR_WORK = 2**27  # Largest n² d for loops over pairs: a second for 8192 points in 2-D
+_TREE_DIMS = 6  # Largest number of dims for a tree. In more dims a tree visits nearly all pairs
 _TREE_POINTS = 2**21
 
 _BEST_LATTICE = {
-    # By dims: minimum distance of the densest packing with one point per unit volume
+    # For each number of dims: minimum distance in the densest packing of one point per unit volume
     1: 1.0,
     2: math.sqrt(2.0 / math.sqrt(3.0)),
     3: 2.0 ** (1.0 / 6.0),
     8: math.sqrt(2.0),
     24: 2.0,
 }
-_MOST_STAR_POINTS = 2**14  # Largest number of points in 2-D, which takes half a second
+_MOST_STAR_POINTS = 2**14  # Largest number of points in 2-D; it takes half a second
 _SCIPY: Mapping[str, tuple[str, bool]] = {
-    # By kind: SciPy's name, and whether SciPy returns the square
+    # For each kind of discrepancy: SciPy's name, and whether SciPy returns the square
     "star": ("L2-star", False),
     "centered": ("CD", True),
     "wraparound": ("WD", True),
@@ -57,7 +57,7 @@ def as_set(points: object) -> Array:
 
 
 def _check_pairs(x: Array) -> None:
-    """Raise if a loop over all pairs of the set (n, d) would take long."""
+    """Raise an error if a loop over all pairs of the set (n, d) would take long."""
     n, dims = x.shape
     most = math.isqrt(_MAX_PAIR_WORK // dims)
     if n > most:
@@ -119,10 +119,11 @@ def _torus_nearest(x: Array) -> Array:
 
 
 def best_minimum_distance(n: int, dims: int) -> float:
-    """Return a proven upper bound of the minimum distance of `n` points on the torus.
+    """Return a proven upper bound of the minimum distance between `n` points on the torus.
 
-    The bound is the distance in the densest sphere packing. In 1-D these are equidistant points,
-    in 2-D the hexagonal lattice, and in 3-D the face-centered cubic lattice [Hales2005]_.
+    The bound is the minimum distance in the densest packing of spheres.
+    The densest packings are equidistant points in 1-D and the hexagonal lattice in 2-D.
+    In 3-D it is the face-centered cubic lattice [Hales2005]_.
     In 8-D it is the lattice E8 [Viazovska2017]_, and in 24-D the Leech lattice [Cohn2017]_.
 
     Raises
@@ -142,7 +143,7 @@ def best_minimum_distance(n: int, dims: int) -> float:
 def relative_minimum_distance(points: object) -> float:
     """Return the minimum distance divided by its upper bound. The result is at most 1.
 
-    Distances to periodic images of the same point, which are 1, are included.
+    The distance 1 between a point and its own periodic image also counts.
     """
     x = as_set(points)
     best = best_minimum_distance(*x.shape)
@@ -160,7 +161,7 @@ def star_discrepancy(points: object) -> float:
     Raises
     ------
     ParameterError
-        If d > 2, because exact algorithms take O(n^(1 + d/2)) and are not implemented.
+        If d > 2: exact algorithms take O(n^(1 + d/2)) and are not implemented.
         If n > 2^14 in 2-D.
 
     Notes
@@ -189,9 +190,9 @@ def star_discrepancy(points: object) -> float:
 def _star_discrepancy_2d(x: Array, y: Array) -> float:
     """Return the star discrepancy D* of the points (x_i, y_i), with x ascending.
 
-    The supremum of |share of points − volume| is over boxes [0,a) × [0,b).
-    It suffices that a and b run over the coordinates of the points, and 1.
-    The grid of all coordinates is scanned column by column.
+    The supremum of |share of points − volume| is taken over boxes [0,a) × [0,b).
+    It is enough that a and b take the values of the points' coordinates, and 1.
+    The grid of these values is scanned column by column.
     For each column, the points to its left are sorted by y.
     """
     n = len(x)
@@ -215,7 +216,7 @@ def _star_discrepancy_2d(x: Array, y: Array) -> float:
 
 
 def l2_discrepancy(points: object, kind: str = "star") -> float:
-    """Return an L2 discrepancy of a set, through `scipy.stats.qmc.discrepancy`.
+    """Return an L2 discrepancy of a set, computed by `scipy.stats.qmc.discrepancy`.
 
     Parameters
     ----------
@@ -241,10 +242,10 @@ def l2_discrepancy(points: object, kind: str = "star") -> float:
 
 
 def generalized_l2_discrepancy(points: object) -> float:
-    """Return the L2 star discrepancy combined over all projections.
+    """Return the L2 star discrepancy of a set, combined over all its projections.
 
     D² = (4/3)^d − 2/n Σ_i Π_k (3 − x_ik²)/2 + 1/n² Σ_ij Π_k (2 − max(x_ik, x_jk)).
-    D² is the sum of the squared L2 star discrepancies of the projections on all sets of axes
+    D² sums the squared L2 star discrepancies of the projections onto all sets of axes
     [Hickernell1998]_.
 
     Raises
@@ -277,11 +278,11 @@ def _generalized_l2_sum(x: Array) -> float:
 
 
 def diaphony(points: object) -> float:
-    """Return the diaphony F [Zinterhof1976]_: the spectrum weighted by (Π_k max(1, |m_k|))^−2.
+    """Return the diaphony F [Zinterhof1976]_, which weights the spectrum by (Π_k max(1, |m_k|))^−2.
 
     F² = Σ_{m≠0} |S_m|² / Π_k max(1, m_k²) over all frequencies, with S_m = 1/n Σ_i exp(2πi m·x_i).
-    The sum is computed in closed form over pairs.
-    F is invariant under translations on the torus.
+    The sum is computed over pairs of points, in closed form.
+    Translations on the torus do not change F.
     The mean of F² over random sets is ((1 + π²/3)^d − 1) / n.
 
     Raises
@@ -302,7 +303,7 @@ def _diaphony_sum(x: Array) -> float:
     n, dims = x.shape
     total = 0.0
     for i in range(n):
-        row = 0.0  # One sum per point has rounding errors of n terms, not of n²
+        row = 0.0  # One partial sum per point has rounding errors of n terms, not of n²
         for j in range(i):
             product = 1.0
             for k in range(dims):

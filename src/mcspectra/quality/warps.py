@@ -1,4 +1,4 @@
-"""Distortion and jumps of a warp of the unit square, which limit the benefit of stratification."""
+"""Distortion and jumps of a warp of the unit square: they limit the benefit of stratification."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mcspectra.quality.jumps import find_jumps, grid_centers
 __all__ = ["warp_quality"]
 
 _STEP = 1e-3  # Step of the finite differences, as a fraction of a cell
-# Offset of the probes from the cell centers, in cells. Kinks of a warp may pass through centers
+# Offset of the probes from the cell centers, in cells. A kink of a warp may lie at the centers
 _ASIDE = (0.31, 0.17)
 
 
@@ -32,10 +32,10 @@ def warp_quality(density: Density | str, *, resolution: int = 256) -> xr.Dataset
     Returns
     -------
     xarray.Dataset
-        The first variables are maps over the cells of primary space.
-        ``stretch`` (u0, u1) is the largest singular value of ∂T/∂u divided by the smallest.
+        Some variables are maps over the cells of primary space:
+        ``stretch`` (u0, u1) is the largest singular value of ∂T/∂u, divided by the smallest.
         The stretch is 1 in 1-D, and infinite where T is flat.
-        ``jump`` (axis, u0, u1) is the jump of T between a cell and the next along each axis.
+        ``jump`` (axis, u0, u1) is the jump of T between a cell and its next neighbor on each axis.
         The jump is 0 where T is continuous.
         ``warped`` (u0, u1, coordinate) is T at the cell centers.
 
@@ -45,9 +45,9 @@ def warp_quality(density: Density | str, *, resolution: int = 256) -> xr.Dataset
         ``jump_length`` is the length of the jump curves, or the number of jumps in 1-D.
         ``mean_jump`` is the mean size of a jump.
         ``distortion`` compares the image of a small square with a square of the image's area.
-        It is the geometric mean of the ratio of the two diameters, and 1 if squares stay squares.
-        ``neighbor_expansion`` is the distance between images of neighboring cells, in cells.
-        This distance is a root mean square over all neighbors, including jumps.
+        It is the geometric mean of the ratio of their diameters. It is 1 if squares stay squares.
+        ``neighbor_expansion`` is the distance between the images of neighboring cells, in cells.
+        It is the root mean square over all neighbors, including those at jumps.
 
     Raises
     ------
@@ -57,7 +57,7 @@ def warp_quality(density: Density | str, *, resolution: int = 256) -> xr.Dataset
     Notes
     -----
     Slopes are one-sided differences over a thousandth of a cell.
-    The smaller of the left and the right difference is used, because it does not cross a jump.
+    The smaller one of the left and the right difference is used: it does not cross a jump.
     Jumps are found by refinement (`mcspectra.quality.jumps`).
     Opposite sides of the square are not compared.
     All figures refer to the unit square. For directions this is the lat-long square,
@@ -89,14 +89,14 @@ def warp_quality(density: Density | str, *, resolution: int = 256) -> xr.Dataset
         values = np.linalg.svd(slopes, compute_uv=False)
         ratio = values[..., 0] / values[..., -1]
         stretch = np.where(values[..., -1] > 0, ratio, np.inf)
-        # Diameter of the image of a small square, relative to a square of the same area
+        # Diameter of the image of a small square, divided by that of a square of the same area
         diameters = np.ones(slopes.shape[:-2])
         if slopes.shape[-2:] == (2, 2):
             diagonals = slopes @ np.array([[1.0, 1.0], [1.0, -1.0]])
             diameter = np.sqrt((diagonals**2).sum(axis=-2)).max(axis=-1)
             area = np.abs(np.linalg.det(slopes))
             diameters = np.where(area > 0, diameter / np.sqrt(2.0 * area), np.inf)
-    # Root mean square distance between the images of neighboring cells, in cells
+    # Root mean square distance between the images of neighboring cells, in units of a cell
     squares = [(np.diff(image, axis=axis) ** 2).sum(axis=-1).ravel() for axis in range(dims)]
     expansion = float(side * np.sqrt(np.concatenate(squares).mean()))
     cells = tuple(f"u{axis}" for axis in range(dims))

@@ -1,7 +1,7 @@
 """Numba kernels of the spectra; arguments are not checked.
 
 Indices: r for realizations, h for the half spectrum, k for points, j for axes.
-The half spectrum holds the frequencies up to and including 0, flattened in C order.
+The half spectrum holds the frequencies before 0 in C order, and 0 itself, as a flat array.
 In the full spectrum of M frequencies, index M − 1 − h is the frequency −m_h.
 """
 
@@ -22,7 +22,7 @@ UNLABELLED = np.empty(0, np.int64)
 def crop_scaled(
     negative: Array, others: Array, rows: Array, row_factors: Array, factors: Array, out: Array
 ) -> None:
-    """Write scaled rows of the frequencies −K … −1 and 0 … K to out, shape (rows, 2K + 1)."""
+    """Write rows, multiplied by a factor, at the frequencies −K … −1 and 0 … K: (rows, 2K + 1)."""
     width = negative.shape[1]
     for r in range(rows.size):
         row, factor = rows[r], row_factors[r]
@@ -36,7 +36,7 @@ def crop_scaled(
 def split_pair(packed: Array, first: Array, second: Array) -> None:
     """Split the transform F = S1 + i S2 of two real-weighted sets by Hermitian symmetry.
 
-    packed (M,) is F on the full grid; first and second, (H,) with H = (M+1)/2, are the results:
+    packed (M,) is F on the full grid. The results are first and second, (H,) with H = (M+1)/2:
     S1(m) = (F(m) + conj F(−m))/2, S2(m) = (F(m) − conj F(−m))/(2i).
     """
     last = packed.size - 1
@@ -53,7 +53,7 @@ def power_sums(
 ) -> None:
     """Add |S|² and |S|⁴ of one set, or of the two sets of a pair, to total and squares (H,).
 
-    Also add |S|² to groups (sets, G) by label (H,). An empty label (0,) means no groups.
+    Also add |S|² to groups (sets, G), by the label (H,) of a frequency. (0,) means no groups.
     """
     last, grouped = packed.size - 1, label.size > 0
     for h in range(total.size):
@@ -76,7 +76,7 @@ def power_sums(
 
 @kernel
 def pair_mean(packed: Array, total: Array) -> None:
-    """Add the transforms of a pair, packed as F = S1 + i S2, to total (H,); see `split_pair`."""
+    """Add the transforms of a pair of sets, packed as F = S1 + i S2, to total (H,)."""
     last = packed.size - 1
     for h in range(total.size):
         a = packed[h]

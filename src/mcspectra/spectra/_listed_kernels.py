@@ -1,10 +1,10 @@
 """Numba kernels of spectra at listed frequencies; arguments are not checked.
 
 Indices: point k, axis j, frequency f, factor u.
-Only the nonzero axes of a frequency are stored, in compressed rows.
-The array start (F+1,) holds the first entry of each frequency.
-Points are stored axis by axis, (d, n), because inner loops then access neighbors in memory.
-Loops process blocks of points that fit into the first-level cache.
+Frequencies are stored as compressed rows, which hold only their nonzero axes.
+The entry start[f] is the position where the row of frequency f begins.
+Points are stored axis by axis, (d, n), so that inner loops access neighbors in memory.
+Loops process the points in blocks that fit into the first-level cache.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ _S = tuple(-((-1) ** i) / math.factorial(2 * i + 1) for i in range(8))
 
 @kernel
 def unit_phases(turns: Array, real: Array, imag: Array) -> None:
-    """Compute exp(−2πi t) of each number of turns t, accurate to 1e-15 and without branches.
+    """Compute exp(−2πi t) for each number of turns t, accurate to 1e-15 and without branches.
 
-    Reduce the turn to |t| ≤ 1/8, evaluate a quarter of it by a Taylor series, and square twice.
+    Turns are reduced to |t| ≤ 1/8. A Taylor series gives the phase of t/4, which is squared twice.
     The first omitted term of the series is (π/4)^17/17! = 5e-17.
-    Compilers vectorize this loop; they cannot vectorize divisions and calls of sin and cos.
+    Compilers vectorize this loop. They do not vectorize divisions or calls of sin and cos.
     """
     for k in range(turns.size):
         t = turns[k]
@@ -48,7 +48,7 @@ def unit_phases(turns: Array, real: Array, imag: Array) -> None:
 
 @kernel
 def _sum(values: Array) -> float:
-    """Sum pairwise, with little rounding and vector instructions; overwrites `values`."""
+    """Sum pairwise, with little rounding and with vector instructions. This overwrites `values`."""
     size = values.size
     while size > 8:
         odd = size & 1
@@ -79,7 +79,7 @@ def phase_sum(
                 x = points[axes[e], low : low + size]
                 for k in range(size):
                     t = values[e] * x[k]
-                    # Remove whole turns axis by axis, to reduce rounding errors
+                    # Remove whole turns after each axis, to reduce rounding errors
                     turns[k] += t - ((t + _ROUND) - _ROUND)
             unit_phases(turns[:size], real, imag)
             for k in range(size):
@@ -100,7 +100,7 @@ def product_sum(
 ) -> None:
     """Same as `phase_sum`, but each phase is a product of tabulated factors exp(−2πi v_u x_{a_u}).
 
-    entries lists the factors of each frequency; axes and values (U,) describe each factor.
+    The array entries lists the factors of each frequency; axes and values (U,) describe factors.
     """
     n = weights.size
     table = np.empty((axes.size, 2, _BLOCK))

@@ -1,7 +1,7 @@
 """Numba kernels of pair correlations; arguments are not checked.
 
-Notation: d axes; n points; N ≥ n points including copies; bins of width 1/`per_unit`.
-`most` is the number of bins, and also the index of the bin for larger distances.
+Notation: d axes; n points; N ≥ n points including periodic copies; bins of width 1/`per_unit`.
+The number of bins is `most`, which is also the index of the bin for larger distances.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from mcspectra.core.checks import Array
 from mcspectra.core.jit import kernel
 
 Work = tuple[Array, Array]
-"""Scratch space of one chunk of neighbors: float64 squared distances, and int64 bins."""
+"""Scratch space for one chunk of neighbors: squared distances (float64) and bins (int64)."""
 
 __all__ = ["count_distances", "count_ordered_pairs"]
 
-_CHUNK = 512  # number of neighbors per chunk; 8 KiB of scratch space fit the first-level cache
+_CHUNK = 512  # number of neighbors per chunk: 8 KiB of scratch space fit into the first-level cache
 
 
 @kernel
@@ -44,7 +44,7 @@ def _fill_bins(
     """
     squares, bins = work[0][: stop - start], work[1][: stop - start]
     last = coordinates.shape[0] - 1
-    # Separate loops over neighbors in memory, which compilers vectorize.
+    # Loop over one axis at a time, so that compilers vectorize the loops over neighbors in memory
     squares[:] = 0.0
     for axis in range(last):
         x, others = coordinates[axis, a], coordinates[axis, start:stop]
@@ -59,7 +59,7 @@ def _fill_bins(
 
 @kernel
 def _add_bins(bins: Array, counts: Array) -> None:
-    """Count the bins with four counters (4, …), because neighbors often fall into one bin."""
+    """Count the bins with four counters (4, …), because neighbors often fall into the same bin."""
     size = bins.size
     first, second, third, fourth = counts[0], counts[1], counts[2], counts[3]
     for k in range(0, size - 3, 4):
@@ -77,10 +77,10 @@ def count_distances(
 ) -> None:
     """Count the toroidal distances of all pairs of points.
 
-    coordinates (d, N): n points in ascending order of the first coordinate.
+    coordinates (d, N) holds the n points, in ascending order of the first coordinate.
     Copies of the first points follow, moved by one along the first axis.
     `limit` is the largest difference along the first axis.
-    counts (4, bins + 1): four partial counts, to be added; the last bin has larger distances.
+    counts (4, bins + 1) holds four partial counts, to be added. The last bin has larger distances.
     """
     total = coordinates.shape[1]
     work = _scratch()
@@ -90,7 +90,7 @@ def count_distances(
         x = coordinates[0, a]
         while end < total and coordinates[0, end] - x <= limit:
             if end >= n and coordinates[0, end] - x == limit:
-                break  # a pair exactly at the limit is counted once, when `a` is its other point
+                break  # a pair at the exact limit is counted once
             end += 1
         for start in range(a + 1, end, _CHUNK):
             stop = min(start + _CHUNK, end)
@@ -101,9 +101,9 @@ def count_distances(
 def count_ordered_pairs(
     coordinates: Array, per_unit: float, limit: float, last: Array, counts: Array
 ) -> None:
-    """Count non-toroidal distances of ordered pairs; point a contributes only up to bin last[a].
+    """Count non-toroidal distances of ordered pairs. Point a adds only to bins up to last[a].
 
-    coordinates (d, n), in ascending order along the first axis; counts (bins,).
+    The n points, coordinates (d, n), ascend along the first axis. The result counts is (bins,).
     """
     n = coordinates.shape[1]
     work = _scratch()

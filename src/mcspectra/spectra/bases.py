@@ -1,8 +1,8 @@
-"""Orthonormal bases of functions on the unit cube, in which a variance is decomposed.
+"""Orthonormal bases of functions on the unit cube, which divide a variance into terms.
 
 With an orthonormal basis φ_m of L²([0,1]^d), f_m = ∫ f conj(φ_m) and S_m = Σ_k w_k conj(φ_m(x_k)).
-In any basis, the estimate is Σ_m conj(f_m) S_m, and its variance is dc + power + cross term
-(see docs/theory.md). The cross term measures how badly a basis fits the sampler's randomization.
+In any basis, the estimate is Σ_m conj(f_m) S_m. Its variance is dc + power + cross term.
+The cross term is large if the basis does not fit the randomization (see docs/theory.md).
 Bases also differ in how fast the sum over m converges:
 
 =========  ==========================================  =====================================
@@ -14,10 +14,10 @@ walsh      (−1)^(Σ_i m_i x_{i+1}), m < 2K (Paley)       digital shifts, neste
 haar       1, 2^(j/2) ψ(2^j x − t), m = 2^j + t < 2K   jittered sets with 2^k strata per side
 =========  ==========================================  =====================================
 
-K is the half width: all four bases have about (2K)^d functions with up to K oscillations.
-The dims of a product basis are transformed one after another.
-Walsh and Haar functions are constant in dyadic cells of side 1/2K.
-Points are counted in these M cells and transformed by butterflies, exactly and in O(n + M log M).
+K is the half width. All four bases have about (2K)^d functions with up to K oscillations.
+The transform of a product basis treats one dim after another.
+Walsh and Haar functions are constant in M = (2K)^d dyadic cells of side 1/2K.
+Points are counted in these cells. Butterflies then give exact coefficients in O(n + M log M).
 """
 
 from __future__ import annotations
@@ -58,12 +58,12 @@ Its arguments are points (R, n, d) and weights (R, n), or None if each weight is
 
 @dataclass(frozen=True)
 class Basis(IndexGrid, ABC):
-    """Basis of products of 1-D functions, each with up to `half_width` oscillations."""
+    """Basis of products of 1-D functions. Each function has up to `half_width` oscillations."""
 
     name: ClassVar[str] = ""
 
     def oscillations(self) -> Array:
-        """Smallest half width that includes each stored function, on each axis: (stored, dims)."""
+        """Smallest half width on each axis that includes each stored function: (stored, dims)."""
         flat = np.unravel_index(np.arange(self.stored), self.shape)
         return np.stack([self._axis_oscillations()[place] for place in flat], axis=-1)
 
@@ -77,17 +77,17 @@ class Basis(IndexGrid, ABC):
 
     @abstractmethod
     def integrand(self, f: Integrand) -> tuple[Array, str]:
-        """Return coefficients of f, (channels or 1, stored), and the method that computed them."""
+        """Return coefficients of f, (channels or 1, stored), and how they were computed."""
 
     @abstractmethod
     def _axis_oscillations(self) -> Array:
-        """Return the smallest half width that includes each index of an axis: int64 (N,)."""
+        """Return the smallest half width that includes each index along an axis: int64 (N,)."""
 
 
 @final
 @dataclass(frozen=True)
 class FourierBasis(Basis):
-    """Fourier basis: complex; coefficients of −m are conjugates and are not stored."""
+    """Fourier basis. Coefficients are complex; those of −m are conjugates and are not stored."""
 
     name: ClassVar[str] = "fourier"
     label: ClassVar[str] = FrequencyGrid.label
@@ -113,12 +113,12 @@ class FourierBasis(Basis):
 @final
 @dataclass(frozen=True)
 class CosineBasis(Basis):
-    """Cosine basis: converges fast for smooth f even if f(1) ≠ f(0)."""
+    """Cosine basis. Sums converge fast for smooth f, even if f(1) ≠ f(0)."""
 
     name: ClassVar[str] = "cosine"
 
     def transform(self, n: int, engine: str, eps: float) -> tuple[Coefficients, str]:
-        """Return the NUFFT at half-integer frequencies; averages over their signs give cosines."""
+        """Return the NUFFT at half-integer frequencies. Averages over signs give cosines."""
         grid = FrequencyGrid(self.dims, 2 * self.half_width, 0.5)
         transform = Transform(grid, n, engine=engine, eps=eps)
         scale = np.full(grid.half_width + 1, np.sqrt(2.0))
@@ -136,7 +136,7 @@ class CosineBasis(Basis):
         return coefficients, transform.engine
 
     def integrand(self, f: Integrand) -> tuple[Array, str]:
-        """Return coefficients from composite Gauss-Legendre quadrature, split at breaks of f."""
+        """Return coefficients by composite Gauss-Legendre quadrature, split at breaks of f."""
         rules = axis_rules(f, self.half_width)
         waves = [
             np.cos(np.pi * np.outer(rule.nodes, self.axis)) * np.where(self.axis, np.sqrt(2.0), 1.0)
@@ -151,7 +151,7 @@ class CosineBasis(Basis):
 
 @dataclass(frozen=True)
 class _Dyadic(Basis):
-    """Abstract basis of functions that are constant in cells of side 1/2K (Walsh and Haar)."""
+    """Abstract basis of functions that are constant in cells of side 1/2K: Walsh and Haar."""
 
     def __post_init__(self) -> None:
         if self.half_width & (self.half_width - 1):
@@ -168,11 +168,11 @@ class _Dyadic(Basis):
         return max(1, 2 * self.half_width)
 
     def directions(self) -> Array:
-        """Number of oscillations along each axis; the index itself also encodes the position."""
+        """Number of oscillations along each axis. The index itself also encodes a position."""
         return self.oscillations()
 
     def transform(self, n: int, engine: str, eps: float) -> tuple[Coefficients, str]:
-        """Return the exact transform: weights of the cells, then butterflies."""
+        """Return the exact transform, which adds weights in cells and then applies butterflies."""
         del n, eps
         as_choice("engine", engine, ("auto", "direct"))
 
@@ -184,7 +184,7 @@ class _Dyadic(Basis):
         return coefficients, "butterflies"
 
     def integrand(self, f: Integrand) -> tuple[Array, str]:
-        """Return integrals over the cells, exact if f provides its means over boxes."""
+        """Return integrals over the cells. They are exact if f provides its means over boxes."""
         cells, source = cell_integrals(f, len(self.axis))
         return self._of_cells(cells), source
 
@@ -200,7 +200,7 @@ class _Dyadic(Basis):
         """Transform the weights of N cells along the last axis."""
 
     def _axis_oscillations(self) -> Array:
-        level = np.frexp(self.axis)[1] - 1  # index 0 (the constant) has no level
+        level = np.frexp(self.axis)[1] - 1  # the constant has index 0 and no level
         return np.where(self.axis > 0, 2 ** np.maximum(level, 0), 0)
 
 
@@ -227,7 +227,7 @@ class HaarBasis(_Dyadic):
     name: ClassVar[str] = "haar"
 
     def _along_last(self, values: Array) -> Array:
-        """Apply the Haar transform from the finest level to the constant."""
+        """Apply the Haar transform, level by level from the finest one to the constant."""
         parts: list[Array] = []
         size = values.shape[-1]
         while size > 1:
@@ -239,7 +239,7 @@ class HaarBasis(_Dyadic):
 
 
 def hadamard(values: Array) -> Array:
-    """Return the sums Σ_x values(x) wal_m(x) along the last axis, m in Hadamard's order."""
+    """Return the sums Σ_x values(x) wal_m(x) along the last axis, with m in Hadamard's order."""
     step = 1
     while step < values.shape[-1]:
         pairs = values.reshape(*values.shape[:-1], -1, 2, step)
@@ -264,27 +264,27 @@ def make_basis(name: str, dims: int, half_width: int) -> Basis:
     ParameterError
         If the name is unknown, or the half width is too large or not allowed for the basis.
     """
-    FrequencyGrid(dims, half_width)  # this constructor checks the limits of all bases
+    FrequencyGrid(dims, half_width)  # this constructor checks limits of all bases
     return _CLASSES[as_choice("basis", name, BASES)](dims, half_width)
 
 
 def fitting_basis(law: Law, half_width: int) -> str:
-    """Return the name of a basis that fits the last randomization of a sampler.
+    """Return the name of a basis that fits the last randomization of the sampler.
 
     The Fourier basis fits shifts, and sets whose law is invariant under translations.
     The Walsh basis fits randomizations of binary digits, if the half width is a power of two.
-    The cosine basis fits mirrored points if they were shifted before.
-    For mirrored points without a shift the Walsh basis fits,
-    because reflections and folding permute Walsh functions up to signs.
-    With these bases the cross term vanishes (for strata only if their number per side is 2^k).
+    The cosine basis fits points that are shifted and then mirrored.
+    The Walsh basis fits mirrored points without a shift:
+    reflections and folding permute Walsh functions up to signs.
+    With these bases the cross term vanishes. For strata this requires 2^k strata per side.
 
     For all other samplers the cosine basis is chosen, as a compromise.
-    For smooth functions and jittered sets its cross term is small,
-    and the sum over m converges fast because it has no boundary term.
-    For discontinuous functions its cross term is as large as in the Fourier basis.
-    For a disk and n = 64, the cross term is −0.40 of the variance.
-    In Haar and Walsh, the cross term vanishes with 2^k strata per side,
-    but the sums over m converge slowly for smooth functions.
+    For smooth functions and jittered sets, the cross term in the cosine basis is small.
+    The sum over m then converges fast, because it has no boundary term.
+    For discontinuous functions, the cross term is as large as in the Fourier basis.
+    For a disk and n = 64, it is −0.40 of the variance.
+    In the Haar and Walsh bases, the cross term vanishes with 2^k strata per side.
+    However, their sums over m converge slowly for smooth functions.
     """
     mirrored = False
     while isinstance(law, Folded | Mirrored | Moved):

@@ -1,40 +1,40 @@
-"""Exact expected power spectra and covariances of S_m, for samplers with a known law.
+"""Exact expected power spectra, and covariances of S_m, for samplers with a known law.
 
 Random, jittered and lattice points are derived in docs/theory.md, "Closed forms".
 At *integer* m, a Cranley-Patterson shift multiplies S_m by a random phase.
-The shift does not change the power, and makes the covariance matrix C_ml diagonal.
+The shift does not change the power. It makes the covariance matrix C_ml diagonal.
 
 Method
 ------
-Three kinds of sets are covered. They use two transforms, which are products over the axes.
+There are three kinds of sets. They use two transforms, which are products over the axes.
 The transform of the unit interval is χ(ν) = sinc(πν) exp(−iπν).
 The transform of a grid of s points is A_s(ν) = (1/s) Σ_{j<s} exp(−2πi νj/s).
 
-* Independent motifs, one in each of N cells: M(ν) is the mean of exp(−2πi ν·ξ)
-  over the points ξ of one motif, in units of cells.
+* Sets of N independent *motifs*, which are small groups of points. Each cell has equally many.
+  M(ν) is the mean of exp(−2πi ν·ξ) over the points ξ of one motif, in units of cells.
   The mean is ⟨S_ν⟩ = A(ν) ⟨M(ν/s)⟩, and the covariance is
   C_ml = (1/N) A(m − l) [⟨M(m/s) conj M(l/s)⟩ − ⟨M(m/s)⟩ conj⟨M(l/s)⟩].
-  Random points are n motifs in one cell.
-  Motifs of jittered, box-jitter and gaussian-jitter are single points.
+  For random points, one cell contains n motifs of one point each.
+  Motifs of jittered, box-jitter and gaussian-jitter are also single points.
   Motifs of antithetic-jittered are pairs of points.
-* Sets that are the same every time, and grids with a common offset: S_ν itself is known.
-* Sets with a known law of pairs: C_ml + ⟨S_m⟩ conj⟨S_l⟩ is (1/n²) times the sum of
+* Sets that are the same every time, and grids with a common offset. For these S_ν itself is known.
+* Sets with a known law of pairs. C_ml + ⟨S_m⟩ conj⟨S_l⟩ is (1/n²) times the sum of
   ⟨exp(−2πi (m·x − l·y))⟩ over all ordered pairs of points x, y.
-  A point paired with itself contributes χ(m − l) on each axis.
+  The pair of a point with itself contributes χ(m − l) on each axis.
   For two different points the axes are independent, given the strata they share.
-  On each axis, the two coordinates contribute one of three products, on average:
+  On each axis, the mean over two coordinates is one of three products:
   *free* = χ(m) conj χ(l), if the two coordinates are uniform and independent;
   *same* = A_s(m − l) χ(m/s) conj χ(l/s), if the two coordinates share one of s strata;
   *apart* = (s *free* − *same*) / (s − 1), if the two coordinates lie in different strata.
   Within strata, the two coordinates are uniform and independent.
   Determinantal sets also have a known law of pairs.
 
-Importance-sampled points, x = T(u) with weights 1/(n p), are covered for some densities p:
+Importance-sampled points x = T(u), with weights 1/(n p), are covered for some densities p:
 the density must be a product over the axes, with monotone warps T.
-The transform M_t(m) of the warped stratum that starts at t then replaces the transform χ.
-The products *same* and *apart* are means over the strata, or over all t after a random shift.
-A grid with one offset δ has C_ml = Π_i ∫ A_δ(m_i) conj A_δ(l_i) dδ − δ_m0 δ_l0,
-where A_δ(m) is the coefficient S_m of the grid with offset δ on one axis.
+In this case M_t(m), the transform of the warped stratum that starts at t, replaces χ.
+The products *same* and *apart* are means over the strata. With a shift they are means over all t.
+A grid with one random offset δ has C_ml = Π_i ∫ A_δ(m_i) conj A_δ(l_i) dδ − δ_m0 δ_l0.
+Here A_δ(m) is the coefficient S_m of the grid with offset δ on one axis.
 """
 
 from __future__ import annotations
@@ -86,15 +86,15 @@ __all__ = [
 ]
 
 _SCRAMBLED_BITS = 32
-"""Number of bits that scrambles permute; lower bits are uniform and independent."""
+"""Number of bits that scrambles permute. Lower bits are uniform and independent."""
 _MOST_PAIR_TERMS = 2**31
-"""Largest number of terms of a sum over digits and frequencies; takes half a minute."""
+"""Largest number of terms of a sum over digits and frequencies. It takes half a minute."""
 _TERMS_AT_ONCE = 2**22
 """Number of terms held in memory at a time: 64 MB of complex numbers."""
 
 # Constants for closed forms of importance-sampled points
 _BLOCK = 2**20  # number of values processed at a time
-_MAX_STRATA_WORK = 2**31  # largest number of strata × frequency pairs; takes minutes
+_MAX_STRATA_WORK = 2**31  # largest number of strata times frequency pairs; takes minutes
 _ORDER = 16
 _CELLS = 64
 _HIGHEST = 2**16
@@ -112,22 +112,22 @@ def closed_form_power(
     Parameters
     ----------
     sampler, n
-        Sampler (or spec string) and number of points. A shift may follow each sampler.
-        Supported samplers are random, regular grids, lattices, Latin hypercubes, nets,
-        orthogonal arrays of strength 2, jittered, multi-jittered, determinantal sets,
-        and grids whose points are displaced at random.
+        Sampler (or spec string) and number of points. Each sampler may be followed by a shift.
+        Supported samplers are random, jittered, multi-jittered, regular grids, lattices and nets.
+        Latin hypercubes, orthogonal arrays of strength 2 and determinantal sets are supported.
+        Grids whose points are displaced at random are also supported.
     frequencies
         Real frequencies ν, shape (..., d), in cycles per unit.
         Frequencies must be integers if a shift is applied, or if sets wrap around the torus.
     density
-        Importance density. Random points allow any density.
-        Jittered, latin-hypercube and grids, alone or with shift or strata-shift,
-        allow densities that are products over the axes, at integer frequencies.
+        Importance density. For random points, any density is allowed.
+        Jittered, latin-hypercube and grids allow densities that are products over the axes.
+        A shift or strata-shift may follow them. Frequencies must then be integers.
 
     Returns
     -------
     ndarray
-        float64 (...). Infinite, with a warning, if ∫1/p diverges.
+        float64 (...). If ∫1/p diverges, the power is infinite, and there is a warning.
 
     Raises
     ------
@@ -172,7 +172,7 @@ def closed_form_covariance(
     sampler, n, density
         Sampler, number of points and importance density, same as for `closed_form_power`.
     frequencies, others
-        Frequencies m and l, with shapes (..., d) that broadcast; only integers with a density.
+        Frequencies m and l, with shapes (..., d) that broadcast. A density requires integers.
 
     Returns
     -------
@@ -182,7 +182,7 @@ def closed_form_covariance(
     Raises
     ------
     NoClosedForm
-        If no closed form is known for this combination, or C_ml is infinite because ∫1/p diverges.
+        If no closed form is known for this combination, or if ∫1/p diverges, so C_ml is infinite.
 
     Examples
     --------
@@ -215,8 +215,8 @@ def closed_form_covariance(
 class SpectralMoments:
     """Exact moments of S_ν under a sampler's law."""
 
-    mean: Callable[[Array], Array]  # function of frequencies (..., d) that returns ⟨S_ν⟩ (...)
-    # Function of two arrays of frequencies of equal shape (..., d) that returns C_ml: complex (...)
+    mean: Callable[[Array], Array]  # maps frequencies (..., d) to ⟨S_ν⟩ (...)
+    # Function that maps two arrays of frequencies, both (..., d), to C_ml: complex (...)
     covariance: Callable[[Array, Array], Array]
     # Whether the moments hold only at integer frequencies, because points wrap around the torus
     integer: bool = False
@@ -232,7 +232,7 @@ def moments_of(law: Law, name: str, *frequencies: Array) -> SpectralMoments:
     Raises
     ------
     NoClosedForm
-        If the moments are unknown; the message contains the sampler's `name`.
+        If the moments are unknown. The message contains `name`, the spec of the sampler.
     """
     moments = _moments(law)
     if moments is None:
@@ -245,8 +245,8 @@ def moments_of(law: Law, name: str, *frequencies: Array) -> SpectralMoments:
 def points_at(
     sampler: Sampler | str, frequencies: Any, density: Density | str | None = None
 ) -> tuple[Sampler, Density | None, Array]:
-    """Convert specs to a sampler and a density with the dims of the frequencies, and check all."""
-    # An empty list has no dims; `as_frequencies` raises the error
+    """Convert specs to a sampler and a density with the dims of the frequencies, and check them."""
+    # An empty list has no dims. In that case `as_frequencies` raises the error
     dims = np.shape(frequencies)[-1] or None if np.ndim(frequencies) else None
     drawn = getattr(density, "primary_dims", dims)
     source = as_sampler(sampler, None if isinstance(sampler, Sampler) else drawn)
@@ -268,7 +268,7 @@ def _check_integers(name: str, *frequencies: Array) -> None:
 
 @singledispatch
 def _moments(law: Law) -> SpectralMoments | None:  # noqa: ARG001
-    """Return the moments of a law, None if they are unknown."""
+    """Return the moments of a law, or None if they are unknown."""
     return None
 
 
@@ -306,7 +306,7 @@ def _(law: PairedAxes) -> SpectralMoments:
 
 @_moments.register
 def _(law: GroupedAxes) -> SpectralMoments | None:
-    # Between groups of axes, pairs of different points are independent, and so are single points
+    # Groups of axes are independent, both for single points and for pairs of different points
     n, parts = law.n, []
     for part, axes in zip(law.parts, law.axes, strict=True):
         moments = _moments(part)
@@ -349,7 +349,7 @@ def _(law: Moved) -> SpectralMoments | None:
 
 
 def _motifs(sides: tuple[int, ...], count: int, motif: Motif) -> SpectralMoments:
-    """Return moments of `count` independent motifs (points or pairs), equally many in each cell."""
+    """Return moments of `count` independent motifs of points, with equally many in each cell."""
     s = np.asarray(sides, float)
 
     def covariance(m: Array, other: Array) -> Array:
@@ -363,7 +363,7 @@ def _motifs(sides: tuple[int, ...], count: int, motif: Motif) -> SpectralMoments
 
 
 def _offset_grid(s: Array) -> SpectralMoments:
-    """Return moments of a grid of s points along each axis, with one uniform offset in a cell."""
+    """Return moments of a grid of s points along each axis, all with the same uniform offset."""
 
     def covariance(m: Array, other: Array) -> Array:
         offset = _product(_interval((m - other) / s))
@@ -374,7 +374,7 @@ def _offset_grid(s: Array) -> SpectralMoments:
 
 
 def _stationary(power: Callable[[Array], Array]) -> SpectralMoments:
-    """Return moments of a stationary set at integer frequencies: no bias, no covariances."""
+    """Return moments of a stationary set at integer frequencies: no bias and no covariances."""
 
     def covariance(m: Array, other: Array) -> Array:
         same = np.all(m == other, axis=-1)
@@ -385,14 +385,14 @@ def _stationary(power: Callable[[Array], Array]) -> SpectralMoments:
 
 @_moments.register
 def _(law: Fixed) -> SpectralMoments:
-    # S_ν of a fixed set, by the dual lattice or by summation
+    # Compute S_ν of a fixed set from the dual lattice, or by summation
     def mean(nu: Array) -> Array:
         if law.sides is not None:
             s = np.asarray(law.sides, float)
             corner = np.exp(-2j * np.pi * np.remainder(law.corner * nu / s, 1.0))
             return _product(_comb(nu, s) * corner)
         if law.vector is not None and np.array_equal(nu, np.rint(nu)):
-            # S_ν is 1 at frequencies with ν·z ≡ 0 modulo n; products of residues do not overflow
+            # S_ν is 1 if ν·z ≡ 0 modulo n. Products of residues do not overflow
             n, vector = law.n, np.asarray(law.vector, np.int64)
             residues = np.rint(np.remainder(nu, n)).astype(np.int64) * (vector % n) % n
             return np.asarray((residues.sum(axis=-1) % n == 0) + 0j)
@@ -428,19 +428,19 @@ def _same(m: Array, other: Array, s: int | Array) -> Array:
 def _apart(m: Array, other: Array, s: int | Array) -> Array:
     strata = np.asarray(s, float)
     difference = strata * _free(m, other) - _same(m, other, s)
-    # A single stratum has no pair in different strata
+    # If there is only one stratum, no pair lies in different strata
     return np.asarray(difference / np.maximum(strata - 1.0, 1.0))
 
 
 def _level_mates(m: Array, other: Array, s: int | Array, parts: int | Array | None = None) -> Array:
-    """Return the mean product for two points in one of s strata, in different parts of it."""
+    """Return the mean product for two points in different parts of a common stratum."""
     return _comb(m - other, s) * _apart(m / s, other / s, s if parts is None else parts)
 
 
 @_moments.register
 def _(law: Scrambled) -> SpectralMoments | None:
     net = law.inner
-    if isinstance(net, GroupedAxes):  # the digits of each axis are permuted independently
+    if isinstance(net, GroupedAxes):  # each axis has its own permutation of digits
         parts = tuple(
             scrambled(part, law.kind, [law.bases[axis] for axis in axes], shifts=law.shifts)
             for part, axes in zip(net.parts, net.axes, strict=True)
@@ -457,22 +457,22 @@ def _(law: Scrambled) -> SpectralMoments | None:
 
 
 def _nested_pairs(law: Fixed, bases: Sequence[int], m: Array, other: Array) -> Array:
-    """Return (1/n²) Σ over pairs of different points after nested scrambling.
+    """Return (1/n²) Σ over pairs of different points, after nested scrambling.
 
-    Suppose that two coordinates agree in their first a digits, and differ in the next digit.
-    After scrambling, the two coordinates share one of b^a strata, each of which has b parts.
+    Suppose that two coordinates agree in their first a digits and differ in the next digit.
+    After scrambling, both lie in one common stratum. There are b^a strata, with b parts each.
     The coordinates are uniform in two different parts of this stratum [Owen1997]_.
     """
     n, levels = law.n, [_levels(law.points[:, j], b) for j, b in enumerate(bases)]
     most = max(levels)
     shares = (law.agreements(bases, most) - 1.0) / n
-    # Convert shares of pairs that agree in at least a digits to agreement in exactly a digits
+    # Convert shares of pairs that agree in at least a digits to shares for exactly a digits
     for axis in range(law.dims):
         shares = np.moveaxis(shares, axis, 0)
         shares = np.concatenate([shares[:-1] - shares[1:], shares[-1:]])
         shares = np.moveaxis(shares, 0, axis)
 
-    # Contract one axis after another, for all frequencies
+    # Sum over the levels of one axis after another, for all frequencies
     total = shares[..., None]
     flat, far = (np.broadcast_to(a, m.shape).reshape(-1, law.dims) for a in (m, other))
     if float(shares.size) * len(flat) > _MOST_PAIR_TERMS:
@@ -485,7 +485,7 @@ def _nested_pairs(law: Fixed, bases: Sequence[int], m: Array, other: Array) -> A
     for axis in range(law.dims - 1, -1, -1):
         b, row, column = bases[axis], flat[:, axis : axis + 1], far[:, axis : axis + 1]
         by_level = [_level_mates(row, column, b**a, b)[:, 0] for a in range(most)]
-        # The last entry is for equal coordinates, whose scrambled digits are all equal
+        # The last entry is for equal coordinates, which have equal digits after scrambling
         by_level.append(_same(row, column, b ** _scrambled_digits(b))[:, 0])
         total = np.einsum("...af,af->...f", total, np.array(by_level))
     return np.asarray(total.reshape(m.shape[:-1]))
@@ -509,15 +509,15 @@ def _levels(x: Array, base: int) -> int:
 
 
 def _place_pairs(net: Fixed, bases: Sequence[int], shifted: bool, m: Array, other: Array) -> Array:
-    """Return (1/n²) Σ over pairs of different points if each digit is changed at random.
+    """Return (1/n²) Σ over pairs of different points, if each digit is changed at random.
 
-    With `shifted` a random digit is added at each place.
+    If `shifted` is true, a random digit is added at each place.
     The joint law of two changed digits then depends only on the difference of the digits.
-    Otherwise the digits of each place are permuted at random.
+    Otherwise a random permutation is applied at each place.
     The joint law of two changed digits then depends only on whether the digits are equal.
     The changes at different places are independent, so each place contributes a factor.
     All digits below the scrambled places are shifted by one uniform number.
-    If the digits form a group, the pairs that contain one given point represent all pairs.
+    If the digits form a group, the pairs with one given point represent all pairs.
     """
     n, dims, points = net.n, net.dims, net.points
     flat, far = (np.broadcast_to(a, m.shape).reshape(-1, dims) for a in (m, other))
@@ -530,8 +530,8 @@ def _place_pairs(net: Fixed, bases: Sequence[int], shifted: bool, m: Array, othe
             Function("power_spectrum"),
             ", or ask for fewer.",
         )
-    # Each place of an axis contributes a factor that depends on the difference of two digits:
-    # arrays (b, frequencies)
+    # At each place of an axis, a factor depends on the difference of two digits.
+    # The factors have the shape (b, frequencies)
     factors = list[list[Array]]()
     for axis, b in enumerate(bases):
         digit, own = np.arange(b), list[Array]()
@@ -551,7 +551,7 @@ def _place_pairs(net: Fixed, bases: Sequence[int], shifted: bool, m: Array, othe
         factors.append(own)
 
     total = np.zeros(len(flat), complex)
-    # Digits of each axis, the highest first.
+    # Find the digits of each axis, with the highest first.
     # The nudge corrects coordinates that were rounded to just below a multiple of b^-places.
     digits = []
     for axis, b in enumerate(bases):
@@ -575,7 +575,7 @@ def _place_pairs(net: Fixed, bases: Sequence[int], shifted: bool, m: Array, othe
 
 
 def _moved(moments: SpectralMoments, by: Array) -> SpectralMoments:
-    """Return moments after a fixed translation, which adds phases, at integer frequencies."""
+    """Return moments at integer frequencies after a fixed translation, which adds phases."""
 
     def phase(nu: Array) -> Array:
         return np.asarray(np.exp(-2j * np.pi * np.remainder((nu * by).sum(axis=-1), 1.0)))
@@ -588,14 +588,14 @@ def _moved(moments: SpectralMoments, by: Array) -> SpectralMoments:
 
 
 def _interval(nu: Array) -> Array:
-    """Return the transform of the unit interval, χ(ν), of each coordinate."""
+    """Return χ(ν) for each coordinate: the transform of the unit interval."""
     return np.asarray(np.sinc(nu) * np.exp(-1j * np.pi * np.remainder(nu, 2.0)))
 
 
 def _comb(nu: Array, sides: Any) -> Array:
-    """Return the transform of the grid {j/s}, A_s(ν), of each coordinate; its period is s."""
+    """Return A_s(ν) for each coordinate: the transform of the grid {j/s}, which has period s."""
     s = np.asarray(sides, float)
-    rest = nu - s * np.rint(nu / s)  # |rest| ≤ s/2, so the divisor below is not 0
+    rest = nu - s * np.rint(nu / s)  # |rest| ≤ s/2, so the divisor in the next line is not 0
     return np.asarray(_interval(rest) / _interval(rest / s))
 
 
@@ -615,7 +615,7 @@ def _weighted_covariance(law: Law, name: str, m: Array, other: Array, density: D
     """Return C_ml of importance-sampled points at integers m and l of the same shape (..., d)."""
     zero = np.all(m == 0, axis=-1) & np.all(other == 0, axis=-1)
 
-    # Remove the translations from the law
+    # Remove translations from the law
     n, offset, shifted = law.n, np.zeros(density.dims), False
     while isinstance(law, Shifted | Moved):
         if isinstance(law, Moved):
@@ -650,13 +650,13 @@ def _weighted_covariance(law: Law, name: str, m: Array, other: Array, density: D
             Function("variance_terms"),
             ".",
         )
-    # Each axis averages over the given strata, or over all shifts of the strata if a shift follows
+    # On each axis, average over the given strata, or over all their shifts if points are shifted
     highest, pairs = _highest(m, other), np.ones(m.shape[:-1])
     for i, (p, s) in enumerate(zip(_factors(density), sides, strict=True)):
         rule = np.remainder(np.arange(s) / s + offset[i], 1.0), np.full(s, 1.0 / s)
         axis = _StrataAxis(p, s, *(_all_offsets(p, s, 1.0, highest) if shifted else rule))
         same = axis.mean_product(axis.of_stratum, m[..., i], other[..., i])
-        if latin:  # two points never share a stratum
+        if latin:  # two points never lie in the same stratum
             free = (m[..., i] == 0) & (other[..., i] == 0)
             same = (n * free - same) / max(n - 1, 1)
         pairs = pairs * same
@@ -668,7 +668,7 @@ def _weighted_covariance(law: Law, name: str, m: Array, other: Array, density: D
 @final
 @dataclass(frozen=True)
 class _StrataAxis:
-    """Strata or points of one axis: their starts t, weights of the starts, and the 1-D density."""
+    """Strata or grid points of one axis: their starts t, the starts' weights, and the density."""
 
     density: Density
     sides: int
@@ -676,7 +676,7 @@ class _StrataAxis:
     weights: Array
 
     def mean_product(self, of: Callable[[Array], Array], m: Array, other: Array) -> Array:
-        """Return the weighted mean, over the starts, of `of(m)` times the conjugate `of(other)`."""
+        """Return the weighted mean over the starts of `of(m)` times conj `of(other)`."""
         known, back = np.unique(np.stack([m, other]), return_inverse=True)
         row, column = back.reshape(2, -1)
         if float(self.starts.size) * max(row.size, known.size * self.sides) > _MAX_STRATA_WORK:
@@ -695,7 +695,7 @@ class _StrataAxis:
     def of_stratum(self, m: Array) -> Array:
         """Return the transform M_t(m) of the stratum at each start t: (frequencies, starts).
 
-        Strata that extend beyond 1 continue at 0.
+        Strata that extend beyond 1 continue at 0 (periodically).
         """
         end = self.starts + 1.0 / self.sides
         over = np.maximum(end - 1.0, 0.0)
@@ -703,7 +703,7 @@ class _StrataAxis:
         return np.asarray(self.sides * (first + _strips(m, np.zeros(1), self._warp(over))))
 
     def of_grid(self, m: Array) -> Array:
-        """Return S_m of the grid with offset δ, for each start as δ: (frequencies, starts)."""
+        """Return S_m of grids whose offsets δ are the starts: (frequencies, starts)."""
         total = np.zeros((m.size, self.starts.size), complex)
         for j in range(self.sides):
             x = self._warp(self.starts + j / self.sides)
@@ -711,7 +711,7 @@ class _StrataAxis:
         return total / self.sides
 
     def _warp(self, u: Array) -> Array:
-        """Return T(u), with T(1) = 1; clip u that rounding moved outside [0,1)."""
+        """Return T(u), with T(1) = 1. Numbers u that rounding moved outside [0,1) are clipped."""
         x = self.density.sample(np.clip(u, 0.0, 1.0)[:, None])[:, 0]
         return np.where(u <= 0.0, 0.0, np.where(u >= 1.0, 1.0, x))
 
@@ -725,9 +725,9 @@ def _strips(m: Array, low: Array, high: Array) -> Array:
 
 
 def _all_offsets(density: Density, sides: int, length: float, highest: int) -> tuple[Array, Array]:
-    """Return a quadrature rule over offsets t of the strata in [0, length).
+    """Return a quadrature rule over the start t of the strata, in [0, length).
 
-    The rule is split at each t at which a stratum ends at 0, or at a break of the density.
+    The rule is split where a stratum starts or ends at 0 or at a break of the density.
     """
     breaks = np.array([0.0, *density.breaks[0]])
     ends = np.concatenate([breaks, breaks - 1.0 / sides]) % 1.0 % length
@@ -746,7 +746,7 @@ def _highest(m: Array, other: Array) -> int:
 
 
 def _factors(density: Density) -> list[Density]:
-    """Return the density of each axis; raise an error if it is not a product of monotone warps."""
+    """Return the density of each axis. Raise an error unless it is a product of monotone warps."""
     if density.dims == 1:
         factors = [density]
     elif isinstance(density, Linear):

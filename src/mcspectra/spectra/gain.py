@@ -3,11 +3,11 @@
 Owen [Owen1997]_ splits f into parts ν_l with levels l = (l_1, …, l_d).
 The part ν_l depends on the first l_j digits of coordinate j.
 See docs/theory.md, "Gains of scrambled nets".
-(In the notation of Owen, u is {j: l_j > 0}, and k_j is l_j − 1.)
-In base 2, ν_l is the part of f in the Walsh functions of index 2^(l_j − 1) ≤ m_j < 2^l_j.
-All these Walsh functions have the expected power Γ_l / n under nested scrambling.
-A digital shift does not change the power of a Walsh function: 1 on the dual net, 0 elsewhere.
-The dual net has the indices to which all columns of the generator matrices are orthogonal.
+(In Owen's notation, u is the set {j: l_j > 0}, and k_j is l_j − 1.)
+In base 2, ν_l is the part of f in the Walsh functions with indices 2^(l_j − 1) ≤ m_j < 2^l_j.
+Under nested scrambling, all these Walsh functions have the expected power Γ_l / n.
+A digital shift keeps the power of a Walsh function, which is 1 on the dual net and 0 elsewhere.
+The dual net contains the indices that are orthogonal to all columns of the generator matrices.
 """
 
 from __future__ import annotations
@@ -44,28 +44,28 @@ def gain_coefficients(
     Parameters
     ----------
     sampler
-        Net or sequence, with or without owen. The base is the same for all axes, or one per axis.
+        Net or sequence, with or without owen. The base may be one number or one per axis.
     n
         Number of points.
     levels
-        Largest level of each axis; by default one more than the digits of n in the smallest base.
-        If no two points share a coordinate, all gains at higher levels are 1.
+        Largest level of each axis. By default one more than the digits of n in the smallest base.
+        If no two points share a coordinate, all gains above the default level are 1.
     dims
-        Number of dims, if a spec string does not state it.
+        Number of dims. It is needed if a spec string does not state it.
 
     Returns
     -------
     xarray.Dataset
-        The gains, in a variable ``gain`` with one dim of levels for each axis (``level0``, …).
-        Levels are counted from 0.
-        At level 0 on all axes (the mean) the gain is 0.
+        The gains, in a variable ``gain`` with a dim of levels for each axis (``level0``, …).
+        Levels are counted from 0. If the level is 0 on all axes, the part is the mean of f.
+        The gain of the mean is 0.
 
     Raises
     ------
     NoClosedForm
         If the gains are random, because the sampler draws different points each time.
     ParameterError
-        If there are too many levels, points or dims to count.
+        If there are too many levels, points or dims.
 
     Examples
     --------
@@ -94,9 +94,10 @@ def gain_coefficients(
 
 
 def gains_at(net: Fixed, bases: Sequence[int], levels: int) -> Array:
-    """Return the gains (levels + 1, …) of a set that is scrambled in the given bases.
+    """Return the gains (levels + 1, …) of a set after scrambling in the given bases.
 
-    The gains are differences, along each axis, of the numbers of pairs whose leading digits agree.
+    Pairs of points whose leading digits agree are counted. Differences of counts along each axis
+    are the gains.
     Exceptions are the same as those of `gain_coefficients`.
     """
     gains = net.agreements(bases, levels)
@@ -111,20 +112,20 @@ def gains_at(net: Fixed, bases: Sequence[int], levels: int) -> Array:
 def nested_variances(
     integrand: Integrand | str, levels: int, *, max_evaluations: int | None = None
 ) -> Array:
-    """Return σ²_l of an integrand (or spec string) in base 2, up to `levels` on each axis.
+    """Return the variances σ²_l of parts of f in base 2, for levels l up to `levels` on each axis.
 
     Parameters
     ----------
     integrand, levels
-        f, or its spec string, and the largest level on each axis.
+        The integrand f, or its spec string, and the largest level on each axis.
     max_evaluations
-        Maximum number of evaluations of a user's function; BudgetError if more are needed.
+        Maximum number of evaluations of a user's function; above it, BudgetError is raised.
 
     Returns
     -------
     ndarray
-        float64 (levels + 1, …), or (channels, levels + 1, …), with 0 at level 0 of all axes.
-        The sum over all levels is the variance of f, without the levels above `levels`.
+        float64 (levels + 1, …), or (channels, levels + 1, …). It is 0 at level 0 of all axes.
+        The sum over all levels is the variance of f, except the parts above `levels`.
 
     Raises
     ------
@@ -137,7 +138,7 @@ def nested_variances(
     with counting("nested_variances", max_evaluations):
         coefficients, _ = basis.integrand(integrand)
     squares = basis.full(np.abs(coefficients) ** 2)
-    # The indices of a level are contiguous: 0, 1, 2–3, 4–7, …
+    # The indices of one level are contiguous: 0, 1, 2–3, 4–7, …
     starts = np.concatenate([[0], 2 ** np.arange(levels)])
     for axis in range(1, squares.ndim):
         squares = np.add.reduceat(squares, starts, axis=axis)
@@ -146,7 +147,7 @@ def nested_variances(
 
 
 def closed_form_walsh_power(sampler: Sampler | str, n: int, indices: Any) -> Array:
-    """Return the exact expected power ⟨|S_m|²⟩ in the Walsh basis, for digital nets in base 2.
+    """Return the exact expected power ⟨|S_m|²⟩ in the Walsh basis of digital nets in base 2.
 
     Parameters
     ----------
@@ -160,12 +161,12 @@ def closed_form_walsh_power(sampler: Sampler | str, n: int, indices: Any) -> Arr
     Returns
     -------
     ndarray
-        float64 (...): 1 on the dual net and 0 elsewhere for digital-shift, Γ/n for owen.
+        float64 (...). With digital-shift it is 1 on the dual net and 0 elsewhere; with owen, Γ/n.
 
     Raises
     ------
     NoClosedForm
-        If the sampler, its randomization or the count is not supported.
+        If the sampler, its randomization or its number of points is not supported.
 
     Examples
     --------
@@ -186,7 +187,7 @@ def closed_form_walsh_power(sampler: Sampler | str, n: int, indices: Any) -> Arr
             "take a power of two of sobol, niederreiter, larcher-pillichshammer or digital-net."
         )
     if isinstance(law, Scrambled) and law.xor:
-        # On the dual net, Σ_j (digits of m_j) · (column c of matrix j) is even for every column c
+        # If m is on the dual net, Σ_j (digits of m_j) · (column c of matrix j) is even for all c
         reversed_digits = np.zeros_like(m)
         for bit in range(_BITS):
             digit = (m >> np.uint64(bit)) & np.uint64(1)
@@ -211,7 +212,7 @@ def closed_form_walsh_power(sampler: Sampler | str, n: int, indices: Any) -> Arr
 
 
 def _net_inside(law: Law, name: str) -> tuple[Fixed, tuple[int, ...]]:
-    """Return the fixed set whose digits are scrambled, and the bases of the scrambles."""
+    """Return the fixed set before scrambling, and the bases in which digits are scrambled."""
     net = law.inner if isinstance(law, Scrambled) else law
     if not isinstance(net, Fixed):
         raise NoClosedForm(

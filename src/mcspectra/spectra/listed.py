@@ -1,22 +1,22 @@
-"""Expected power at listed frequencies, real or integer, in any number of dims.
+"""Expected power at listed frequencies. They may be real or integer, in any number of dims.
 
 Grids of frequencies are limited to a few dims; lists are not.
-A list can be a slice along an axis, or a plane of two axes (a projection of the set).
-A list can also hold all frequencies of one ANOVA subset of the axes.
-`power_at` takes any list; `axis_frequencies` and similar functions return float64 lists (F, d).
-On axes and diagonals only ν is listed and −ν is not, since S_{−ν} = conj S_ν.
+A list can be a slice along an axis, or a plane of two axes (the spectrum of a projection).
+A list can also contain all frequencies of one ANOVA subset of the axes.
+`power_at` takes any list. Functions such as `axis_frequencies` return float64 lists (F, d).
+On axes and diagonals, the list contains ν but not −ν, since S_{−ν} = conj S_ν.
 
 Engines
 -------
 ``direct``
-    Sums of n times F phases, computed from the nonzero components of each frequency only.
+    Sums of n · F phases, computed only from the nonzero components of each frequency.
     If frequencies share components, their phases are products of tabulated factors.
-    The sums are exact to rounding.
+    The sums are exact up to rounding.
 ``nufft``
     FINUFFT's type 3 [Barnett2019]_ in one to three dims, with a relative l2 error of about `eps`.
-    The cost is O(n + F) with a large constant, plus the cost of a grid over all frequencies.
+    The cost is O(n + F) with a large constant, plus that of a grid that covers all frequencies.
 ``auto``
-    The engine that should be faster according to measured constants.
+    The engine that is expected to be faster, by measured constants.
     In three or more dims ``direct`` is used, because type 3 is not faster there.
 """
 
@@ -70,14 +70,14 @@ __all__ = [
 ]
 
 Listed = Callable[[Array, Array], Array]
-"""Function of points (n, d) and weights (n,) of one set that returns S (F,)."""
+"""Function of points (n, d) and weights (n,) of one set. It returns S (F,)."""
 
 _ENGINES = ("auto", "nufft", "direct")
 _MAX_FACTORS = 4096
-"""Largest number of factors in a table, which takes 4 KiB per factor."""
+"""Largest number of factors in a table. The table takes 4 KiB per factor."""
 
 MAX_LISTED = 2**27
-"""Largest number of coordinates (F times d) in a list of frequencies: 1 GiB."""
+"""Largest number of coordinates (F times d) in a list of frequencies. This is 1 GiB."""
 
 
 def power_at(
@@ -92,7 +92,7 @@ def power_at(
     eps: float = 1e-9,
     workers: int | None = None,
 ) -> xr.Dataset:
-    """Estimate the expected power ⟨|S_ν|²⟩ and mean ⟨S_ν⟩ at listed frequencies, in any dims.
+    """Estimate the expected power ⟨|S_ν|²⟩ and the mean ⟨S_ν⟩ at listed frequencies, in any dims.
 
     Parameters
     ----------
@@ -102,21 +102,21 @@ def power_at(
         Real frequencies ν, shape (F, d), in cycles per unit.
         Functions such as `axis_frequencies` make lists of slices, planes and subsets.
     density
-        Importance density p (or spec string): points are warped and weighted 1/(n p).
+        Importance density p (or spec string). Points are warped and get the weights 1/(n p).
     realizations
-        Number of realizations averaged; 2 or more for standard errors.
+        Number of realizations for the average. Standard errors need at least 2.
     rng
         Seed (SPEC 7).
     engine, eps
         Engine (``auto``, ``direct`` or ``nufft``) and its accuracy; nufft works in 1 to 3 dims.
     workers
-        Number of threads; by default all processors. Results do not depend on it.
+        Number of threads. The default is all processors. Results do not depend on it.
 
     Returns
     -------
     xarray.Dataset
-        Power, complex mean coefficient and their standard errors, on the dim frequency:
-        These variables are ``power``, ``power_se``, ``mean_coefficient``, ``mean_coefficient_se``.
+        Power, the complex mean of S, and their standard errors, on the dim ``frequency``.
+        The variables are ``power``, ``power_se``, ``mean_coefficient``, ``mean_coefficient_se``.
         The coordinates m_0, m_1, … are the components of each frequency.
         Standard errors are computed as in `power_spectrum`.
 
@@ -180,7 +180,7 @@ def power_at(
 def listed_transform(
     frequencies: Array, n: int, *, engine: str = "auto", eps: float = 1e-9
 ) -> tuple[Listed, str]:
-    """Return the transform of sets of n points to S at frequencies (F, d), and its engine."""
+    """Return the transform of sets of n points to S at frequencies (F, d), and the engine."""
     as_choice("engine", engine, _ENGINES)
     eps = as_real("eps", eps, least=1e-14, most=0.1)
     dims = frequencies.shape[1]
@@ -192,7 +192,7 @@ def listed_transform(
         )
     if engine == "auto":
         engine = "direct"
-        if dims <= 2:  # costs in nanoseconds, measured on one core of a 2024 server
+        if dims <= 2:  # costs in nanoseconds, measured on one core of a server from 2024
             volume = np.prod(2.5 * np.ptp(frequencies, axis=0) + 30.0)
             nufft = (n + len(frequencies)) * 200.0 * 10.0 ** (dims - 1) + 100.0 * volume
             engine = "nufft" if nufft < 10.0 * n * len(frequencies) else "direct"
@@ -202,14 +202,14 @@ def listed_transform(
 def _type_3(frequencies: Array, eps: float) -> Listed:
     dims = frequencies.shape[1]
     missing = [None] * (3 - dims)
-    # Measured accuracy with oversampling 1.25: 2e-9 in one and two dims, 6e-8 in three
+    # Measured relative errors with oversampling 1.25: 2e-9 in one and two dims, 6e-8 in three
     upsampling = 1.25 if eps >= (1e-9 if dims < 3 else 1e-7) else 2.0
     targets = [*(np.ascontiguousarray(axis) for axis in frequencies.T), *missing]
 
     def transform(points: Array, weights: Array) -> Array:
         import finufft
 
-        # A plan for each set costs little, and no plan is shared by threads
+        # One plan for each set costs little. No plan is shared by threads
         plan = finufft.Plan(
             3, dims, eps=eps, isign=-1, upsampfac=upsampling, nthreads=1, showwarn=0
         )
@@ -220,7 +220,7 @@ def _type_3(frequencies: Array, eps: float) -> Listed:
 
 
 def _direct(frequencies: Array) -> Listed:
-    """Return a transform by shared factors if there are few; else by one phase per frequency."""
+    """Return a transform that uses shared factors if there are few, else a phase per frequency."""
     rows, axes = np.nonzero(frequencies)
     values = frequencies[rows, axes]
     start = np.searchsorted(rows, np.arange(len(frequencies) + 1))
@@ -259,7 +259,7 @@ def axis_frequencies(dims: int, half_width: int, *, step: float = 1.0) -> Array:
 def diagonal_frequencies(
     dims: int, half_width: int, *, signs: Sequence[int] | None = None, step: float = 1.0
 ) -> Array:
-    """Return the frequencies step · t · signs on a diagonal, t = 1 … half_width.
+    """Return the frequencies step · t · signs on a diagonal, for t = 1 … half_width.
 
     Parameters
     ----------
@@ -290,7 +290,7 @@ def plane_frequencies(
 ) -> Array:
     """Return frequencies step · {−half_width … half_width} on some axes, 0 elsewhere, in C order.
 
-    For two axes, the power at these frequencies is the spectrum of the set's projection onto them.
+    For two axes, the power there is the spectrum of the set's projection onto these axes.
 
     Examples
     --------
@@ -305,7 +305,7 @@ def subset_frequencies(
 ) -> Array:
     """Return frequencies up to the half width that are nonzero on exactly the given axes.
 
-    These (2 half_width)^|axes| frequencies belong to the ANOVA term of the axes.
+    There are (2 half_width)^|axes| such frequencies. They belong to the ANOVA term of the axes.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Isotropic pair correlation g(r) of point sets: density of pairs at distance r; 1 if random."""
+"""Isotropic pair correlation g(r) of point sets: the density of pairs at distance r."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ __all__ = [
     "pair_correlation",
 ]
 
-_MOST_PAIRS = 2**36  # largest number of pairs; takes about a minute per realization
+_MOST_PAIRS = 2**36  # largest number of pairs, which takes about a minute per realization
 
 
 def pair_correlation(
@@ -54,31 +54,31 @@ def pair_correlation(
     bins
         Number of equal bins of r in [0, max_distance].
     realizations
-        Number of realizations averaged; 2 or more for standard errors.
+        Number of realizations for the average. Standard errors need at least 2.
     rng
         Seed (SPEC 7).
     boundary
         ``"toroidal"``: distances wrap around the torus.
-        ``"border"`` is for sets that end at the border, so that distances do not wrap.
-        A pair at distance r counts only if its first point is at least r from the border.
+        ``"border"`` is for sets that end at the border, so that distances do not wrap around.
+        A pair at distance r counts only if its first point is at least r away from the border.
     max_distance
-        Largest r, at most 1/2; by default 1/2, or 1/4 with the border correction.
+        Largest r, at most 1/2. The default is 1/2, or 1/4 with the border correction.
     workers
-        Number of threads; by default all processors. Results do not depend on it.
+        Number of threads. The default is all processors. Results do not depend on it.
 
     Returns
     -------
     xarray.Dataset
-        ``pair_correlation`` and its standard error ``pair_correlation_se`` on dim r (bin centers).
-        ``pair_correlation_ci`` is the 95 % interval by Student's t of the logarithm.
-        This interval is 0 to 0 for bins without pairs.
-        If the sampler has fewer sets than realizations, errors and t are based on the sets.
+        ``pair_correlation`` and its standard error ``pair_correlation_se``, on dim r (bin centers).
+        ``pair_correlation_ci`` is a 95 % interval from Student's t of the logarithm of g.
+        The interval is 0 to 0 if a bin has no pairs.
+        If the sampler has fewer sets than realizations, the number of sets determines errors and t.
 
     Notes
     -----
     On the torus, g = pairs in a shell / (n(n−1)/2 · volume of the shell).
-    With the border correction, g = ordered pairs / (n(n−1) · volume of the shell · (1−2r)^d),
-    where (1−2r)^d is the volume in which the first point may lie.
+    With the border correction, g = ordered pairs / (n(n−1) · volume of the shell · (1−2r)^d).
+    Here (1−2r)^d is the volume in which the first point may lie.
     This estimate is unbiased if the set is stationary.
     Only points whose first coordinates differ by less than max_distance are compared.
     The cost is O(n log n + n² max_distance) per realization.
@@ -125,11 +125,11 @@ class PairCorrelation(Analysis, frozen=True, kw_only=True):
                 Parameter("max_distance"),
                 " is 0.5; with the border correction give less: no point is that far inside.",
             )
-        # Memory per bin: four partial counts, sums, the edge of the bin, and the expected count
+        # Memory per bin: four partial counts, sums, the edge of the bin, the expected count
         return Need(cost=self._cost, memory=memory_of(self.n, source.dims) + 128 * self.bins)
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[MeanSums]:
-        """Return the computation as a sum over blocks, where each block is one set."""
+        """Return the computation as a sum over blocks. Each block is one set."""
         source, n, wrap = subject.sampler, self.n, self.boundary == "toroidal"
         edges = np.linspace(0.0, self._most, self.bins + 1)
         # Volume of the unit ball
@@ -143,7 +143,7 @@ class PairCorrelation(Analysis, frozen=True, kw_only=True):
             return MeanSums.of(count_pairs(points, edges, wrap=wrap) / expected)
 
         def result(total: MeanSums) -> xr.Dataset:
-            # Translations preserve distances, so realizations that reuse sets repeat the counts
+            # Translations preserve distances, so realizations that reuse a set repeat its counts
             sets = independent_sets(source.law(n))
             count = self.realizations if sets is None else min(self.realizations, sets)
             mean, se = total.mean_and_error(sets)
@@ -184,7 +184,7 @@ def count_pairs(points: Array, edges: Array, *, wrap: bool) -> Array:
 
     With `wrap`, distances are on the torus and each pair counts once.
     Without `wrap`, ordered pairs are counted.
-    The border must be at least the bin's upper end away from the first point of a pair.
+    The first point of a pair must be at least as far from the border as the upper end of the bin.
     """
     n, bins = len(points), len(edges) - 1
     limit = min(float(edges[-1]), 0.5) if wrap else float(edges[-1])
@@ -223,9 +223,10 @@ def closed_form_pair_correlation(sampler: Sampler | str, n: int, r: Any) -> Arra
     Notes
     -----
     Two points of a jittered set are independent, except that they cannot lie in the same cell.
-    Two places at offset h lie in one cell of sides 1/s_i with probability Π max(0, 1 − s_i |h_i|).
-    An axis with one cell contributes a factor of 1, also across the border of the torus.
-    The correlation g is n/(n−1) times 1 minus the mean of this probability over directions.
+    Let two positions differ by h, and let a cell have the sides 1/s_i.
+    Both lie in the same cell with probability Π max(0, 1 − s_i |h_i|).
+    If an axis has only one cell, its factor is 1, even across the border of the torus.
+    The correlation g is n/(n−1) times 1 minus the mean of this probability over directions of h.
 
     Examples
     --------
@@ -242,11 +243,11 @@ def closed_form_pair_correlation(sampler: Sampler | str, n: int, r: Any) -> Arra
         return np.ones(distance.shape)
     if isinstance(law, Strata) and law.jittered and law.dims <= 2:
         sides = law.sides
-        # On an axis with one cell, any two places lie in this cell
+        # On an axis with one cell, any two positions lie in the same cell
         a, *rest = ((0.0 if s == 1 else s) * distance for s in sides)
         shared = np.maximum(0.0, 1.0 - a)
         if rest:
-            # Mean over directions θ of max(0, 1 − a |cos θ|) max(0, 1 − b |sin θ|)
+            # Compute the mean over directions θ of max(0, 1 − a |cos θ|) max(0, 1 − b |sin θ|)
             (b,) = rest
             low = np.arccos(1.0 / np.maximum(a, 1.0))
             high = np.arcsin(1.0 / np.maximum(b, 1.0))

@@ -1,10 +1,10 @@
 """Expected power spectra of point sets, uniform or importance-sampled, by simulation.
 
-Power is summed by frequency, and over rings and wedges of frequencies, for each realization.
+For each realization, power is summed by frequency, and over rings and wedges of frequencies.
 Frequencies of one set are not independent:
-with a density, the fluctuation of the weights affects all frequencies.
-Means over many frequencies are therefore also summed for each realization,
-and standard errors of the means are computed from these sums.
+with a density, random changes of the weights affect all frequencies.
+Means over many frequencies are therefore also summed for each realization.
+These sums give the standard errors of the means.
 """
 
 from __future__ import annotations
@@ -50,12 +50,12 @@ __all__ = [
     "weighted_points",
 ]
 
-_BLOCKS = 8  # smallest number of blocks that threads and machines can share
-_MOST_COORDINATES = 2**26  # largest number of coordinates of a set; half a GiB
+_BLOCKS = 8  # smallest number of blocks, which threads and machines can share
+_MOST_COORDINATES = 2**26  # largest number of coordinates of a set: half a GiB
 _EPS = 1e-9  # tolerance of transforms in double precision
 _SINGLE_EPS = 1e-5, 1e-6  # tolerances of transforms in single precision, cheapest first
-_MOST_ERROR = 0.02  # largest single-precision error of a ring mean, in standard errors
-_TRIED_FROM = 16  # fewest realizations for which both precisions are tried
+_MOST_ERROR = 0.02  # largest error of a ring mean in single precision, in standard errors
+_TRIED_FROM = 16  # least number of realizations for which both precisions are tried
 # Number of cells along each axis of the pictures of f and p, by the number of dims.
 # More cells are not visible in a small figure.
 _PICTURE_CELLS = {1: 256, 2: 64}
@@ -86,49 +86,49 @@ def power_spectrum(
     sampler, n
         Sampler (or spec string) and number of points.
     density
-        Importance density p (or spec string): points are warped and weighted 1/(n p).
+        Importance density p (or spec string). Points are warped and get the weights 1/(n p).
     half_width
         Frequencies run over frequency_step · {−half_width … half_width} in every dim.
     frequency_step
-        Spacing of the frequencies; below 1 for real frequencies between the integers.
+        Spacing of the frequencies. Values below 1 add real frequencies between the integers.
     realizations
-        Number of realizations averaged; 2 or more for standard errors.
+        Number of realizations for the average. Standard errors need at least 2.
     mean
-        Whether to also return the complex mean ⟨S_m⟩; without bias it is 0 at integer m ≠ 0.
+        Whether to also return the complex mean ⟨S_m⟩. Without bias, it is 0 at integer m ≠ 0.
     wedges
-        In two dims, the number of directions with a mean power, at most 360.
+        In two dims, the number of directions for which mean power is returned, at most 360.
     rng
         Seed (SPEC 7).
     engine
         See `mcspectra.spectra.transforms`.
     eps
         Relative accuracy of the transforms.
-        The default is 1e-5 or 1e-6, in single precision, if transform errors are small enough:
-        on all rings of the first two realizations, they must be below 0.02 standard errors.
-        If transform errors are larger, the default is 1e-9.
+        By default, single precision with an accuracy of 1e-5 or 1e-6 is used if errors are small:
+        on all rings of the first two realizations, its errors must be below 0.02 standard errors.
+        If its errors are larger, the default is 1e-9, in double precision.
         The attribute ``transform_error`` is the largest transform error, in standard errors.
         The attribute ``eps`` is the accuracy that was used.
     workers
-        Number of threads; by default all processors. Results do not depend on it.
+        Number of threads. The default is all processors. Results do not depend on it.
 
     Returns
     -------
     xarray.Dataset
-        ``power`` and its standard error ``power_se`` on dims m0, m1, …
-        The power at m = 0 is ⟨S_0²⟩. The power of random points is 1/n, or ∫1/p / n with a density.
-        The attribute ``random_level`` is n times this power of random points.
+        ``power`` and its standard error ``power_se``, on the dims m0, m1, …
+        The power at m = 0 is ⟨S_0²⟩. For random points, power is 1/n, or ∫1/p / n with a density.
+        The attribute ``random_level`` is the power of random points, multiplied by n.
 
-        ``radial_power`` and its standard error ``radial_power_se`` on dim radius.
-        The radius is |m| in cycles per unit; rings are one frequency step wide and exclude m = 0.
-        Errors are computed from the ring means of the realizations,
-        since frequencies of one set are not independent.
-        ``radial_power_ci`` is the 95 % interval by Student's t of the logarithm,
-        power · exp(±t se/power), with realizations − 1 degrees of freedom.
-        The attribute ``student_t`` is this t, which applies to ``power_se`` as well.
-        If the sampler has fewer sets than realizations, errors and t are based on the sets.
+        ``radial_power`` and its standard error ``radial_power_se``, on the dim radius.
+        The radius is |m| in cycles per unit. Rings are one frequency step wide and exclude m = 0.
+        Errors are computed from the realizations' means over a ring.
+        The reason is that frequencies of one set are not independent.
+        ``radial_power_ci`` is a 95 % interval from Student's t of the logarithm of power:
+        power · exp(±t se/power), where t has realizations − 1 degrees of freedom.
+        The attribute ``student_t`` is this t. It applies to ``power_se`` as well.
+        If the sampler has fewer sets than realizations, the number of sets determines errors and t.
 
-        In two dims also ``wedge_power``, its standard error and its interval, see `wedge_means`.
-        With `mean` also the complex ``mean_coefficient`` and its standard error, on m0, m1, …
+        In two dims there are also ``wedge_power``, its standard error and interval (`wedge_means`).
+        With `mean` there are also the complex ``mean_coefficient`` and its error, on m0, m1, …
 
     Raises
     ------
@@ -144,8 +144,8 @@ def power_spectrum(
     Multiply power by n for the convention of UTK, where the power of random points is 1.
     The cost is O(n log^d(1/eps) + M log M) for a pair of realizations with M frequencies.
     Memory does not depend on the number of realizations. A thread takes at most 100 M bytes.
-    Points (and phases, in the direct engine) take up to 64 MB more per thread.
-    If two sets take more than 64 MB, the limit is 100 n d bytes instead.
+    Points take up to 64 MB more. In the direct engine, this includes phases.
+    If two sets of points take more than 64 MB, the limit is 100 n d bytes instead.
 
     Examples
     --------
@@ -160,7 +160,7 @@ def power_spectrum(
 
 
 class _OfPointSets(Analysis, frozen=True, kw_only=True):
-    """Options of a spectrum, and of the points that are shown alongside it."""
+    """Options of a spectrum, and of the points that are shown next to it."""
 
     about = "sampler"
 
@@ -213,7 +213,7 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
     )  # fmt: skip
 
     def need(self, subject: Subject) -> Need:
-        """Check that sets are not too large, and that the engine works in these dims."""
+        """Check that sets are not too large, and that the engine works in this number of dims."""
         source, p = _warped(subject)
         source.check_count(self.n)
         dims = max(source.dims, p.dims if p else 0)
@@ -227,7 +227,7 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
         return Need(cost=self._cost(grid), memory=memory_of(self.n, dims, 1, grid.size))
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[_SpectrumSums]:
-        """Return the computation as a sum over blocks of realizations; sets share transforms."""
+        """Return the computation as a sum over blocks of realizations."""
         source, p = _warped(subject)
         grid = self._grid(source, p)
         polar = _PolarMeans.of(grid, self.wedges)
@@ -246,7 +246,7 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
                 return double, None
             points, weights = weighted_points(source, p, self.n, stream, (0, 2))
             exact = _powers(double, points, weights)
-            # Two exponential numbers differ on average by their standard deviation
+            # Two exponentially distributed powers differ on average by their standard deviation
             spread = polar.rings(np.abs(exact[0] - exact[1])) / self.realizations**0.5
             for single in singles:
                 error = polar.rings(np.abs(_powers(single, points, weights) - exact).mean(axis=0))
@@ -256,7 +256,7 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
                     return single, worst
             return double, None
 
-        # Memory of a block: its points and two half spectra
+        # A block takes memory for its points and for two half spectra
         numbers = max(self.n * source.dims, grid.size // 8)
         blocks = realization_blocks(self.realizations, numbers, multiple=2, least=_BLOCKS)
 
@@ -273,7 +273,7 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
             return sums
 
         def result(total: _SpectrumSums) -> xr.Dataset:
-            # Translations of a few sets have the same power as these sets
+            # Translations of a set have the same power as the set
             law = source.law(self.n)
             sets = independent_sets(law)
             count = self.realizations if sets is None else min(self.realizations, sets)
@@ -282,7 +282,7 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
                 "power": (grid.names, grid.full(power)),
                 "power_se": (grid.names, grid.full(power_se)),
             }
-            # Means over rings, then over wedges
+            # Collect means over rings, and then over wedges
             rings = grid.half_width
             labels = {"long_name": "|m|", "units": "cycles per unit"}
             coords: dict[str, Any] = {
@@ -350,7 +350,7 @@ class Points(_OfPointSets, frozen=True, kw_only=True):
         return Need(cost=self.n + grid, memory=memory_of(self.n, source.dims))
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[xr.Dataset]:
-        """Return a computation of a single block, which draws one set of points."""
+        """Return a computation with a single block, which draws one set of points."""
         source, p = _warped(subject)
 
         def points() -> xr.Dataset:
@@ -371,7 +371,7 @@ class Points(_OfPointSets, frozen=True, kw_only=True):
 
 
 def _picture_shape(dims: int) -> tuple[int, ...]:
-    """Return the shape of the grid of pictures; more than two dims are cut through the center."""
+    """Return the shape of a picture's grid. In more than two dims it cuts through the center."""
     shown = min(dims, 2)
     return (_PICTURE_CELLS[shown],) * shown
 
@@ -379,8 +379,8 @@ def _picture_shape(dims: int) -> tuple[int, ...]:
 def _pictures(estimator: Any, density: Density | None) -> dict[str, tuple[tuple[str, ...], Array]]:
     """Return values of f and p on a grid of axes 0 and 1; all other coordinates are 1/2.
 
-    If the points are not warped by one density, the values are g of the first technique.
-    Costly integrands, and functions that fail on the grid, have no picture.
+    If no single density warps the points, the values are g of the first technique.
+    There is no picture of integrands that are costly or fail on the grid.
     """
     f = estimator.primary_integrand() if density is None else estimator.domain_integrand
     if f is None or f.costly:
@@ -403,7 +403,7 @@ def _pictures(estimator: Any, density: Density | None) -> dict[str, tuple[tuple[
 
 
 def _warped(subject: Subject) -> tuple[Sampler, Density | None]:
-    """Return the sampler and its density: that of `subject`, or that of its estimator."""
+    """Return the sampler and its density, which is that of `subject` or of its estimator."""
     given = subject.density
     if given is None:
         given = getattr(subject.estimator, "density", None)
@@ -419,7 +419,7 @@ def _powers(transform: Transform, points: Array, weights: Array | None) -> Array
 def weighted_points(
     sampler: Sampler, density: Density | None, n: int, stream: Stream, block: Block
 ) -> tuple[Array, Array | None]:
-    """Draw a block of warped points (R, n, d), and weights 1/(n p), or None for weights 1/n."""
+    """Draw a block of warped points (R, n, d) with weights 1/(n p). None means weights 1/n."""
     points = sampler.draw_stream(n, stream, *block)
     if density is None:
         return points, None
@@ -447,25 +447,25 @@ def spectrum_attributes(
 @final
 @dataclass
 class PowerSums:
-    """Sums of |S|² and optionally of S over realizations, by frequency."""
+    """Sums over realizations of |S|² and optionally of S, by frequency."""
 
     power: MeanSums
     mean: SUM | None
 
     @staticmethod
     def zeros(size: int, mean: bool) -> PowerSums:
-        """Return sums that are initialized to zero, before the first realization is added."""
+        """Return sums of value zero, before the first realization is added."""
         return PowerSums(MeanSums.zeros(size), np.zeros(size, np.complex128) if mean else None)
 
     def take(self, s: Array) -> None:
-        """Add S (F,) of one set."""
+        """Add the coefficients S (F,) of one set."""
         power_sums(s, False, self.power.total, self.power.squares, UNLABELLED, np.empty((1, 0)))
         if self.mean is not None:
             self.mean += s
         self.power.count += 1
 
     def coefficient(self, sets: int | None = None) -> tuple[Array, Array]:
-        """Return mean S and its standard error (root mean |error|²), based on the given sets."""
+        """Return mean S and its standard error, the root of mean |error|², for `sets` sets."""
         assert self.mean is not None
         count = self.power.count
         mean = self.mean / count
@@ -476,7 +476,7 @@ class PowerSums:
 @final
 @dataclass
 class _SpectrumSums:
-    """Sums by frequency, and sums of the means over rings and wedges."""
+    """Sums by frequency, and sums over rings and wedges of the mean power."""
 
     frequencies: PowerSums
     polar: MeanSums
@@ -487,15 +487,15 @@ class _SpectrumSums:
 class _PolarMeans:
     """Rings (and in two dims wedges) of frequencies, over which power is averaged."""
 
-    # Cell of each frequency of the half grid: ring · (wedges + 1) + wedge, int64 (H,).
-    # The last cell holds m = 0 and the frequencies beyond the rings.
-    # The last wedge holds the frequencies with |m|/step above the half width.
+    # Index of the ring and wedge of each frequency of the half grid, int64 (H,).
+    # The index is ring · (wedges + 1) + wedge. Frequencies outside all rings have the last index.
+    # The last wedge of a ring holds the frequencies with |m|/step above the half width.
     label: Array
-    cells: Array  # number of frequencies in each cell: (rings, wedges + 1)
+    cells: Array  # number of frequencies in each ring and wedge: (rings, wedges + 1)
     radius: Array  # mean |m|/step of each ring
 
     @staticmethod
-    @functools.lru_cache(maxsize=4)  # cached because many samplers use one grid
+    @functools.lru_cache(maxsize=4)  # cached because several samplers use the same grid
     def of(grid: FrequencyGrid, wedges: int) -> _PolarMeans:
         """Make the rings, and the wedges in two dims."""
         index = grid.indices()
@@ -520,13 +520,13 @@ class _PolarMeans:
         return int(rings + wedges - 1)
 
     def rings(self, values: Array) -> Array:
-        """Return the sums over the rings, (rings,), of values (H,) at the frequencies."""
+        """Return the sum over each ring, (rings,), of values (H,) at the frequencies."""
         return np.asarray(
             np.bincount(self.label, values)[:-1].reshape(self.cells.shape).sum(axis=1)
         )
 
     def add(self, sums: MeanSums, power: Array) -> None:
-        """Add the mean power of rings and wedges, given sums by label (sets, …); NaN if empty."""
+        """Add mean powers of rings and wedges, from sums by label (sets, …). Empty ones are NaN."""
         for own in power[:, :-1].reshape(-1, *self.cells.shape):
             with np.errstate(invalid="ignore"):
                 rings = own.sum(axis=1) / self.cells.sum(axis=1)
@@ -537,7 +537,7 @@ class _PolarMeans:
 
 
 def wedge_labels(index: Array, wedges: int) -> Array:
-    """Return the wedge of each index (H, 2) in the half turn; wedge 0 is centered on axis m0."""
+    """Return the wedge of each index (H, 2), in a half turn. Wedge 0 is centered on the axis m0."""
     turn = np.arctan2(index[:, 1], index[:, 0]) / np.pi
     return np.asarray(np.floor(turn * wedges + 0.5).astype(np.int64) % wedges)
 

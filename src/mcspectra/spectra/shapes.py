@@ -1,12 +1,12 @@
-"""Shape of a measured spectrum (rings, slices, wedges, exponent), and the predicted variance.
+"""Shape of a measured spectrum (rings, slices, wedges, exponent), and the variance it predicts.
 
-All functions take the dataset of `power_spectrum`.
-Standard errors are those over realizations, of the means over rings and wedges.
+All functions take the dataset that `power_spectrum` returns.
+The standard errors of means over rings and wedges come from the scatter of realizations.
 
-Directions may have different exponents; the largest power decides.
-A Latin hypercube has power ∝ m² along its axes and the power of random points elsewhere.
-If the power at one length depends on direction, each class of directions is fitted separately.
-A class holds the frequencies with the same nonzero axes and, in 2-D, in the same wedge.
+Exponents may depend on the direction. The direction with the largest power decides.
+A Latin hypercube has power ∝ m² along its axes, and the power of random points elsewhere.
+If the power at one length depends on the direction, each class of directions is fitted separately.
+A class contains the frequencies with the same nonzero axes and, in 2-D, in the same wedge.
 """
 
 from __future__ import annotations
@@ -47,21 +47,22 @@ __all__ = [
 
 _MAX_SLICE_DIMS = 4
 _LEVEL = 0.95
-# Largest (spread over directions / mean)² beyond noise that counts as isotropic; jittered has 0.001
+# Up to this variance over directions beyond noise, divided by mean², the power is isotropic.
+# It is 0.001 for jittered points
 _ISOTROPIC = 0.1
 _CLASS_WEDGES = 8
 _SUSPECT = 3.0  # χ² per degree of freedom above which directions are compared
-_SAME = 1e-7  # relative standard errors of powers that are only rounding
-_UNRESOLVED = 0.5  # half-width of the exponent's interval above which it is unresolved
+_SAME = 1e-7  # relative standard errors of power that come from rounding alone
+_UNRESOLVED = 0.5  # half-width of the exponent's interval; wider intervals are unresolved
 _MISFIT = 10.0  # χ² per degree of freedom above which there is no power law
-# Rounding of small coefficients in single precision; measured at most 3e-8 (stratified sets)
+# Rounding of small coefficients in single precision. At most 3e-8 was measured, on stratified sets
 _SINGLE_ROUNDING = 1e-7
 
 
 @final
 @dataclass(frozen=True)
 class _HalfSpectrum:
-    """Half of a spectrum: one frequency of each pair ν, −ν, without ν = 0."""
+    """Half of a spectrum, without ν = 0. Of each pair ν, −ν it has one frequency."""
 
     index: Array  # ν / step, int64 (H, d)
     power: Array  # (H,)
@@ -71,7 +72,7 @@ class _HalfSpectrum:
 
     @staticmethod
     def of(spectrum: Any) -> _HalfSpectrum:
-        """Check that a dataset is from `power_spectrum` and return its half."""
+        """Check that a dataset comes from `power_spectrum`, and return half of the spectrum."""
         import xarray as xr
 
         if not isinstance(spectrum, xr.Dataset) or not {"power", "power_se"} <= set(spectrum):
@@ -108,7 +109,7 @@ class _HalfSpectrum:
         return np.asarray(np.linalg.norm(self.index, axis=1))
 
     def mean_by(self, label: Array, size: int) -> tuple[Array, Array, Array]:
-        """Return mean power, its standard error and the count for each label but −1."""
+        """Return mean power, its standard error and the count for each label, except −1."""
         used = label >= 0
         count = np.bincount(label[used], minlength=size)
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -118,23 +119,23 @@ class _HalfSpectrum:
 
 
 def radial_statistics(spectrum: xr.Dataset) -> xr.Dataset:
-    """Return the mean over directions, its standard error, and anisotropy, by ring.
+    """Return the mean over directions, its standard error, and the anisotropy, for each ring.
 
     Parameters
     ----------
     spectrum
-        Result of `power_spectrum`; anisotropy is meaningful in two or more dims.
+        Result of `power_spectrum`. The anisotropy is meaningful in two or more dims.
 
     Returns
     -------
     xarray.Dataset
-        Values are on dim radius, for rings of one frequency step.
-        Anisotropies are NaN for rings with one direction or without power.
-        ``radial_power`` is the mean, and ``radial_power_se`` its standard error.
-        The spectrum supplies this error; if it does not, frequencies count as uncorrelated.
-        ``anisotropy`` is the variance over direction, divided by the mean² [Ulichney1988]_.
+        All variables are on the dim radius, for rings of one frequency step.
+        Anisotropies are NaN if a ring has only one direction, or has no power.
+        ``radial_power`` is the mean, and ``radial_power_se`` is its standard error.
+        This error comes from the spectrum. Without it, frequencies count as uncorrelated.
+        ``anisotropy`` is the variance over directions, divided by the mean² [Ulichney1988]_.
         ``anisotropy_db`` is 10 log10 of the anisotropy.
-        ``anisotropy_noise_db`` is the anisotropy (dB) of an isotropic spectrum due to noise alone.
+        ``anisotropy_noise_db`` is the anisotropy (dB) that noise causes in an isotropic spectrum.
         For Gaussian S, this noise value is −10 log10 of the number of realizations.
 
     Examples
@@ -155,7 +156,7 @@ def radial_statistics(spectrum: xr.Dataset) -> xr.Dataset:
     spread = np.bincount(ring[used], (half.power[used] - mean[ring[used]]) ** 2, minlength=size)
     with np.errstate(invalid="ignore", divide="ignore"):
         anisotropy = np.where(count > 1, spread / (count - 1), np.nan) / mean**2
-        noise = count * (se / mean) ** 2  # ratio of mean squared error to mean²
+        noise = count * (se / mean) ** 2  # mean squared error divided by mean²
         decibels = [10 * np.log10(values) for values in (anisotropy, noise)]
     if "radial_power_se" in spectrum:
         se = spectrum["radial_power_se"].to_numpy()
@@ -175,14 +176,14 @@ def radial_statistics(spectrum: xr.Dataset) -> xr.Dataset:
 
 
 def slices(spectrum: xr.Dataset) -> xr.Dataset:
-    """Cut the spectrum along the axes and all diagonals of planes and of space, up to four dims.
+    """Cut the spectrum along the axes and all diagonals of planes and of space, in up to four dims.
 
     Returns
     -------
     xarray.Dataset
-        ``slice_power`` and its standard error ``slice_power_se`` on dims slice and multiple.
+        ``slice_power`` and its standard error ``slice_power_se``, on the dims slice and multiple.
         This is the power at ν = multiple · frequency step · direction.
-        Each slice is labeled by its direction, such as (1, -1), axes first.
+        Each slice is labeled by its direction, such as (1, -1). The axes come first.
         The coordinate ``slice_radius`` is |ν|. There are 1, 4, 13 or 40 slices in 1 to 4 dims.
     """
     half = _HalfSpectrum.of(spectrum)
@@ -215,24 +216,24 @@ def slices(spectrum: xr.Dataset) -> xr.Dataset:
 
 
 def wedge_means(spectrum: xr.Dataset, wedges: int = 12) -> xr.Dataset:
-    """Return the mean power by direction: wedges of a 2-D spectrum within the half width.
+    """Return the mean power by direction, for wedges of a 2-D spectrum within the half width.
 
     Parameters
     ----------
     spectrum
         Result of `power_spectrum` in two dims.
     wedges
-        Number of wedges in the half turn; the first is centered on the m0 axis.
-        Standard errors need the number of wedges that was given to `power_spectrum`.
+        Number of wedges in half a turn. The first wedge is centered on the m0 axis.
+        Standard errors require the number of wedges that `power_spectrum` used.
 
     Returns
     -------
     xarray.Dataset
-        ``wedge_power`` and its standard error ``wedge_power_se`` on dim angle.
+        ``wedge_power`` and its standard error ``wedge_power_se``, on the dim angle.
         Angles are in degrees, at the centers of the wedges.
         Values are NaN for wedges without frequencies.
-        If the spectrum has another number of wedges, errors with a density are NaN.
-        In this case, errors for uniform points treat frequencies as uncorrelated.
+        If the spectrum has another number of wedges and a density, errors are NaN.
+        In a spectrum without density, errors then treat frequencies as uncorrelated.
     """
     half = _HalfSpectrum.of(spectrum)
     wedges = as_integer("wedges", wedges, least=1, most=MAX_WEDGES)
@@ -246,7 +247,7 @@ def wedge_means(spectrum: xr.Dataset, wedges: int = 12) -> xr.Dataset:
     mean, se, _ = half.mean_by(label, wedges)
     if spectrum.sizes.get("angle") == wedges:
         se = spectrum["wedge_power_se"].to_numpy()
-    elif "density" in half.attrs:  # frequencies share the fluctuation of the weights
+    elif "density" in half.attrs:  # random changes of the weights affect all frequencies
         se = np.full(wedges, np.nan)
     return dataset(
         {"wedge_power": (("angle",), mean), "wedge_power_se": (("angle",), se)},
@@ -258,46 +259,46 @@ def wedge_means(spectrum: xr.Dataset, wedges: int = 12) -> xr.Dataset:
 def low_frequency_exponent(
     spectrum: xr.Dataset, *, up_to: float | None = None, axis: int | None = None
 ) -> xr.Dataset:
-    """Fit power ∝ |ν|^b at low frequencies; b determines the variance's rate [Pilleboue2015]_.
+    """Fit power ∝ |ν|^b at low frequencies. The exponent b determines the rate [Pilleboue2015]_.
 
     Parameters
     ----------
     spectrum
         Result of `power_spectrum` with at least two realizations.
-        Between the integers ⟨S_ν⟩ is not 0. The fit is then to ⟨|S_ν|²⟩ − |⟨S_ν⟩|².
-        This needs the means of S, that is ``mean=True``.
+        Between the integers ⟨S_ν⟩ is not 0, and the fit is to ⟨|S_ν|²⟩ − |⟨S_ν⟩|².
+        In this case the spectrum must contain the means of S (``mean=True``).
     up_to
-        Largest |ν| of the fit. The default is a quarter of the points' mean frequency n^(1/d).
-        The default includes at least three lengths |ν|, and is at most the half width.
+        Largest |ν| that is fitted. The default is a quarter of the points' mean frequency n^(1/d).
+        It includes at least three lengths |ν|, and is at most the half width.
     axis
-        Axis along which to fit. The default is a fit over all directions. If directions differ,
-        the default is the directions with the largest power at the lowest frequency.
+        Axis along which to fit. By default all directions are fitted together.
+        If directions differ, those with the largest power at the lowest frequency are fitted.
 
     Returns
     -------
     xarray.Dataset
-        ``low_frequency_exponent`` with its 95 % interval on dim bound.
-        ``exponent_fit_chi2`` is the lack of fit, χ² per degree of freedom.
+        ``low_frequency_exponent``, and its 95 % interval, whose ends are on the dim ``bound``.
+        ``exponent_fit_chi2`` measures how badly the line fits, as χ² per degree of freedom.
         If this χ² exceeds 1, the interval is widened by √χ².
-        Attributes ``up_to``, ``lengths`` and ``directions`` describe the fit.
+        The attributes ``up_to``, ``lengths`` and ``directions`` describe the fit.
         The attribute ``reason`` explains why the exponent is NaN or unresolved.
-        NaN has three possible reasons: some lengths have no power (as for a lattice),
-        the power is the same in all realizations, or χ² per degree of freedom is above 10.
+        NaN has three possible reasons. First, some lengths have no power, as for a lattice.
+        Second, all realizations have the same power. Third, χ² per degree of freedom exceeds 10.
         The exponent is unresolved if its interval is wider than ±0.5.
 
     Raises
     ------
     ParameterError
-        If the spectrum has no standard errors, or fewer than three lengths |ν|.
-        If frequencies lie between the integers and the spectrum has no means of S.
+        If the spectrum has no standard errors, or has fewer than three lengths |ν|.
+        If frequencies lie between the integers, and the spectrum has no means of S.
 
     Notes
     -----
-    The method is weighted least squares of log power on log |ν|.
+    The fit uses weighted least squares of log power on log |ν|.
     All frequencies of one length (and class of directions) are averaged.
-    With k classes, the interval of each class has the level 1 − 0.05/k.
+    If there are k classes, the interval of each class has the level 1 − 0.05/k.
     The exponent depends on the largest frequency of the fit.
-    For 1 − sinc² of jittered points, b is 2 at 0 and 1.8 at n^(1/d)/4.
+    For example, the power 1 − sinc² of jittered points has b = 2 at 0 and b = 1.8 at n^(1/d)/4.
 
     Examples
     --------
@@ -316,11 +317,11 @@ def low_frequency_exponent(
                 "power is not that of fluctuations alone: use power_spectrum(…, mean=True)."
             )
         mean = grid.pick(spectrum["mean_coefficient"].to_numpy())[:-1]
-        # The sample mean contains 1/R of the fluctuation, so divide by R − 1
+        # Correct for the noise of the sample mean: the factor is R/(R − 1) for R realizations
         bessel = 1.0 / (1.0 - 1.0 / float(half.attrs.get("realizations", math.inf)))
         half = replace(half, power=np.maximum(half.power - np.abs(mean) ** 2, 0.0) * bessel)
 
-    # Label the frequencies by length in ascending order; −1 if excluded
+    # Label the frequencies by length, in ascending order. Excluded ones get the label −1
     square = (half.index**2).sum(axis=1)
     wanted = square <= grid.half_width**2
     if axis is not None:
@@ -330,7 +331,7 @@ def low_frequency_exponent(
     label, lengths = np.full(len(square), -1), np.sqrt(squares)
     label[wanted] = inverse
 
-    # Choose the window of the fit, with at least three lengths
+    # Choose the window of the fit. It contains at least three lengths
     if len(lengths) < 3:
         raise ParameterError(
             f"A fit needs three lengths of frequency, of which the spectrum has {len(lengths)}; "
@@ -347,7 +348,7 @@ def low_frequency_exponent(
     lengths = lengths[lengths <= window * (1 + 1e-9)]
     label[label >= len(lengths)] = -1
 
-    # Fit the lengths |ν| of frequencies at which the power is above rounding
+    # Fit the power at the lengths |ν|. If it is only rounding at some length, there is no power law
     power, se, _ = half.mean_by(label, len(lengths))
     if np.isnan(se).any():
         raise ParameterError(
@@ -400,7 +401,7 @@ def low_frequency_exponent(
 @final
 @dataclass(frozen=True)
 class _LowFrequencyFit:
-    """Fit: slope, log power at the lowest frequency, interval, lack of fit, and directions."""
+    """Result of a fit: slope, log power at the lowest frequency, interval, misfit, directions."""
 
     slope: float
     level: float
@@ -411,20 +412,20 @@ class _LowFrequencyFit:
 
 
 def _over_directions(half: _HalfSpectrum, label: Array, lengths: Array) -> _LowFrequencyFit:
-    """Fit all directions if they agree, else the class with the largest low-frequency power."""
+    """Fit all directions if they agree. Else fit the class with the largest low-frequency power."""
     whole = _fit_class(half, label, lengths, "all", 1)
     assert whole is not None
-    # Relative variance over direction beyond noise: the mean over lengths with several directions
+    # Compute the variance over directions beyond noise, relative to mean², and average over lengths
     mean, _, count = half.mean_by(label, len(lengths))
     several = (label >= 0) & (count[label] > 1)
     own, k = mean[label[several]], count[label[several]]
     spread = (half.power[several] - own) ** 2 * k / (k - 1)
     excess = float(np.mean((spread - half.se[several] ** 2) / own**2)) if several.any() else 0.0
-    # Some lengths have several directions, such as (3, 4) and (5, 0).
-    # If every length has only one direction, unequal powers show as a misfit of the line.
+    # Some lengths occur in several directions. For example, (3, 4) and (5, 0) have equal lengths.
+    # If every length has only one direction, unequal powers appear as a misfit of the line.
     if half.grid.dims == 1 or (excess <= _ISOTROPIC and whole.chi2 <= _SUSPECT):
         return whole
-    # Classify frequencies by their nonzero axes and, in 2-D if both are nonzero, by wedges
+    # Classify frequencies by their nonzero axes. In 2-D, if both are nonzero, classify by wedges
     involved, place = np.unique(half.index != 0, axis=0, return_inverse=True)
     texts = [" and ".join(f"m{i}" for i in np.flatnonzero(row)) for row in involved]
     names = np.array(texts, dtype=object)[place.ravel()]
@@ -462,22 +463,22 @@ def _fit_class(
 
 
 def variance_from_spectrum(spectrum: xr.Dataset, coefficients: Any) -> float:
-    """Predict a variance by the homogenized formula Σ_{ν≠0} |f_ν|² ⟨|S_ν|²⟩ Δν^d.
+    """Predict a variance of homogenized points: Σ_{ν≠0} |f_ν|² ⟨|S_ν|²⟩ Δν^d.
 
     Parameters
     ----------
     spectrum
         Result of `power_spectrum` with uniform density.
     coefficients
-        f_ν on the whole grid of the spectrum.
+        Coefficients f_ν on the whole grid of the spectrum.
 
     Returns
     -------
     float
-        The variance, for randomly shifted sets at *integer* frequencies (``frequency_step=1``).
-        This variance is exact up to the truncation of the grid.
+        The variance of randomly shifted sets, at *integer* frequencies (``frequency_step=1``).
+        There it is exact up to the truncation of the grid.
         Between the integers, where ⟨S_ν⟩ is not 0, the sum includes the bias of a finite window.
-        The sum never falls below this bias [Singh2019]_.
+        The sum is never smaller than this bias [Singh2019]_.
 
     Raises
     ------
@@ -487,7 +488,7 @@ def variance_from_spectrum(spectrum: xr.Dataset, coefficients: Any) -> float:
     Warns
     ------
     CorrelatedFrequenciesWarning
-        If the points are not stationary, so that a cross term is missing.
+        If the points are not stationary, because the formula then omits a cross term.
 
     Examples
     --------
@@ -512,7 +513,7 @@ def variance_from_spectrum(spectrum: xr.Dataset, coefficients: Any) -> float:
             f"coefficients have shape {f.shape} and type {f.dtype}; give finite numbers of shape "
             f"{grid.shape}, one for each frequency."
         )
-    # Warn if the points are not stationary; a spec of given points does not show whether they are.
+    # Warn if the points are not stationary. The spec of given points does not show whether they are
     # Between the integers, the returned sum is not the variance (see Returns)
     try:
         source = None if spec is None else as_sampler(spec, grid.dims)

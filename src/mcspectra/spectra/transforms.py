@@ -4,32 +4,32 @@ Engines
 -------
 ``nufft``
     Type-1 non-uniform FFT. FINUFFT [Barnett2019]_ spreads points onto a fine grid.
-    SciPy transforms the grid. Each Python thread reuses one plan of FINUFFT.
+    SciPy transforms this grid. Each Python thread reuses one plan of FINUFFT.
     Along each axis, the grid is 1.25 times as fine as the frequencies.
-    With many points per frequency, the grid is twice as fine.
-    The relative l2 error is 1e-9. With ``eps=1e-12`` the grid is twice as fine.
+    If there are many points per frequency, it is twice as fine.
+    The relative l2 error is 1e-9. For ``eps=1e-12`` the grid is twice as fine.
     On a grid twice as fine, the transform of 512² frequencies takes 2.3 times as long.
 
-    Single precision halves the time: its error is at best 1e-6 of the peak.
-    On a grid 1.12 times as fine the error is 1e-5, and the time is a fifth less.
+    Single precision halves the time. Its error is at best 1e-6 of the peak.
+    On a grid only 1.12 times as fine, the error is 1e-5 and the time a fifth less.
     Coordinates are rounded to 2^-25 in single precision.
 
     Real frequencies on a grid of step s are integer frequencies of the coordinates s·x.
-    Two realizations with weights w_1 and w_2 share a transform with the weights w_1 + i w_2.
-    Hermitian symmetry separates the transforms of the two realizations.
+    Two realizations with weights w_1 and w_2 share one transform, with the weights w_1 + i w_2.
+    Hermitian symmetry then separates the transforms of the two realizations.
     The cost is O(n log^d(1/eps) + M log M) per pair, for n points and M frequencies.
     In four dims there is one 3-D transform for each frequency of the first axis.
-    In four dims, realizations are transformed one at a time.
+    In this case, realizations are transformed one at a time.
 ``direct``
-    Separable direct summation by matrix products, exact to rounding, at cost O(n M).
-    It is the reference for tests, and the faster engine for few points.
+    Direct summation by matrix products, axis by axis. It is exact to rounding, and costs O(n M).
+    It is the reference for tests, and the faster engine if there are few points.
 ``auto``
-    NUFFT, except in three cases.
-    The direct engine is used if n M < 4000: it is about a microsecond faster than a plan call.
-    It is also used below about a thousand points in four dims, and in more than four dims.
+    NUFFT, with three exceptions.
+    If n M < 4000, the direct engine is used: it is about a microsecond faster than a plan call.
+    The direct engine is also used for fewer than about 1000 points in four dims, and beyond four.
 
-Real weights make S_{−m} = conj S_m, so results cover *half* the grid:
-the flat C-order indices up to and including m = 0, which comes last.
+Real weights imply S_{−m} = conj S_m, so results cover only *half* of the grid:
+the flat C-order indices before m = 0, and m = 0 itself.
 """
 
 from __future__ import annotations
@@ -59,19 +59,19 @@ __all__ = [
 
 ENGINES = ("auto", "nufft", "direct")
 _DIRECT_BELOW = 4000
-_DIRECT_NUMBERS = 2**22  # number of phases held at a time: 64 MiB
-_SPARSE = 1 / 16  # points per frequency below which points are spread in groups
+_DIRECT_NUMBERS = 2**22  # number of phases in memory at a time: 64 MiB
+_SPARSE = 1 / 16  # if there are fewer points per frequency, points are spread in groups
 _SPREAD_POINTS = 1024
-_CELL_COST = 50.0  # measured: time to transform a cell / to spread to a cell
-_LEAST_FINE = 32  # least number of cells of the fine grid per axis; kernels are narrower
+_CELL_COST = 50.0  # measured ratio: time to transform a cell / time to spread to a cell
+_LEAST_FINE = 32  # least number of cells of the fine grid per axis, more than the width of a kernel
 
 MAX_FREQUENCIES = 2**27
-"""Largest number of frequencies of one grid: 2 GiB of complex128."""
+"""Largest number of frequencies of one grid, which takes 2 GiB of complex128."""
 
 
 @dataclass(frozen=True)
 class IndexGrid:
-    """Multi-indices m of coefficients in C order, with the same number along each axis.
+    """Multi-indices m of coefficients, in C order. Each axis has the same indices.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ class IndexGrid:
     hermitian: ClassVar[bool] = False
     """Whether indices run from −K to K, and coefficient −m is the conjugate of coefficient m.
 
-    With this symmetry, only the coefficients up to and including m = 0 are stored."""
+    If so, only the coefficients up to and including m = 0 are stored."""
 
     @property
     def side(self) -> int:
@@ -110,7 +110,7 @@ class IndexGrid:
 
     @property
     def stored(self) -> int:
-        """Number of stored coefficients: all, or half of them if symmetry determines the rest."""
+        """Number of stored coefficients: all, or only half if symmetry determines the others."""
         return (self.size + 1) // 2 if self.hermitian else self.size
 
     @property
@@ -120,7 +120,7 @@ class IndexGrid:
 
     @property
     def double(self) -> Array:
-        """Number of indices that each stored coefficient represents: float64 (stored,)."""
+        """Number of indices that each stored coefficient represents, as float64 (stored,)."""
         twice = np.full(self.stored, 2.0 if self.hermitian else 1.0)
         twice[self.dc] = 1.0
         return twice
@@ -132,7 +132,7 @@ class IndexGrid:
 
     @property
     def coords(self) -> dict[str, Any]:
-        """Coordinate arrays of the dims m0, m1, …, with their labels and units."""
+        """Coordinate arrays of the dims m0, m1, … with their labels and units."""
         attributes = {"long_name": self.label, "units": self.units}
         return {name: (name, self.axis, attributes) for name in self.names}
 
@@ -142,18 +142,18 @@ class IndexGrid:
         return np.asarray(np.stack(places, axis=-1) - self.half_width * self.hermitian)
 
     def full(self, stored: Array, *, conjugate: bool = False) -> Array:
-        """Extend stored values (..., stored) to the whole array (..., *shape) by symmetry."""
+        """Extend stored values (..., stored) by symmetry to the whole array (..., *shape)."""
         if self.hermitian:
             mirrored = stored[..., -2::-1]
             stored = np.concatenate([stored, mirrored.conj() if conjugate else mirrored], axis=-1)
         return stored.reshape(*stored.shape[:-1], *self.shape)
 
     def pick(self, full: Array) -> Array:
-        """Return the stored values (stored, ...) of a whole array (*shape, ...); inverts `full`."""
+        """Return the stored values (stored, ...) of a whole array (*shape, ...). Inverts `full`."""
         return full.reshape(self.size, *full.shape[self.dims :])[: self.stored]
 
     def whole(self) -> tuple[Array, Array]:
-        """Return the stored position of every index in C order, and whether it is a conjugate."""
+        """Return the stored position of each index in C order, and whether it is a conjugate."""
         place = np.arange(self.size)
         return np.where(place < self.stored, place, self.size - 1 - place), place >= self.stored
 
@@ -189,7 +189,7 @@ class FrequencyGrid(IndexGrid):
 
     @property
     def axis(self) -> Array:
-        """Frequencies along one axis, float64 (integers if the step is 1)."""
+        """Frequencies along one axis, as float64. They are integers if the step is 1."""
         index = np.arange(-self.half_width, self.half_width + 1)
         return index if self.step == 1.0 else index * self.step
 
@@ -202,13 +202,13 @@ class Transform:
     grid
         The frequencies.
     n
-        Number of points in a set; with ``engine="auto"`` it determines the engine.
+        Number of points in a set. With ``engine="auto"`` it determines the engine.
     engine
         One of `ENGINES`.
     eps
         Relative l2 accuracy of the NUFFT, from 1e-14 to 1e-1.
     single
-        Whether the NUFFT in one to three dims uses single precision; other engines never do.
+        Whether the NUFFT uses single precision, in one to three dims. Other engines never do.
 
     Raises
     ------
@@ -237,7 +237,7 @@ class Transform:
                 Parameter("engine", "direct"),
                 ".",
             )
-        if engine == "auto":  # limits from times measured on one core
+        if engine == "auto":  # limits follow from times measured on one core
             slab = float(grid.size // grid.shape[0])
             pays = n * grid.size < _DIRECT_BELOW
             if grid.dims > 3:
@@ -251,7 +251,7 @@ class Transform:
         self._packs = engine == "nufft" and grid.dims <= 3
         self.single = single and self._packs
         # A finer grid is more accurate. Its transform takes longer, but spreading takes less time:
-        # in double precision a point is spread to 11 cells per side, instead of 15.
+        # in double precision, a point is spread to 11 cells per side instead of 15
         spreading = 0.0 if self.single else density * (15.0**dims - 11.0**dims)
         finer = self.eps < 1e-9 or spreading > _CELL_COST * (2.0**dims - 1.25**dims)
         coarse = 1.12 if self.single and self.eps >= 1e-5 else 1.25
@@ -267,7 +267,7 @@ class Transform:
         points
             (R, n, d) in [0,1).
         weights
-            Real weights (R, n); None means 1/n each.
+            Real weights (R, n). None means 1/n for each point.
         """
         weights = given_or_equal(weights, points)
         out = np.empty((len(points), self.grid.stored), np.complex128)
@@ -278,7 +278,7 @@ class Transform:
             else:
                 out[r] = packed[: out.shape[1]]
             r += 1 + pair
-        # S_0 is set to the sum of the weights exactly, so that equal weights have no dc term
+        # Set S_0 to the exact sum of the weights, so that equal weights have no dc term
         out[:, -1] = weights.sum(axis=1)
         return out
 
@@ -292,12 +292,12 @@ class Transform:
         label: Array = UNLABELLED,
         groups: Callable[[Array], None] | None = None,
     ) -> None:
-        """Add a block's sums of |S_m|², |S_m|⁴ and S_m to the given arrays (H,).
+        """Add the sums over a block of |S_m|², |S_m|⁴ and S_m to the given arrays (H,).
 
         The function `groups` gets the sums of |S_m|² over all frequencies with the same label.
         The sums have shape (sets, number of labels), for one or two sets.
         """
-        # S_0 is exactly the sum of the weights
+        # Use the exact sum of the weights for S_0
         sums = given_or_equal(weights, points).sum(axis=1)
         at_zero = total[-1] + (sums**2).sum(), squares[-1] + (sums**4).sum()
         mean_at_zero = 0.0 if mean is None else mean[-1] + sums.sum()
@@ -316,10 +316,10 @@ class Transform:
             mean[-1] = mean_at_zero
 
     def _packed(self, points: Array, weights: Array | None) -> Iterator[tuple[Array, bool]]:
-        """Yield flat full-grid transforms S1 + i S2 of pairs of sets, or S1 of a last single set.
+        """Yield flat full-grid transforms S1 + i S2 of pairs of sets, or S1 of a last set alone.
 
-        Each array is valid until the next is requested.
-        For a single set at least half the grid is filled.
+        Each array is valid until the next one is requested.
+        For a single set, only half of the grid needs to be filled.
         """
         sets, n, dims = points.shape
         weights = given_or_equal(weights, points)
@@ -337,14 +337,14 @@ class Transform:
                 yield self._slabs(x, w.astype(np.complex128)), False
 
     def _nufft(self, points: Array, strengths: Array) -> Array:
-        """Return the flat full-grid transform of a set (n, d); it is valid until the next call."""
+        """Return the flat full-grid transform of a set (n, d). It is valid until the next call."""
         if getattr(self._local, "out", None) is None:
             self._local.out = np.empty(self.grid.shape, self._number)
         self._set_points(points)
         return self._execute(strengths, self._local.out)
 
     def _slabs(self, points: Array, strengths: Array) -> Array:
-        """Transform in four dims: apply the phases of each m0 ≤ 0, then transform three axes."""
+        """Transform in four dims. For each m0 ≤ 0, apply its phases and transform three axes."""
         grid = self.grid
         self._set_points(points[:, 1:])
         out = np.empty((grid.half_width + 1, *grid.shape[1:]), np.complex128)
@@ -354,7 +354,7 @@ class Transform:
         return out.ravel()
 
     def _set_points(self, points: Array) -> None:
-        """Set the points (n, up to 3) of this thread's plan."""
+        """Set the points (n, up to 3) in the plan of this thread."""
         local = self._local
         if getattr(local, "plan", None) is None:
             local.plan = self._new_plan(self._fine)
@@ -367,9 +367,9 @@ class Transform:
     def _execute(self, strengths: Array, out: Array) -> Array:
         """Transform the current points to `out`, a grid of frequencies, and return it flat.
 
-        FINUFFT only spreads. Its own FFT is FFTW, whose fast plans depend on timings and vary.
-        SciPy's FFT computes only the needed frequencies.
-        On a grid of 648², SciPy's FFT takes half the time of reproducible FFTW plans.
+        FINUFFT only spreads the points. Its own FFT is FFTW, whose fast plans vary with timings.
+        SciPy's FFT computes only the frequencies that are needed.
+        On a grid of 648², it takes half the time of reproducible FFTW plans.
         """
         from scipy.fft import fft
 
@@ -387,7 +387,7 @@ class Transform:
 
     @functools.cached_property
     def _fine(self) -> tuple[int, ...]:
-        """Shape of the fine grid: all dims, or in four dims the last three."""
+        """Shape of the fine grid. It covers all dims, but in four dims only the last three."""
         from scipy.fft import next_fast_len
 
         side = max(math.ceil(self._oversampling * self.grid.shape[0]), _LEAST_FINE)
@@ -395,11 +395,11 @@ class Transform:
 
     @functools.cached_property
     def _unspread(self) -> tuple[Array, Array, Array]:
-        """Rows of the fine grid that hold the frequencies, and factors that undo the spreading."""
+        """Rows of the fine grid that hold the frequencies, and factors that undo spreading."""
         dims, side = len(self._fine), self._fine[0]
         # The kernel along the last axis also depends on the number of axes.
-        # The other axes are as short as possible, and odd if the last axis is odd.
-        # Transforms are divided by products of this kernel's coefficients.
+        # The plan makes all other axes as short as possible, and odd if the last axis is odd.
+        # Transforms are divided by products of the coefficients of this kernel
         plan = self._new_plan((_LEAST_FINE + side % 2,) * (dims - 1) + (side,))
         origin = np.zeros((dims, 1), np.zeros(0, self._number).real.dtype)
         plan.setpts(*origin)
@@ -414,12 +414,12 @@ class Transform:
         return rows, row_factors, factors
 
     def _new_plan(self, shape: tuple[int, ...]) -> Any:
-        """Return a plan that spreads onto a fine grid."""
+        """Return a FINUFFT plan that spreads points onto a fine grid."""
         import finufft
 
-        # With spread_sort=2, FINUFFT decides by the density of points whether to sort.
+        # With spread_sort=2, FINUFFT sorts the points or not, depending on their density.
         # At low density, points are spread in groups, to parts of the grid that fit into the cache.
-        # The value 0 spreads all points at once.
+        # The value 0 spreads all points at once
         return finufft.Plan(
             1,
             shape,
@@ -435,15 +435,15 @@ class Transform:
         )
 
     def _direct(self, points: Array, weights: Array) -> Array:
-        """Sum directly: multiply the phases of the first axes with the phases of the other axes.
+        """Sum directly: multiply the phases of the first axes by the phases of the other axes.
 
-        Axes are divided evenly, so that in four dims each factor has n (2K+1)² numbers.
-        Points are processed in blocks, to keep the factors below `_DIRECT_NUMBERS`.
+        Axes are divided evenly, so that in four dims each of the two factors has n (2K+1)² numbers.
+        Points are processed in blocks, so that the factors have at most `_DIRECT_NUMBERS` numbers.
         """
         grid = self.grid
         split = max(1, grid.dims // 2)
         side = 2 * grid.half_width + 1
-        used = (side**split + 1) // 2  # number of rows of the half grid
+        used = (side**split + 1) // 2  # number of rows in half of the grid
         total = np.zeros((used, side ** (grid.dims - split)), np.complex128)
         block = max(1, _DIRECT_NUMBERS // max(total.shape))
         for low in range(0, len(points), block):
@@ -454,7 +454,7 @@ class Transform:
         return np.asarray(total.ravel()[: grid.stored])
 
     def _phases(self, points: Array) -> Array:
-        """Return exp(−2πi m·x) of points (n, k) on the grid in k dims: (n, (2K+1)^k)."""
+        """Return exp(−2πi m·x) at points (n, k) for all m of the grid in k dims: (n, (2K+1)^k)."""
         grid = self.grid
         index = np.arange(-grid.half_width, grid.half_width + 1)
         found = np.ones((len(points), 1), np.complex128)
@@ -465,12 +465,12 @@ class Transform:
 
 
 def given_or_equal(weights: Array | None, points: Array) -> Array:
-    """Return the weights (R, n) of points (R, n, d): 1/n each if none are given."""
+    """Return the weights (R, n) of points (R, n, d). If none are given, they are 1/n."""
     return np.broadcast_to(1.0 / points.shape[1], points.shape[:2]) if weights is None else weights
 
 
 def direct_sum(points: Array, frequencies: Array, weights: Array | None = None) -> Array:
-    """Return S at listed frequencies by the definition, in any dims: the reference for tests.
+    """Return S at listed frequencies by its definition, in any dims, as the reference for tests.
 
     Parameters
     ----------
@@ -484,7 +484,7 @@ def direct_sum(points: Array, frequencies: Array, weights: Array | None = None) 
     Returns
     -------
     ndarray
-        complex128 (..., F). Cost and memory O(n F) per set.
+        complex128 (..., F). Cost and memory are O(n F) per set.
     """
     phase = np.exp(-2j * np.pi * (points @ np.asarray(frequencies, np.float64).T))
     if weights is None:
