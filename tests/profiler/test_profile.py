@@ -390,8 +390,10 @@ def test_only_densities_that_make_the_variance_finite_are_recommended(exponent, 
 @pytest.mark.parametrize("budget", [16384, 65536])  # With 4096 the gain is not certain
 def test_the_recommendation_is_better_than_all_samplers_in_the_table(budget):
     found = mcs.profile(FUNCTIONS["logarithm"][1], dims=1, budget=budget, rng=1)
-    assert found.answer.best.name.startswith("fitted")
-    assert found.answer.best.rmse < float(found.dataset["rmse"].min())
+    best = found.answer.best
+    assert best.name.startswith("fitted") or best.name == "periodized"
+    assert best.rmse <= float(found.dataset["rmse"].min())
+    assert best.rmse_ci[0] <= _error_of(best) <= best.rmse_ci[1]
 
 
 def test_a_change_that_misses_the_support_of_f_is_not_better():
@@ -844,21 +846,26 @@ def test_a_lattice_is_recommended_for_a_periodic_function():
 
 
 @pytest.mark.parametrize(("dims", "width"), [(2, 16.0), (3, 9.0)])
-def test_a_folded_lattice_is_recommended_for_a_smooth_function(dims, width):
-    """The error of the lattice is less than a tenth of the error of nets."""
+def test_a_lattice_is_recommended_for_a_smooth_function(dims, width):
+    """The error of a folded lattice, or of a periodic g, is less than a tenth of that of nets."""
 
     def peak(x):
         return (1.0 / (1.0 + width * (x - 0.4) ** 2)).prod(axis=-1)
 
     best = mcs.profile(peak, dims=dims, budget=8192, rng=1).answer.best
-    assert best.sampler.spec == "rank1-lattice | shift | mirror(mode='fold')"
-    errors = {}
-    for name in (best.sampler.spec, "sobol | owen"):
-        points = mcs.sampler(name, dims=dims).draw(best.n, realizations=60, rng=2)
-        errors[name] = peak(points).mean(axis=1).std(ddof=1)
-    assert errors[best.sampler.spec] < 0.1 * errors["sobol | owen"]
+    assert best.name in {"rank1-lattice | shift | mirror(mode='fold')", "periodized"}
+    nets = mcs.sampler("sobol | owen", dims=dims).draw(best.n, realizations=60, rng=2)
+    error = _error_of(best)
+    assert error < 0.1 * peak(nets).mean(axis=1).std(ddof=1)
     low, high = best.rmse_ci
-    assert low <= errors[best.sampler.spec] <= high
+    assert low <= error <= high
+
+
+def _error_of(result, realizations=60):
+    """Return the standard deviation of new estimates with a recommended set-up."""
+    estimator, sampler = result.estimator, result.sampler
+    drawn = estimator.randomized(sampler).draw(result.n, realizations=realizations, rng=2)
+    return estimator.primary_values(0, drawn).mean(axis=1).std(ddof=1)
 
 
 def test_an_uncertain_improvement_is_reported_as_runner_up():

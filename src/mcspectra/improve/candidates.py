@@ -510,7 +510,7 @@ def periodize(given: Setup, budget: Budget) -> _Candidates:
             f"In {d} dims the substitution adds too much variance; it is used in 1 to {most}."
         )
 
-    changed = Periodized.of(given.estimator, budget.settings.order)
+    changed = Periodized.of(given.estimator, budget.settings.order, budget.seen)
     change = f"substitute a beta cdf, which makes g periodic, and sample with {LATTICE}"
     setup = Setup(Estimator(changed), make_sampler(LATTICE, d))
     yield Candidate("periodized", "periodized", change, setup, finite_below=changed.finite_below)

@@ -491,29 +491,43 @@ class Cubic(_Changed):
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Periodized(_Changed):
-    """Integrand g(φ(u)) Π φ'(u_i), which is periodic and 0 at the border ([Sidi2006]_).
+    """Integrand c + (g(φ(u)) − c) Π φ'(u_i), which is periodic ([Sidi2006]_).
 
+    At the border, this integrand equals the constant c.
     The substitution φ is the cdf of the beta distribution with both parameters k,
     so φ' ∝ (u(1 − u))^(k − 1).
     If g is smooth, the first k − 2 derivatives of the new integrand agree on opposite faces.
     With shifted lattices the variance is then ∝ n^(−2k), up to powers of log n.
-    If g grows as t^−a toward the border, the new integrand is ∝ t^(k(1 − a) − 1).
+    If g grows as t^−a toward the border, the new integrand is c plus a term ∝ t^(k(1 − a) − 1).
 
     Attributes
     ----------
     order
         The number k. In d dims, a constant g has the variance (∫φ'²)^d − 1 at random points.
         In one dim, ∫φ'² is 1.43 for k = 3, 1.63 for k = 4 and 2.01 for k = 6.
+    about
+        The constant c, (channels or 1,). It is close to the integral,
+        so that a constant added to g hardly changes the variance.
     """
 
     name: ClassVar[str] = "periodized"
     text = "{0.integrand.spec}, periodized to order {0.order}"
     order: int
+    about: Array
 
     @staticmethod
-    def of(estimator: AbstractEstimator, order: int) -> Periodized:
-        """Return the change of the integrand of an estimator that has a single technique."""
-        return Periodized(integrand=_single(estimator), order=order)
+    def of(estimator: AbstractEstimator, order: int, seen: Evaluations | None = None) -> Periodized:
+        """Return the change of the integrand of an estimator that has a single technique.
+
+        The constant c is the mean of evaluations at uniform points.
+        Without evaluations, it is the value of g at the center of the cube.
+        """
+        g = _single(estimator)
+        if seen is not None:
+            return Periodized(integrand=g, order=order, about=seen.values.mean(axis=0))
+        center = g(np.full((1, g.dims), 0.5)).reshape(-1)
+        about = np.where(np.isfinite(center), center, 0.0)
+        return Periodized(integrand=g, order=order, about=about, pilot_evaluations=1)
 
     @property
     def finite_below(self) -> float:
@@ -524,8 +538,10 @@ class Periodized(_Changed):
 
         k = self.order
         x = np.clip(betainc(k, k, u), np.finfo(float).tiny, BELOW_ONE)
-        slopes = (u * (1.0 - u)) ** (k - 1) * np.exp(-betaln(k, k))
-        return np.asarray((self.integrand(x).T * slopes.prod(axis=1)).T)
+        slopes = ((u * (1.0 - u)) ** (k - 1) * np.exp(-betaln(k, k))).prod(axis=1)
+        values = self.integrand(x)
+        apart = values.reshape(len(u), -1) - self.about
+        return np.asarray((self.about + apart * slopes[:, None]).reshape(values.shape))
 
 
 @final

@@ -149,13 +149,13 @@ class ProfileSettings:
     # In more dims, folded lattices are measured, which have the rate −4.
     # Pairs have the rate −5 in 1-D and −3 in 2-D.
     paired_dims: int = 1
-    # Number of sets, and of counts, with which a substitution that makes g periodic is measured.
-    # Both are small, because only large sets show its steep rate.
+    # Number of sets, and of counts, with which lattices are measured if g is smooth and periodic.
+    # Both are small, because only large sets show the steep rate.
     steep_sets: int = 4
     steep_counts: int = 2
-    # For the same reason, such a substitution gets more evaluations than another rival.
+    # For the same reason, such lattices get more evaluations than other rivals.
     steep_weight: int = 3
-    # It is tried if the budget has at least this number of points along each axis.
+    # Least number of points along each axis with which a substitution makes g periodic.
     # With fewer points, folded lattices have less variance (`benchmarks periodized`).
     resolving_points: int = 10
     # Number of points of the sample function of a density that are tested to lie in the unit cube.
@@ -175,8 +175,6 @@ _GAINED = {
     "interior-jump",
     "axis-parallel-jump",
 }
-# Weights of the shares of rivals in the evaluations
-_WEIGHTS = {"periodized": _SETTINGS.steep_weight}
 _JUMPS = {"interior-jump", "axis-parallel-jump"}
 # Exponent e for each cause.
 # In theory, variances fall as n^(−1 − e/d) with strata, and as n^(−1 − e) with nets
@@ -891,7 +889,12 @@ def _rivals(evidence: Evidence, causes: Sequence[Cause], points: int) -> dict[st
     at_border = _shape(causes) in {"border-growth", "infinite-variance"}
     if (smooth or at_border) and len(estimator.counts) == 1 and not estimator.channels:
         nets, exponent = Setup(estimator, as_sampler(NETS, dims)), _growth(causes)
-        search = Budget(points, CAUSE_SETTINGS.nets, Stream.from_rng(0))
+        pooled = (
+            each[0].reshape(len(evidence.sets.pooled), -1)
+            for each in (evidence.sets.points, evidence.sets.values)
+        )
+        seen = Evaluations.of(*pooled)
+        search = Budget(points, CAUSE_SETTINGS.nets, Stream.from_rng(0), seen=seen)
         made = candidates_of(nets, ["periodized"], search)
         if points >= _SETTINGS.resolving_points**dims:
             found |= {
@@ -924,8 +927,10 @@ def _measured(
     setup, counts = Setup(estimator, sampler), list[int]()
     while sets > least and affordable_count(setup, evaluations // (2 * sets)) is None:
         sets -= 1
-    for k in range(_SETTINGS.steep_counts if few else _SETTINGS.counts):
-        n = affordable_count(setup, evaluations // (sets << k + 1))
+    steps = _SETTINGS.steep_counts if few else _SETTINGS.counts
+    first = evaluations / (2.0 - 2.0 ** (1 - steps)) / sets  # All counts sum to all evaluations
+    for k in range(steps):
+        n = affordable_count(setup, int(first / 2**k))
         if n is not None and n not in counts:
             counts.append(n)
     if not counts:
@@ -994,8 +999,10 @@ def _measured_rivals(
     curves, not_tried, calls = dict[str, Curve](), list[str](), 0
     jumps, least = _shape(causes) in _JUMPS, 2 * _SETTINGS.lattice_sets * _SETTINGS.least_checked
     enough = _is_smooth(causes) or left >= least
-    weights = {name: _WEIGHTS.get(each.kind, 1) for name, each in rivals.items()}
+    # Without kinks, lattices have steep rates if g is periodic, also after a substitution
     steep = {name for name, each in rivals.items() if each.kind == "periodized"}
+    steep |= {LATTICE} if _is_smooth(causes) else set()
+    weights = {name: _SETTINGS.steep_weight if name in steep else 1 for name in rivals}
     for place, (name, rival) in enumerate(rivals.items()):
         setup, lattice = rival.setup, name != _PAIRS
         share = (left - calls) * weights[name] // sum(list(weights.values())[place:])
