@@ -376,13 +376,17 @@ def test_the_recommended_change_keeps_the_integral_and_lowers_the_variance(name)
     assert float(changed["variance"][0]) < float(given["variance"][0])
 
 
-@pytest.mark.parametrize(("exponent", "helps"), [(0.6, True), (0.7, False)])
-def test_only_densities_that_make_the_variance_finite_are_recommended(exponent, helps):
+@pytest.mark.parametrize(("exponent", "helps"), [(0.6, True), (0.7, True), (0.9, False)])
+def test_only_changes_that_make_the_variance_finite_are_recommended(exponent, helps):
     found = mcs.profile(lambda x: inner(x[..., 0]) ** -exponent, dims=1)
     assert found.answer.changes == helps
     if found.answer.changes:
-        spread = np.linalg.norm(found.answer.best.estimator.integrand.density.matrix, 2)
-        assert 2 * exponent - (1 - spread**-2) < 1  # ∫g²/q is finite for q ∝ u^(1/s² − 1)
+        # The variance is finite if twice the exponent of the changed g is below 1
+        changed = found.answer.best.estimator.integrand
+        assert exponent < changed.finite_below
+        u = np.array([[1e-8], [1e-6]])
+        low, high = np.abs(changed(u) - changed.about)
+        assert np.log(high / low) / np.log(1e2) > -0.5
     else:
         assert str(found.answer).startswith("No tested change helps")
 
@@ -408,12 +412,25 @@ def bend(x):
     return np.tanh(6.0 * (x[..., 0] - 0.4))
 
 
+def bends(x):
+    """Return two equal channels, which exclude changes of the estimator."""
+    return np.stack([bend(x)] * 2, axis=-1)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_periodic_substitution_is_recommended_in_one_dim(seed):
+    best = mcs.profile(bend, dims=1, budget=1024, rng=seed).answer.best
+    assert best.name == "periodized"
+    low, high = best.rmse_ci
+    assert low <= _error_of(best) <= high
+
+
 def test_pairs_in_strata_are_recommended_for_smooth_g_with_a_correct_rmse():
-    f = mcs.Integrand.from_function(bend, dims=1, integral=0.3)
+    f = mcs.Integrand.from_function(bends, dims=1, integral=np.array([0.3, 0.3]))
     for seed in range(2):
         best = mcs.profile(f, budget=4096, rng=seed).answer.best
         assert best.name == "antithetic-jittered"
-        measured = mcs.convergence(f, best.sampler, [4096], realizations=100, rng=seed)
+        measured = mcs.convergence(bend, best.sampler, [4096], realizations=100, rng=seed)
         # The rate becomes steeper over seven octaves, so the lower end is 0
         low, high = best.rmse_ci
         assert low <= math.sqrt(float(measured["variance"][0])) <= high < 1e-5, seed
@@ -421,7 +438,8 @@ def test_pairs_in_strata_are_recommended_for_smooth_g_with_a_correct_rmse():
 
 
 def test_the_recommended_count_can_be_drawn():
-    found = mcs.profile(bend, dims=1, budget=5001)
+    f = mcs.Integrand.from_function(bends, dims=1, integral=np.array([0.3, 0.3]))
+    found = mcs.profile(f, budget=5001)
     best = found.answer.best
     n = int(re.search(r"with n = ([\d,]+)", best.change)[1].replace(",", ""))
     assert n == best.n <= 5001
@@ -714,7 +732,7 @@ def test_an_offset_does_not_change_the_answer(offset):
         return offset + np.exp(-0.5 * ((x - 0.4) ** 2).sum(-1) / 0.15**2)
 
     found = mcs.profile(bump, dims=2)
-    assert found.answer.best.name == "sobol | owen"
+    assert found.answer.best.name in {"sobol | owen", "periodized"}
     # The best of all may be a regression without the offset, which rounding hides with it
     alone = mcs.profile(lambda x: bump(x) - offset, dims=2)
     nets = [each.samplers["sobol | owen"].at(4096)[0] for each in (found, alone)]
@@ -869,15 +887,15 @@ def _error_of(result, realizations=60):
 
 
 def test_an_uncertain_improvement_is_reported_as_runner_up():
-    """A lattice has 1/20 of the error of nets here, but few evaluations cannot prove it."""
+    """Periodized, g has 1/20 of the error of nets here, but few evaluations cannot prove it."""
     found = mcs.profile(
         lambda x: np.exp(-50.0 * ((x - 0.3) ** 2).sum(axis=-1)), dims=2, sampler="sobol | owen"
     )
     answer = found.answer
     assert not answer.changes
-    assert answer.runner_up.name == "rank1-lattice | shift"
+    assert answer.runner_up.name == "periodized"
     assert answer.runner_up.verdict == "undecided"
-    assert " With rank1-lattice | shift the RMSE may be " in str(answer)
+    assert " With periodized the RMSE may be " in str(answer)
     assert answer.runner_up in answer.results
 
 

@@ -154,7 +154,7 @@ class ProfileSettings:
     steep_sets: int = 4
     steep_counts: int = 2
     # For the same reason, such lattices get more evaluations than other rivals.
-    steep_weight: int = 3
+    steep_weight: int = 2
     # Least number of points along each axis with which a substitution makes g periodic.
     # With fewer points, folded lattices have less variance (`benchmarks periodized`).
     resolving_points: int = 10
@@ -675,7 +675,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     causes = causes_of(evidence)
     offers = _offers(evidence, causes, budget, stream.child(98))
     # Measure set-ups that may have less variance than nets.
-    # Together they get half of the remaining evaluations.
+    # They get equal shares of the remaining evaluations, and so does a change of the estimator.
     # If a change removes a jump, they get all evaluations that this change does not need
     rivals, left = _rivals(evidence, causes, points), budget - calls
     rivals.pop(given.spec, None)
@@ -684,7 +684,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         paid = ((offer, *_paid(offer, left, last=offer is offers[-1])) for offer in offers)
         left -= next((n * sets * offer.setup.cost for offer, n, sets in paid if n), 0)
     elif any(_SETTINGS.least_checked * o.setup.cost * nets <= left // 2 for o in offers):
-        left //= 2
+        left -= left // (1 + max(len(rivals), 1))
     measured, reasons, cost = _measured_rivals(rivals, left, causes, stream)
     calls += cost
     not_tried += reasons
@@ -873,36 +873,32 @@ def _rivals(evidence: Evidence, causes: Sequence[Cause], points: int) -> dict[st
     If g is smooth inside the cube, a substitution makes it periodic [Sidi2006]_.
     """
     estimator, smooth = evidence.estimator, _is_smooth(causes)
-    dims, names = estimator.dims, list[str]()
+    dims, found = estimator.dims, dict[str, Candidate]()
+    # Substitute if g is smooth inside and the points resolve the steep substitution
     grows = any(cause.name in {"border-growth", "infinite-variance"} for cause in causes)
+    inside = smooth or _shape(causes) in {"border-growth", "infinite-variance"}
+    one = len(estimator.counts) == 1 and not estimator.channels
+    if inside and one and points >= _SETTINGS.resolving_points**dims:
+        nets, sets = Setup(estimator, as_sampler(NETS, dims)), evidence.sets
+        seen = Evaluations.of(sets.points[0].reshape(-1, dims), sets.values[0].ravel())
+        search = Budget(points, CAUSE_SETTINGS.nets, Stream.from_rng(0), seen=seen)
+        for made in candidates_of(nets, ["periodized"], search):
+            if isinstance(made, Candidate) and made.finite_below > _growth(causes):
+                found[made.name] = made
+    # Choose samplers
+    names = list[str]()
     if not grows and (smooth or _shape(causes) in _GAINED):
         if evidence.is_periodic:
             names = [LATTICE, _FOLDED] if smooth else [LATTICE]
         elif dims > _SETTINGS.paired_dims:
             names = [_FOLDED]
-        elif smooth:
+        elif smooth and not found:
             names = [_PAIRS]
-    found = {
+    samplers = {
         name: Candidate("sampler", name, f"use {name}", Setup(estimator, as_sampler(name, dims)))
         for name in names
     }
-    at_border = _shape(causes) in {"border-growth", "infinite-variance"}
-    if (smooth or at_border) and len(estimator.counts) == 1 and not estimator.channels:
-        nets, exponent = Setup(estimator, as_sampler(NETS, dims)), _growth(causes)
-        pooled = (
-            each[0].reshape(len(evidence.sets.pooled), -1)
-            for each in (evidence.sets.points, evidence.sets.values)
-        )
-        seen = Evaluations.of(*pooled)
-        search = Budget(points, CAUSE_SETTINGS.nets, Stream.from_rng(0), seen=seen)
-        made = candidates_of(nets, ["periodized"], search)
-        if points >= _SETTINGS.resolving_points**dims:
-            found |= {
-                each.name: each
-                for each in made
-                if isinstance(each, Candidate) and each.finite_below > exponent
-            }
-    return found
+    return samplers | found
 
 
 def _measured(
