@@ -1,25 +1,75 @@
 """The numba decorator of all kernels, with one choice of compiler flags.
 
-With `nogil`, a thread pool can run kernels in parallel. `cache` stores compiled code between runs.
-Kernels use neither numba's parallel loops (`parallel=True`) nor its cached `guvectorize`.
-Both have race conditions with several worker processes (numba issues 4807, 10128).
+`nogil` lets a thread pool run kernels in parallel; `cache` keeps compiled code between runs.
+Kernels use neither `parallel=True` nor cached `guvectorize`.
+Both options have open race conditions under worker processes (numba issues 4807, 10128).
+If several processes need the same kernel, one compiles it, and the others wait for its code.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
-from collections.abc import Callable
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
+from numba.core.compiler_lock import global_compiler_lock
 
 __all__ = ["kernel"]
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+
+_LONGEST_WAIT = 60.0  # seconds; the slowest kernel compiles in 15 s on a busy machine
+_STEP = 0.02  # seconds between two attempts to get the lock
 
 
 def kernel(function: Function) -> Function:
     """Compile a function with numba, without the GIL. ``MCSPECTRA_NUMBA_CACHE=0``: no cache."""
     cache = os.environ.get("MCSPECTRA_NUMBA_CACHE", "1") != "0"
     compiled: Any = numba.njit(nogil=True, cache=cache)(function)
+    if cache:
+        compile_now = compiled.compile
+
+        def compile_once(signature: Any) -> Any:
+            # Take numba's lock first, as nested kernels do, so that threads do not block each other
+            with global_compiler_lock, _locked(f"{function.__module__}.{function.__name__}"):
+                return compile_now(signature)  # which loads the code if another process stored it
+
+        compiled.compile = compile_once
     return compiled  # type: ignore[no-any-return]
+
+
+@contextlib.contextmanager
+def _locked(name: str) -> Iterator[None]:
+    """Hold a lock that excludes other processes, if the platform has one; a lost lock is harmless.
+
+    Nested kernels are locked in the order of their calls, which has no circle.
+    After the longest wait, for example for a stopped process, the lock is not needed any more.
+    """
+    try:
+        import fcntl
+
+        folder = Path(tempfile.gettempdir()) / f"mcspectra-kernels-{os.getuid()}"
+        folder.mkdir(mode=0o700, exist_ok=True)
+        file = (folder / name).open("w")
+    except (ImportError, OSError):
+        yield
+        return
+    with file:
+        end = time.monotonic() + _LONGEST_WAIT
+        while True:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                if time.monotonic() > end:
+                    break
+                time.sleep(_STEP)
+            except OSError:
+                break
+            else:
+                break
+        yield
