@@ -136,7 +136,10 @@ _CLASSES = {
 @final
 @dataclass(frozen=True)
 class VarianceShare:
-    """Share of the variance that is due to one kind of decision of a random path."""
+    """Share of the variance that is due to one decision of a random path.
+
+    Interactions of several decisions count for the last of these decisions.
+    """
 
     decision: str
     share: float
