@@ -171,8 +171,8 @@ class LimitSettings:
         Largest difference between local slopes in the octaves at the end of a curve.
         Values from 0.2 to 0.4 give the same results. With 0.1, one limit of 64 is not found.
     leaves
-        A theoretical exponent is excluded if two conditions hold.
-        The slopes move away from the exponent, and `leaves` is less than their last difference.
+        Largest difference between the last slope and a theoretical exponent.
+        If the slopes move away from the exponent and the difference is larger, it is not the limit.
         Values from 0.025 to 0.1 give the same results.
     still
         Largest change of three slopes that count as constant.

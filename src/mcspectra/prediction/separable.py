@@ -52,8 +52,7 @@ class PiecewiseSettings:
     # Halving or doubling this value gives the same results.
     order: int = 16
     pieces: int = 32
-    # A piece is settled if its last coefficients are smaller than its largest coefficient
-    # by this factor.
+    # A piece is settled if its last coefficients, divided by its largest one, are below this.
     # Halving or doubling this value gives the same results.
     settled: float = 1e-11
     # A piece that adds less than this fraction to ∫h² counts as settled.
@@ -102,8 +101,8 @@ class PiecewiseSettings:
     # Relative rounding error of g in the test of a sum or product.
     # Halving or doubling this value gives the same results.
     same: float = 1e-7
-    # A product may have a constant c = g(x) if g has this value at many probe points.
-    # `common` is the fraction of the points that must be exceeded.
+    # In the test of a product plus a constant c, c is a value that g has at many probe points.
+    # The fraction of probe points with this value must exceed `common`.
     # An example is the value 0 of an indicator function.
     # Halving or doubling this value gives the same results.
     common: float = 0.1

@@ -821,7 +821,8 @@ def pairs_of(law: Law, stream: Stream) -> tuple[_Pairs, Array, Array]:
     """Return how pairs of points are compared, the points' digits, and indices of some points.
 
     The digits have shape (sets, n, d, digits).
-    Some points suffice: the pairs of these points with all points represent all pairs.
+    Only pairs that contain one of these points are needed.
+    They have the same distribution as all pairs of points.
 
     Raises
     ------

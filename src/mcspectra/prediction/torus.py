@@ -694,8 +694,8 @@ def _drawn(
     lawful = isotropic and len(np.unique(np.rint(length[inside] ** 2 * n))) >= _DRAWN.least_lengths
     core = replace(low, energy=np.where(inside, low.energy, 0.0) if lawful else 0.0 * low.energy)
     sums, low_sum, count = [np.zeros(r.shape) for r in regions], np.zeros(low.shape), 0
-    # Contributions to the variance: of low frequencies with a smooth law, of other low
-    # frequencies, and of all other frequencies
+    # Three contributions to the variance: of low frequencies whose power a smooth law describes,
+    # of the remaining low frequencies, and of all higher frequencies
     values: tuple[list[Array], ...] = ([], [], [])
     while True:
         for x in (

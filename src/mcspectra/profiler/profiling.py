@@ -1263,7 +1263,7 @@ def _improved(
             curve = replace(curve, rate=max(curve.rate, _SETTINGS.steepest_rate))
         (ours, ours_se), (other, other_se) = curve.at(n), base.at(cost)
         # Extrapolate the variance of the change in two ways, and take the geometric mean.
-        # One way keeps the rate of the change, the other keeps the gain over the given estimator.
+        # One uses the rate of the change, the other its gain over the best unchanged estimator.
         # Half of the difference of the two extrapolations is an additional error
         points_at_budget = budget // estimator.evaluations_per_point
         (value, error), at_best = curve.at(at_budget), base.at(points_at_budget)[0]

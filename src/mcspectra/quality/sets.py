@@ -303,8 +303,8 @@ def _diaphony_sum(x: Array) -> float:
     n, dims = x.shape
     total = 0.0
     for i in range(n):
-        # Sum over the pairs of each point first, because a single sum of n² terms would
-        # accumulate more rounding errors
+        # Sum over the pairs of each point first.
+        # A single sum of n² terms would accumulate more rounding errors
         row = 0.0
         for j in range(i):
             product = 1.0

@@ -364,8 +364,8 @@ def filtered_of(
         frames = float(np.clip(times / max((fade * relative**2).sum(), 1e-12), 1.0, times))
         least[k] = noise[k] / max(mean[0], 1e-300) ** 2 / ((count - 1) * frames)
         if rest > 0 and times > 1:
-            # At lags longer than the sequence, assume correlations no larger than at the last
-            # quarter of the lags
+            # The correlations at lags longer than the sequence are unknown.
+            # Assume that they do not exceed the correlations at the longest quarter of known lags
             late = own[:, 3 * times // 4 :].mean(axis=1)
             most = float(late.mean()) + student_t(count) * float(late.std(ddof=1)) / count**0.5
             more[k] = scale * rest * max(most, 0.0)

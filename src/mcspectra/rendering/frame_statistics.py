@@ -729,8 +729,8 @@ def _group(
     alike = max(1.0, float((every**2).sum()) / (1.0 + 1.0 / independent))
     near, repeat, repeated = _lags(every, alike / (varied.sum() * independent))
     pair, relation = _related(sample.reshape(count, -1), alike * times / frames_per)
-    # Count pixels with an outlier above twice their mean, and compute the expected number
-    # of such pixels for normal noise
+    # Count pixels with an outlier above twice the pixel's mean.
+    # Also compute the expected number of such pixels for normal noise
     limit = _grubbs(len(files))
     outliers = (share > limit) & (above > np.maximum(moments.mean, below))
     expected = _OUTLIER / 2 * int((limit * pooled.m2[varied] > moments.mean[varied] ** 2).sum())
@@ -1048,8 +1048,8 @@ def _compared(
     with np.errstate(invalid="ignore", divide="ignore"):
         variances = a.moments.variance / b.moments.variance / scale
     first, second = a.picture_relative_se, b.picture_relative_se
-    # If errors of paired frames have the correlation ρ, the errors of the two variances have
-    # the correlation ρ²
+    # Let ρ be the correlation of the errors of paired frames.
+    # The errors of the two variances then have the correlation ρ²
     shared = 0.0 if pairs is None else 2.0 * relation**2 * first * second
     error = math.sqrt(max(first**2 + second**2 - shared, 0.0) + (step * rate_se) ** 2)
     level = math.log(a.picture_variance / b.picture_variance / scale)

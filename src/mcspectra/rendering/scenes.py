@@ -466,8 +466,8 @@ def _built(request: str | Path | DictScene, _state: Hashable = None) -> Any:
     if found is None:
         return scene
     part, reason = found[0], mitsuba_reason(found[1])
-    # Delete the scene. As long as its materials exist, Dr.Jit also records the code of these
-    # materials when it renders another scene
+    # Delete the scene with its materials.
+    # Otherwise Dr.Jit also runs the code of these materials when it records other scenes
     del scene, found
     gc.collect()
     raise ParameterError(
