@@ -73,9 +73,9 @@ class DecaySettings:
         With four, a Gaussian of width 0.1 appears to decay like |m|^-12 instead of |m|^-5.
     least_shells
         Least number of shells of half an octave in a fit. Fewer shells leave no scatter.
-        The limit matters only if rounding noise hides most of the shells.
+        A spectrum has fewer shells only if rounding noise hides most of them.
     bend
-        Largest change of the exponent over these octaves.
+        Largest change of the exponent of |m| over the octaves of a fit.
         A fit with a larger change is reported as not settled.
         For test functions with jumps and kinks, the exponent changes by at most 0.9.
         The change is 8.6 for a Gaussian of width 0.1, whose kink at the border is still hidden.
@@ -107,7 +107,8 @@ class JumpSettings:
     Attributes
     ----------
     dims
-        Largest number of dims of the search. In more dims, boxes are not cut at jumps either.
+        Largest number of dims in which jumps are searched.
+        In more dims, no jumps are found, and boxes are not cut at jumps.
     lines, places
         Number of lines along each axis, and of points on each line.
         The search takes 16,384 evaluations per axis.
@@ -128,7 +129,8 @@ class JumpSettings:
         Values from 1e-9 to 1e-5 give the same results.
     least
         Smallest step that counts as a jump, relative to the root mean square of g.
-        A jump of 1e-4 adds 1e-8 of the variance of random points. No feasible count resolves this.
+        A jump of 1e-4 adds a variance 1e-8 times as large as the variance of random points.
+        No feasible number of points measures such a small variance.
         Values from 1e-6 to 1e-2 give the same results.
     border
         A jump closer to the border of a stratum than this does not cut the stratum.
@@ -150,7 +152,7 @@ class JumpSettings:
 @final
 @dataclass(frozen=True, kw_only=True)
 class LimitSettings:
-    """Settings for the limit of the slopes of a predicted curve, and for its bend.
+    """Settings to find the limit of the slope of a predicted curve, and the bend of the curve.
 
     "The same results" means that limits and bends of 64 predicted curves did not change.
     The curves are for 8 samplers and 8 integrands in 1 to 3 dims, at n = 16 to 1024.
@@ -162,15 +164,15 @@ class LimitSettings:
         Values from 2 to 4 give the same results.
         With 8 octaves the limits of 4 curves of scrambled nets, which bend late, are not found.
     near
-        A theoretical exponent closer to the slope than this is the limit.
-        This difference is limited to 0.4/d, because theoretical exponents are 1/d apart.
+        The limit is a theoretical exponent that differs from the slope by less than this number.
+        The difference is limited to 0.4/d, because theoretical exponents are 1/d apart.
         Values from 0.1 to 0.4 give the same results.
     agree
-        Largest difference of the local slopes within these octaves.
+        Largest difference between local slopes in the octaves at the end of a curve.
         Values from 0.2 to 0.4 give the same results. With 0.1, one limit of 64 is not found.
     leaves
-        Two conditions exclude a theoretical exponent: the slopes move away from it,
-        and the last slope differs from it by more than this number.
+        Largest difference between the last slope and a theoretical exponent.
+        If the slopes move away from the exponent and the difference is larger, it is not the limit.
         Values from 0.025 to 0.1 give the same results.
     still
         Largest change of three slopes that count as constant.
@@ -178,7 +180,7 @@ class LimitSettings:
         An example is −1 − (1 − 2a)/d next to a pole t^-a.
         Values from 0.005 to 0.02 give the same results.
     change
-        Difference between the first slope and the limit above which a curve may bend.
+        A curve may bend if its first slope differs from its limit by more than this number.
         Values from 0.15 to 0.3 give the same results.
     most_change
         Largest candidate change of the exponent at a bend. Exponents lie between −1 and −5.
@@ -239,8 +241,8 @@ def predicted_rate(b: float, decay: float | str, dims: int) -> float:
     -----
     The formula holds for homogeneous (randomly shifted) sets.
     The power spectrum of homogeneous sets determines the variance.
-    For jittered sets without shift, the border is not a jump of a smooth function.
-    Use ``"smooth"`` for these sets.
+    Without a shift, jittered sets do not wrap around the torus.
+    A smooth function then has no jump at the border, so use ``"smooth"`` for jittered sets.
 
     Examples
     --------
@@ -267,8 +269,8 @@ class Slowest:
     exponent
         Lower bound of the limit. It is −∞ if nothing is known.
     sure
-        Whether the lower bound is the limit of any curve that falls at least as fast.
-        If false, the last slopes must also agree.
+        If true, a curve that falls at least as fast as n^exponent has this exponent as its limit.
+        If false, the last slopes of the curve must also agree with each other.
     """
 
     exponent: float = -math.inf
@@ -278,13 +280,13 @@ class Slowest:
 def slowest_of_jumps(g: Integrand, laws: Sequence[Law], settings: JumpSettings = _JUMPS) -> Slowest:
     """Return the rate that jumps of g impose on stratified sets, lattices and nets.
 
-    `laws` are the laws of the sets at several n.
+    `laws` are the laws of one sampler at several numbers n of points.
     A jump along a curve cuts n^(1 − 1/d) strata with equal contributions. This gives −1 − 1/d.
     A jump across an axis cuts one of n strata. Sets with stratified projections have the rate −2.
-    A jump at a stratum border at all counts cuts no stratum.
+    A jump cuts no stratum if it lies at a border of strata for all n.
     On the torus, g may also jump at the border of the cube.
     Lattices resolve jumps along straight lines as well as jumps across axes.
-    For disks, lattices reach −1 − 1/d only in the mean over n.
+    For disks, the variance of a lattice oscillates, and only its mean over n has rate −1 − 1/d.
     """
     d, law = g.dims, laws[-1]
     curves = -1.0 - 1.0 / d
@@ -428,7 +430,7 @@ def rates_of(
     end = line_fit(x[-late:], y[-late:], np.ones(late)).slope
     steps = np.diff(y) / np.diff(x)
     near_enough, log = min(settings.near, 0.4 / dims), (dims - 1) / x[-late:].mean()
-    corners = slowest.exponent == -2.0 and dims in (2, 3)  # Jumps across axes meet
+    corners = slowest.exponent == -2.0 and dims in (2, 3)  # Jumps across two axes meet at corners
     if end <= slowest.exponent + near_enough + corners * log and slowest.sure:
         limit = slowest.exponent
     elif len(x) > 2 and np.ptp(steps[1 - late :]) <= settings.agree:
@@ -479,9 +481,10 @@ class DecayFit:
         The exponent γ and its 95 % interval.
         The exponent and its interval are infinite if the coefficients are rounding noise.
         The interval accounts for the scatter about a power law.
-        The interval does not account for a different power law beyond the half width.
+        The interval is wrong if frequencies beyond the half width follow another power law.
     bend
-        Change of the local exponent from the first shell of the fit to the last, by a parabola.
+        Change of the local exponent from the first to the last shell of the fit.
+        The local exponent is the slope of a fitted parabola.
     half_width
         Shells up to |m| = K are fitted, where K is this value.
     """

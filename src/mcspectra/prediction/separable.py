@@ -1,4 +1,4 @@
-"""Integrands that are sums or products of functions of one axis, with these functions as curves.
+"""Integrands that are sums or products of functions of one axis, stored as curves.
 
 For g = c + Σ_i h_i(x_i) and g = c + Π_i h_i(x_i) only one-dimensional integrals remain.
 These integrals are accurate at jumps of g, and at poles that no rule in several dims resolves.
@@ -52,7 +52,7 @@ class PiecewiseSettings:
     # Halving or doubling this value gives the same results.
     order: int = 16
     pieces: int = 32
-    # A piece is settled if the ratio of its last coefficients to its largest one is below this.
+    # A piece is settled if its last coefficients, divided by its largest one, are below this.
     # Halving or doubling this value gives the same results.
     settled: float = 1e-11
     # A piece that adds less than this fraction to ∫h² counts as settled.
@@ -73,9 +73,9 @@ class PiecewiseSettings:
     # Halving or doubling this value gives the same results.
     least: float = 2.0**-50
     least_at_0: float = 2.0**-64
-    # The exponent of a pole is fitted at the distances 2^-k, for the k given here.
+    # Values of k. The exponent of a pole is fitted to values of g at the distances 2^-k.
     # The list `near_0` is for a pole at 0, the list `inside` for all other poles.
-    # The power law begins at the last distance.
+    # At distances below the smallest 2^-k, the fitted power law replaces the polynomials.
     # If each k changes by 5, the variance of a sum with poles changes by less than 1e-6.
     near_0: tuple[int, ...] = (40, 45, 50, 55, 60)
     inside: tuple[int, ...] = (20, 23, 26, 29, 32)
@@ -89,10 +89,10 @@ class PiecewiseSettings:
     # The change is relative to the value of the function.
     # Halving or doubling this value gives the same results.
     step: float = 1e-6
-    # Pieces within this distance of a pole, on the side without a power law, belong to the pole.
+    # If g follows no power law on one side of a pole, pieces there end at this distance from it.
     # Halving or doubling this value gives the same results.
     gap: float = 2.0**-40
-    # Number of probe points among which the largest value of a product is sought.
+    # Number of probe points at which g is evaluated to find the largest value of a product.
     # Halving or doubling this value gives the same results.
     candidates: int = 2**10
     # Number of points in the first test, and number of points with large values.
@@ -101,7 +101,8 @@ class PiecewiseSettings:
     # Relative rounding error of g in the test of a sum or product.
     # Halving or doubling this value gives the same results.
     same: float = 1e-7
-    # A value that g has at more than this fraction of the points is the constant c of a product.
+    # In the test of a product plus a constant c, c is a value that g has at many probe points.
+    # The fraction of probe points with this value must exceed `common`.
     # An example is the value 0 of an indicator function.
     # Halving or doubling this value gives the same results.
     common: float = 0.1
@@ -281,7 +282,8 @@ class PiecewiseCurve:
                 logs = _SETTINGS.near_0 if place == 0.0 else _SETTINGS.inside
                 at = place + way * 0.5 ** np.array(logs, float)
                 distance = np.abs(at - place)
-                # If distances t have a constant ratio, so have the differences of A t^-a + B
+                # At distances t with a constant ratio, take differences of the values A t^-a + B.
+                # Successive differences also have a constant ratio, which gives the exponent a
                 with np.errstate(all="ignore"):
                     value = np.asarray(function(at), float)
                     steps = np.diff(value)
@@ -403,7 +405,7 @@ def separated(g: Integrand) -> tuple[Separable, ...] | None:
     if cache.separable is None:
         found = None
         if not g.costly:
-            with contextlib.suppress(ParameterError):  # A line may contain a pole
+            with contextlib.suppress(ParameterError):  # g is infinite on lines through a pole
                 found = [_separated(g, c) for c in range(max(1, g.channels))]
         whole = found is not None and all(each is not None for each in found)
         cache.separable = tuple(found) if whole and found is not None else ()

@@ -1,4 +1,4 @@
-"""Predictions in many dims, from single axes, sums of products, and the law of pairs of points.
+"""Predictions of variances in many dims, by functions of single axes and sums of products.
 
 Method
 ------
@@ -32,10 +32,12 @@ All quantities come from values of g at points of this module:
 * The energy of g minus the fit, at the points of another net.
 * ∫g² with Student's t.
 
-The part g_i of axis i is taken from the fit, plus the mean deviation of the profiles from the fit.
+The function g_i of axis i is the mean over profiles.
+It is computed as the function of the fit, plus the mean difference between profiles and the fit.
 
 Strata of a grid need no fit: Var = E (g(x) − g(x'))² / 2n with x and x' in the same stratum.
-In Latin hypercubes all pairs have one law: their strata differ on each axis [Stein1987]_.
+In Latin hypercubes, the two points of any pair lie in different strata on each axis [Stein1987]_.
+All pairs therefore have the same distribution.
 """
 
 from __future__ import annotations
@@ -111,7 +113,7 @@ class SubsetSettings:
     ----------
     few_dims
         Largest number of dims in which quadrature computes ∫g² better than nets.
-        In so few dims a small number of products suffices.
+        In so few dims, the fit of g needs only a small number of products.
     replicates, replicate
         Number of scrambled nets for ∫g², and number of their points.
         Halving or doubling either value changes smooth cases by less than 0.005 %.
@@ -132,7 +134,8 @@ class SubsetSettings:
         Number of replicates to which products are fitted. One further replicate tests the fit.
         Halving or doubling this number changes only the result for the ball.
     basis, negligible
-        Largest number of basis functions of an axis, and part of the energy that is neglected.
+        Largest number of basis functions of an axis, and least energy of a basis function.
+        The energy is a fraction of the energy of all profiles of the axis.
         Halving or doubling either value changes only the result for the ball.
     rank, few_rank
         Largest number of products in many dims, and in at most `few_dims` dims.
@@ -156,7 +159,8 @@ class SubsetSettings:
         Halving or doubling this value gives the same results.
     stands_out
         A profile jumps where its step is this many times as large as the neighboring steps.
-        A profile has a kink where its slope changes this many times as much as at nodes nearby.
+        A profile has a kink at a node if its slope changes far more there than at nearby nodes.
+        The ratio of these changes must exceed this number.
         Halving or doubling this value changes only the result for the ball.
     halvings
         Number of bisections of a jump. They reduce steps of 1/128 to 2^-47.
@@ -169,7 +173,7 @@ class SubsetSettings:
         Least change of the slope at a kink, as a fraction of the largest slope.
         Halving or doubling this value changes variances by less than 0.005 %.
     cells
-        Number of cells along an axis for the energy of the fit.
+        Number of cells into which an axis is divided to compute the energy of the fit.
         The means of smooth pieces over these cells are exact.
         Values from 2^11 to 2^13 give the same results.
     fine, finest
@@ -178,24 +182,27 @@ class SubsetSettings:
         For Latin hypercubes and lattices only the variance within cells remains.
         Halving or doubling either value changes variances by less than 0.01 %.
     start
-        Spread of the coefficients with which a new product starts. Its constant is 1.
+        Standard deviation of the random coefficients with which the fit of a new product starts.
+        The constant coefficient of each factor starts at 1.
     adds_up
-        If one offset moves all points, the residual of the fit is multiplied by this factor.
+        If all points move by the same offset, the residual of the fit is multiplied by this factor.
         The factor widens only the interval.
         On lattices the contributions of kinks add up. For other sets the factor is 1.
     resolved
         Relative errors of curves between their nodes, for smooth curves and for curves with jumps.
     most_work
-        Largest work: pairs of points, times axes, times the squared number of products; 1.7e10.
+        Largest work, about 1.7e10 operations.
+        The work is the number of pairs of points, times axes, times the squared number of products.
     draws
-        Number of sets that are drawn if sets are random before their shift or scramble.
+        Number of sets that are drawn if a random set is shifted or scrambled.
+        A fixed set is drawn only once.
         The interval includes the spread of the variances over the drawn sets.
     digits
-        Least number of cells into which digits divide an axis.
-        If there are more than this number of points n, digits divide an axis into n cells or more.
+        Least number of cells along an axis. The digits of a point are the digits of its cells.
+        With more points than this number, an axis has at least as many cells as there are points.
     offsets
-        Number of offsets within a stratum over which a uniform offset is averaged.
-        The offsets are at the centers of equal parts.
+        Number of offsets within a stratum. The mean over them replaces a uniformly random offset.
+        The offsets are at the centers of equal parts of the stratum.
         With 8 and 32 offsets, variances differ by 0.2 %. With 4 and 8 offsets they differ by 2 %.
         These changes are for a sum of two jumps, with latin-hypercube | shift at n = 64.
     """
@@ -237,19 +244,19 @@ SUBSET_SETTINGS = SubsetSettings()
 
 
 def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
-    """Predict the variance from single axes, sums of products and the law of pairs of points.
+    """Predict the variance from functions of single axes and sums of products.
 
     Parameters
     ----------
     law
-        Law of independent points, of strata, or of Latin hypercubes.
+        Law of the sampler, for example of independent points, strata or Latin hypercubes.
         Sets that are statistically the same after any translation are also possible.
         So are nested scrambles, linear scrambles, and digital shifts in base 2.
     known
         The integrand, in at least two dims. It takes about 2^20 evaluations.
         The evaluations are made once for all counts and samplers.
     stream
-        Stream for sets that are random before their shift or scramble.
+        Random numbers for samplers that draw a random set and then shift or scramble it.
 
     Returns
     -------
@@ -259,7 +266,7 @@ def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
     Raises
     ------
     NoClosedForm
-        If there is only one dim, or the law of pairs of points is not known.
+        If there is only one dim, or the joint distribution of two points is not known.
     """
     g = known.g
     if g.dims < _LEAST_DIMS:
@@ -292,13 +299,14 @@ def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
         sums = [
             pair_sums(x, rows, mode, pairs.bases[0], first, rest, means, weights) for x in codes
         ]
-        # Each row belongs to a set. Columns are for functions of single axes, and then for products
+        # Each row of `by_set` holds the variances of one set.
+        # The first columns are for functions of single axes, the last column is for products
         by_set = np.array(sums).mean(axis=1) / n
         sets, mean = by_set[:, 0] + by_set[:, -1], by_set.mean(axis=0)
         ones, more = mean[:-1], mean[-1]
         # The variance of g minus the fit is between zero and twice that of white noise.
         # The correlation of this part of g with the fit is at most ±½.
-        # If one offset moves all points, the contributions of this part may add up
+        # If all points move by the same offset, contributions of g minus the fit may add up
         tail = p.residual / n
         together = pairs.kind != "digits" and len(codes) == 1
         half = (SUBSET_SETTINGS.adds_up if together else 1.0) * tail + math.sqrt(
@@ -403,7 +411,7 @@ class _Pairs:
 
     @property
     def leaves_cells(self) -> bool:
-        """Whether sums over axes keep only the variation within intervals of length 1/n."""
+        """Whether sums of functions of one axis vary only within intervals of length 1/n."""
         return self.latin or self.kind != "digits"
 
     def tables(self, parts: AnovaModel) -> tuple[Array, Array, Array, Array]:
@@ -428,7 +436,8 @@ class _Pairs:
             )
             k = 1 if base == TORUS else k
             own = len(main)
-            # Compute the covariances of g_i, (1 + groups, differences), and of all pairs of factors
+            # Compute the covariances of g_i, with shape (1 + groups, differences).
+            # Then compute the covariances of all pairs of factors
             left, right = np.triu_indices(len(factors))
             left, right = (np.concatenate([np.arange(own), own + side]) for side in (left, right))
             of_offsets = []
@@ -482,17 +491,21 @@ def pair_sums(
     means: Array,
     weights: Array,
 ) -> Array:
-    """Sum covariances over all points b with the points a of each row: (rows, variants + 1).
+    """Sum the covariances of some points a with all points b: shape (rows, variants + 1).
+
+    `rows` holds the indices of the points a.
 
     Shapes of the inputs: codes (n, d, digits), rows (rows,), first (d, differences, variants).
     Shapes of the other inputs: rest (d, differences, q), means (d, q), weights (q,).
     Each row begins with Σ_i first_i for every variant, the covariances of single axes.
     The last entry is Σ_q weight Σ_{|v| ≥ 2} Π_{i∈v} rest_i Π_{i∉v} mean_i.
-    Mode 0 counts common digits, mode 1 uses bits that differ, and mode 2 the torus of `cells`.
+    A covariance depends on a number for each axis. The mode states which number this is.
+    Mode 0 counts the common digits of two points. Mode 1 is the exclusive or of their digits.
+    Mode 2 is the difference of their digits modulo `cells`.
     """
     variants, q = first.shape[2], rest.shape[2]
     out = np.zeros((rows.size, variants + 1))
-    # Sums of products over subsets v of no axis, of one axis and of more axes
+    # Sums of products over the empty subset, over subsets of one axis, and over larger subsets
     none, one, more = np.empty(q), np.empty(q), np.empty(q)
     for r in range(rows.size):
         a = codes[rows[r]]
@@ -541,7 +554,10 @@ def _of_strata(sides: tuple[int, ...], at: tuple[float, ...] | None, g: Integran
 
 
 def all_parts(known: Known) -> list[AnovaModel]:
-    """Fit each channel to energies, and to profiles along all axes through the same points."""
+    """Fit a sum of products to each channel of g, and compute the energies of its parts.
+
+    The profiles of all axes pass through the same points.
+    """
     g, d = known.g, known.g.dims
     x = net(d, SUBSET_SETTINGS.replicate, SUBSET_SETTINGS.replicates, 0)
     values = values_at(g, x)
@@ -701,8 +717,9 @@ def _fitted(
             [t[1:] for t in tested], axis=0
         ).sum(0)
         missed = scale**2 * float(((values[-1] / scale - sums) ** 2).mean())
-        # Energy of the fit that its test points do not show also counts as missed.
-        # The same difference for g at these points is sampling error and is subtracted
+        # The energy of the fit may differ from its sample variance at the test points.
+        # This difference also counts as missed energy.
+        # The same difference for g is sampling error and is subtracted
         curves = [w @ c for w, c in zip(weights, cells, strict=True)]  # Rows: sum, products
         averages = np.stack([c.mean(axis=1) for c in curves])
         squares = np.stack([c @ c.T / c.shape[1] for c in curves])
@@ -718,7 +735,7 @@ def _fitted(
         if missed < residual:
             best, residual = weights, missed
 
-    # Functions of single axes: from the fit, plus the deviation of the profiles from the fit
+    # Each function of one axis is that of the fit, plus the mean of the profiles minus the fit
     curves = [w @ b for w, b in zip(best, bases, strict=True)]
     sums, factors = [scale * f[0] for f in curves], [f[1:] for f in curves]
     factors[0] = scale * factors[0]
@@ -741,7 +758,8 @@ def _fitted(
         own = np.prod(np.delete(means, i, axis=0), axis=0) @ factors[i] + sums[i]
         main.append(own + np.concatenate([beside.mean(axis=0)[None], beside]))
 
-    # Energy of several axes: of g without its functions of single axes, minus the part of errors
+    # The energy of interactions is the energy of g minus its functions of single axes.
+    # Errors of these functions add energy, which is subtracted
     at_all = zip(axes, main, np.moveaxis(every, -1, 0), strict=True)
     alone = np.sum([a.at(m[0], t.ravel()).reshape(t.shape) for a, m, t in at_all], axis=0)
     left = ((all_values - alone - (all_values - alone).mean()) ** 2).mean(axis=1)
@@ -766,7 +784,8 @@ def _least_squares(
     curves = [w @ b for w, b in zip(weights, bases, strict=True)]  # (blocks, 1 + products, size)
     last = math.inf
     for _ in range(SUBSET_SETTINGS.sweeps):
-        # For each axis, prepare the product over the later axes. The sweep adds the earlier axes
+        # For each axis, compute the product of the factors of all later axes.
+        # The loop below multiplies this product by the factors of the earlier axes
         after = [np.ones_like(curves[0][:, 1:])]
         for c in curves[:0:-1]:
             after.append(after[-1] * c[:, 1:])
@@ -802,12 +821,13 @@ def pairs_of(law: Law, stream: Stream) -> tuple[_Pairs, Array, Array]:
     """Return how pairs of points are compared, the points' digits, and indices of some points.
 
     The digits have shape (sets, n, d, digits).
-    The pairs of these points with all points have the same distribution as all pairs.
+    Only pairs that contain one of these points are needed.
+    They have the same distribution as all pairs of points.
 
     Raises
     ------
     NoClosedForm
-        If the law of pairs of these points is not known.
+        If the joint distribution of two points of the sampler is not known.
     """
     n, d = law.n, law.dims
     every, one = np.arange(n), np.arange(1)

@@ -105,16 +105,18 @@ class TorusSettings:
         Least number of nodes along each axis, by number of dims.
         Halving or doubling this value changes variances by less than 0.2 %.
     block
-        Number of frequencies in memory whose power has a closed form.
+        Number of frequencies in memory at a time, if the power has a closed form.
         The number has no effect on the result.
     precision
         Relative error of the Fourier transforms, far below the error of the variance.
     shells
-        Number of shells of the box, in steps of √2, whose power tests whether the tail is white.
+        Number of shells of frequencies of the box. Shells grow in steps of √2.
+        The power in these shells tests whether the power outside the box is white.
         The shells begin at an eighth of the half width.
         Halving or doubling this value changes no variance. Errors change by factors of 0.5 to 3.
     vague
-        Error of ∫g² in many dims, relative to the variance, above which this method raises.
+        Largest error of ∫g² in many dims, relative to the variance.
+        If the error is larger, `NoClosedForm` is raised.
         In many dims ∫g² is a mean over 2^20 points. Sums of products compute their own error.
     """
 
@@ -143,7 +145,9 @@ class TorusSettings:
 @final
 @dataclass(frozen=True, kw_only=True)
 class DrawnSettings:
-    """Settings for drawn sets, if power has no closed form, and for the fit of their power law.
+    """Settings for samplers whose power has no closed form and is estimated from drawn sets.
+
+    Some settings are for a smooth law that is fitted to the estimated power.
 
     The changes stated below refer to a smooth function in 2-D with poisson-disk at n = 64.
     The half interval of this case is 3.1 %.
@@ -157,18 +161,20 @@ class DrawnSettings:
     slow, slow_points
         Largest `max_count` of slow samplers, which optimize their points.
         `slow_points` is the total number of points of all sets of a slow sampler.
-        Slow samplers draw half as many first sets, which are cached for other integrands.
+        For slow samplers, the number of sets that are drawn first is `least_sets` / 2.
+        These sets are cached for other integrands.
     precision
         More sets are drawn if the half interval, relative to the variance, exceeds this number.
-        Half this value needs more than `most_sets`. Twice this value changes the variance by 1.9 %.
+        Half this value would need more sets than `most_sets`.
+        Twice this value changes the variance by 1.9 %.
     low
         Half width of the frequencies at which all sets are transformed.
         These frequencies hold the energy of smooth functions.
         Halving or doubling this value changes the variance by less than 0.5 %.
     length, least_lengths
-        Largest |m| n^(-1/d) at which power follows a smooth law of the length |m|.
+        Largest scaled frequency |m| n^(-1/d) at which a smooth function of |m| fits the power.
         `least_lengths` is the least number of different lengths in a fit of the smooth law.
-        The first peak of the power of stochastic sets lies at 1.
+        The power of stochastic sets has its first peak at the scaled frequency 1.
         Halving or doubling either value changes the variance by less than 0.1 %.
     agrees
         The smooth law and the measured power must agree within this number of standard errors.
@@ -179,7 +185,7 @@ class DrawnSettings:
     least_box, box
         Half width of the box for homogeneous sets: least value, and value in units of n^(1/d).
         Halving or doubling this value changes the variance by less than 0.3 %.
-        Half the half width triples the error of the variance.
+        Halving the half width triples the error of the variance.
     """
 
     least_sets: int = 16
@@ -236,7 +242,8 @@ class MovesSettings:
 
     The changes stated below were measured in three cases.
     The sampler rank1-lattice | shift samples a jump along a line.
-    The sampler kronecker | shift samples a ball in 4-D; sobol | digital-shift a smooth function.
+    The sampler kronecker | shift samples a ball in 4-D.
+    The sampler sobol | digital-shift samples a smooth function.
 
     Attributes
     ----------
@@ -248,7 +255,8 @@ class MovesSettings:
     block
         Number of evaluations per call. The number has no effect on the result.
     spreads
-        Number of successive parts of the offsets whose variances give the standard error.
+        Number of parts into which the offsets are divided.
+        The variances of these parts give the standard error.
         With 8 or 32 parts instead of 16, half intervals are 1 to 1.6 times as wide.
     steps
         Number of rounds of lattice reduction. Values from 6 to 24 give the same results.
@@ -294,7 +302,7 @@ class Region:
     energy
         |g_m|², doubled where −m is not in the region: (channels or 1, *grid).
     table
-        The same energies from a coarser table of g, or None if the coefficients are exact.
+        Energies |g_m|² from a coarser table of g, or None if the coefficients are exact.
     near
         Whether this region is also used if the power is estimated from drawn sets.
     """
@@ -533,7 +541,7 @@ def _of_dual(points: Array, known: Known) -> Predicted:
         ratio = np.minimum(last / np.maximum(before, 1e-300), _DUALS.jump)
         return energy.sum(axis=0), last * ratio / (1.0 - ratio)
 
-    # Sum over a box and over strips along the axes, and extrapolate their octaves separately
+    # Sum over a box and over strips along the axes. Extrapolate each of the two sums by octaves
     width = int(0.5 * (_DUALS.frequencies * n) ** (1.0 / dims))
     end = _DUALS.periods * n
     narrow = min(width, int(0.5 * (_DUALS.strip * n / end) ** (1.0 / max(1, dims - 1))))
@@ -565,8 +573,8 @@ def of_moves(law: Law, known: Known, stream: Stream) -> Predicted:
     Linear scrambles also replace nested scrambles, because their pairs of points have the same law.
     The interval comes from the variances of successive parts of the offsets, with Student's t.
 
-    Sampling the pairs E g(u) g(u + x_k) over independent u would need more evaluations.
-    The squared mean over one moved set is an average over all pairs of points.
+    Estimating E g(u) g(u + x_k) for each x_k from independent u would need more evaluations.
+    The squared mean of g over one moved set already averages over all pairs of points.
 
     Raises
     ------
@@ -686,7 +694,8 @@ def _drawn(
     lawful = isotropic and len(np.unique(np.rint(length[inside] ** 2 * n))) >= _DRAWN.least_lengths
     core = replace(low, energy=np.where(inside, low.energy, 0.0) if lawful else 0.0 * low.energy)
     sums, low_sum, count = [np.zeros(r.shape) for r in regions], np.zeros(low.shape), 0
-    # Powers at the low frequencies of the smooth law, at other low frequencies, and at all others
+    # Three contributions to the variance: of low frequencies whose power a smooth law describes,
+    # of the remaining low frequencies, and of all higher frequencies
     values: tuple[list[Array], ...] = ([], [], [])
     while True:
         for x in (

@@ -7,8 +7,8 @@ These nets give the variances of several samplers at once.
 A fifth of the budget goes to lines that detect discontinuities and kinks (`probing`).
 If the nets do not give the variance of the given sampler, a part is spent on this sampler.
 `causes` finds the causes in these evaluations.
-The rest of the budget is used to measure changes that remove the causes, and one more sampler.
-This sampler is a lattice, or antithetic pairs in strata for smooth functions of one dim.
+With the rest of the budget, changes that remove the causes are measured.
+One more sampler is also measured: a lattice, or antithetic pairs for smooth functions of one dim.
 """
 
 from __future__ import annotations
@@ -89,14 +89,16 @@ class ProfileSettings:
     # Points of each net to which changes are fitted; 20 nets take 1280 evaluations.
     # Half and twice this number were tested in 12 profiles of 8192 evaluations.
     # The profiles were of six functions, with two seeds. The advice was the same.
-    # The RMSE after one of the fitted changes differed by a factor of 2.4.
+    # One of the fitted changes gave an RMSE that differed by a factor of 2.4.
     fitted_points: int = 64
-    # Largest ratio of effective draws to all draws at which dependence of draws is a cause.
+    # Dependence of draws is reported as a cause if few of the draws are effective.
+    # The ratio of effective draws to all draws must be below this limit.
     # The upper end of the interval of the ratio must be below this limit as well.
     # At this ratio, standard errors are 20 % larger than for independent draws.
     dependent: float = 0.7
     # Least number of points of each net with which a change of the estimator is measured.
-    # With 8, two of 12 profiles did not measure the preintegration of a jump along an axis.
+    # With 8, two of 12 profiles had too few evaluations to test one change:
+    # the preintegration of a jump along an axis.
     least_checked: int = 4
     # Maximum number of counts at which a sampler is measured.
     # With B evaluations, the counts take B/2, B/4, …, B/32 of them.
@@ -111,27 +113,29 @@ class ProfileSettings:
     # The variance is a sawtooth function of n, because the jump's place in its stratum varies.
     # With 0.25 or 1 the RMSE of 12 profiles changed by 6 % at most.
     teeth_error: float = 0.5
-    # The level of such a sawtooth is the mean over this number of its last counts.
+    # The level of the sawtooth is its mean over this number of the largest counts n.
     # About this level, the log variance has the standard deviation `teeth_scatter`.
     # If a share p of the stratum is on one side of the jump, the variance is ∝ p(1 − p).
     # For a uniform p, its logarithm has the standard deviation √(4 − π²/3) = 0.84.
     teeth: int = 4
     teeth_scatter: float = 0.84
-    # Standard error of the prior assumption that a change of the estimator keeps the rate.
+    # A change of the estimator is first assumed to have the same rate as the estimator.
+    # This number is the standard error of the assumed rate.
     # With 0.2 or 0.8 the RMSE of 12 profiles changed by 8 % at most.
     alike_error: float = 0.4
     # Largest allowed deviation from the mean of the nets, in standard errors.
-    # A change without variance is dropped if its mean deviates by more.
+    # A change whose estimates are all equal is dropped if their mean deviates by more than this.
     # A normal error exceeds 4 standard errors with probability 6e-5.
     off_sigmas: float = 4.0
     # If a net has fewer points than this, the rate of a change is limited to `steepest_rate`.
     # Few points do not show whether a steep rate continues.
-    # Without the limit, the gain at the budget would be exaggerated.
+    # Without the limit, an extrapolation to the whole budget would exaggerate the gain of a change.
     # The advice of 12 profiles was the same for 8 or 32 points, and for rates of −1.5 or −3.
     # The RMSE after one of the changes differed by a factor of up to 1.9 between these values.
     few_points: int = 16
     steepest_rate: float = -2.0
-    # Number of standard errors by which a change must lower the log variance at the budget.
+    # A change must lower the log variance by at least this number of standard errors.
+    # The variance is that of an estimate that takes the whole budget.
     # The number is used if g grows at the border or has a heavy tail.
     # The number was tested in 112 profiles with 4096 evaluations each.
     # The profiles were of seven such functions, with two samplers and eight seeds.
@@ -158,7 +162,7 @@ class ProfileSettings:
     # Least number of points along each axis with which a substitution makes g periodic.
     # With fewer points, folded lattices have less variance (`benchmarks periodized`).
     resolving_points: int = 10
-    # Number of points of the sample function of a density that are tested to lie in the unit cube.
+    # Number of points that are drawn from a density to test whether they lie in the unit cube.
     tested_points: int = 64
 
 
@@ -176,7 +180,7 @@ _GAINED = {
     "axis-parallel-jump",
 }
 _JUMPS = {"interior-jump", "axis-parallel-jump"}
-# Exponent e for each cause.
+# For each cause, the gain e of the exponent of the variance over random points.
 # In theory, variances fall as n^(−1 − e/d) with strata, and as n^(−1 − e) with nets
 _EXPONENTS = {"interior-jump": 1.0, "axis-parallel-jump": 1.0, "none": 2.0}
 
@@ -240,7 +244,8 @@ class Profile:
     calls, budget
         Number of evaluations of f, and the number that the user allowed.
     variance, rate, rate_ci
-        Variance of an estimate of `budget` evaluations with the given sampler, and its slope.
+        Variance of an estimate of `budget` evaluations with the given sampler.
+        `rate` is the exponent of this variance in n, and `rate_ci` is its 95 % interval.
         If the given sampler could not be measured, nets give the variance and the rate.
     points
         Number of points of an estimate that takes `budget` evaluations.
@@ -530,7 +535,7 @@ def profile(
             found = _with_skipped(found, calls, given.function)
         found = replace(found, function=f)
     if isinstance(calls, Calls):
-        calls.budget = sys.maxsize  # Do not limit later calls of the function
+        calls.budget = sys.maxsize  # After the profile, f may be called without a limit
     return found
 
 
@@ -543,7 +548,7 @@ def _is_scene(subject: object) -> bool:
 
 @final
 class _Filled:
-    """Calls of a function that replace NaN, where it failed, by the mean of its earlier values."""
+    """Calls of a function f. Where f failed, NaN is replaced by the mean of earlier values."""
 
     def __init__(self, calls: Calls) -> None:
         self.calls, self.__name__ = calls, calls.name
@@ -567,7 +572,10 @@ class _Filled:
 
 
 def _with_skipped(found: Profile, calls: Calls, filled: _Filled) -> Profile:
-    """Widen the interval of a profile, as if f had any of its usual values where it failed."""
+    """Widen the interval of a profile, because values are missing at points where f failed.
+
+    The missing values may lie anywhere between the least and the largest value of f.
+    """
     share = calls.skipped / (calls.skipped + filled.count)
     low, high = found.interval
     if not filled.count:
@@ -675,8 +683,8 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     causes = causes_of(evidence)
     offers = _offers(evidence, causes, budget, stream.child(98))
     # Measure set-ups that may have less variance than nets.
-    # They get equal shares of the remaining evaluations, and so does a change of the estimator.
-    # If a change removes a jump, they get all evaluations that this change does not need
+    # These set-ups and a change of the estimator get equal shares of the remaining evaluations.
+    # If the change removes a jump, the set-ups get all evaluations that the change does not need
     rivals, left = _rivals(evidence, causes, points), budget - calls
     rivals.pop(given.spec, None)
     jumps, nets = _shape(causes) in _JUMPS, CAUSE_SETTINGS.nets
@@ -697,13 +705,15 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     # Compare with random points if the given sampler is fixed or was not measured
     fixed = any(cause.name in {"deterministic-set", "correlated-replicates"} for cause in causes)
     if any(cause.name == "deterministic-set" for cause in causes):
-        curves.pop(given.spec, None)  # the estimates of a fixed set have no spread
+        # All estimates with a fixed set are equal, so they do not show a variance
+        curves.pop(given.spec, None)
     reference = "random" if fixed or given.spec not in curves else given.spec
     usable = {name: c for name, c in curves.items() if name == reference or name != given.spec}
     found, changed = list[_FoundSampler](), list[str]()
-    if all(c.name != "infinite-variance" or c.kinds for c in causes):  # The integral exists
+    # Recommend changes only if the integral of g exists
+    if all(c.name != "infinite-variance" or c.kinds for c in causes):
         # Find the sampler of least variance, and a change of the estimator that removes a cause
-        if len(usable[reference].counts) > 0:  # Without counts, the variance is zero
+        if len(usable[reference].counts) > 0:  # A curve without points means a variance of zero
             found = _samplers(Setup(estimator, given), usable, reference, points, rivals)
         trusted = [
             each for name, each in usable.items() if name not in rivals or _is_known(each, points)
@@ -804,7 +814,10 @@ def _shown(value: float, low: float, high: float) -> str:
 
 
 def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, points: int) -> Curve:
-    """Return a curve whose rate is combined with the theoretical rate, for use up to `points`."""
+    """Return a curve whose rate is the weighted mean of its measured and its theoretical rate.
+
+    The curve is extrapolated to at most `points` points.
+    """
     names = {cause.name: cause for cause in causes}
     if "infinite-variance" in names:
         return replace(curve, rate=math.nan, rate_se=math.nan)
@@ -812,7 +825,7 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
     for cause in causes:
         if cause.name in {"border-growth", "heavy-tail"} and "exponent" in cause.evidence:
             return replace(curve, rate=max(curve.rate, -2.0 * (1.0 - cause.evidence["exponent"])))
-    # Small sets do not resolve the waves, so their rate does not hold for larger sets
+    # Small sets do not resolve high frequencies of g, so their rate does not hold for larger sets
     waves = names.get("high-frequency")
     resolved_by = math.inf if waves is None else waves.evidence["resolved_by"]
     if name != "random" and max(curve.counts, default=math.inf) < resolved_by <= points:
@@ -838,7 +851,7 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
     third = 0.0 if strata else (dims - 1) / (3.0 * math.log(curve.counts[-1]))
     rate = -1.0 - _EXPONENTS[first] / (dims if strata else 1) + 2.0 * third
     if first == "axis-parallel-jump":
-        # The variance is a sawtooth about a line. Take the level of the line from the last teeth
+        # The log variance is a sawtooth about a line. The line is the mean of the last teeth
         error = math.hypot(curve.rate_se, _SETTINGS.teeth_error)
         teeth = np.log(curve.variance) - curve.rate * np.log(curve.counts / curve.counts[-1])
         level = float(np.mean(teeth[-_SETTINGS.teeth :]) - teeth[-1])
@@ -910,7 +923,9 @@ def _measured(
     lattice: bool = False,
     few: bool = False,
 ) -> tuple[Curve, Replicates, int]:
-    """Measure the curve of a sampler within `evaluations`. Also return replicates and the cost.
+    """Measure the variance of a sampler at several n with at most `evaluations` evaluations.
+
+    Also return the replicates, and the number of evaluations that were used.
 
     With `few`, there are few sets at few counts, so that the sets are large.
     """
@@ -924,7 +939,8 @@ def _measured(
     while sets > least and affordable_count(setup, evaluations // (2 * sets)) is None:
         sets -= 1
     steps = _SETTINGS.steep_counts if few else _SETTINGS.counts
-    first = evaluations / (2.0 - 2.0 ** (1 - steps)) / sets  # All counts sum to all evaluations
+    # The evaluations at all counts sum to `evaluations`
+    first = evaluations / (2.0 - 2.0 ** (1 - steps)) / sets
     for k in range(steps):
         n = affordable_count(setup, int(first / 2**k))
         if n is not None and n not in counts:
@@ -991,7 +1007,10 @@ def _bound(curve: Curve, points: int) -> float:
 def _measured_rivals(
     rivals: Mapping[str, Candidate], left: int, causes: Sequence[Cause], stream: Stream
 ) -> tuple[dict[str, Curve], list[str], int]:
-    """Measure rivals within `left` evaluations. Return curves, reasons why not, evaluations."""
+    """Measure rival set-ups with at most `left` evaluations.
+
+    Return their curves, the reasons why some were not measured, and the number of evaluations.
+    """
     curves, not_tried, calls = dict[str, Curve](), list[str](), 0
     jumps, least = _shape(causes) in _JUMPS, 2 * _SETTINGS.lattice_sets * _SETTINGS.least_checked
     enough = _is_smooth(causes) or left >= least
@@ -1006,7 +1025,8 @@ def _measured_rivals(
             not_tried.append(f"{name}: only {left} evaluations remain for it")
             continue
         own = stream.child(97 - place)
-        with contextlib.suppress(McspectraError):  # the sampler may not support dims or counts
+        # Skip samplers that do not support this number of dims or points
+        with contextlib.suppress(McspectraError):
             curve, _, cost = _measured(
                 setup.estimator, setup.sampler, share, own, lattice=lattice, few=name in steep
             )
@@ -1014,8 +1034,9 @@ def _measured_rivals(
             if lattice and curve.counts[-1:].sum() < _SETTINGS.few_points:
                 curve = replace(curve, rate=max(curve.rate, _SETTINGS.steepest_rate))
             elif name in steep:
-                # Few counts hardly show the rate. It is between that of random points and the
-                # rate in theory, which are two standard errors from their mean
+                # Few counts hardly show the rate.
+                # The rate lies between −1, the rate of random points, and the theoretical rate.
+                # Assume the mean of both, with a quarter of their difference as standard error
                 limit = -2.0 * CANDIDATE_SETTINGS.order * (1.0 - _growth(causes))
                 curve = curve.towards(0.5 * (limit - 1.0), abs(0.25 * (limit + 1.0)))
                 curve = replace(curve, rate=max(curve.rate, limit))
@@ -1174,7 +1195,7 @@ def _offers(
             index = cause.evidence.get("exponent", cause.evidence.get("tail_index", 0.0))
             offers = [offer for offer in offers if offer.finite_below > index]
     # Try the removal of a jump first: the gain is larger with nets than with random points.
-    # A jump on planes normal to an axis is removed by means along this axis
+    # A jump on planes normal to an axis is removed by averaging g along this axis
     shape = _shape(causes)
     first = {"interior-jump": "preintegrated", "axis-parallel-jump": "preintegrated along axis"}
     removes = first.get(shape, "-")
@@ -1228,7 +1249,8 @@ def _improved(
         cost = n * each / estimator.evaluations_per_point
         at_budget = affordable_count(offer.setup, budget) or n
         made = Sets.of(offer.setup.estimator, n, wanted, stream.child(len(tried)))
-        # Drop a change without variance if its mean differs: its points missed the peak of g
+        # If all estimates of a change are equal but their mean is wrong, drop the change.
+        # The points of these estimates missed a peak of g
         seen_sets = evidence.sets.estimates
         off = abs(float(made.estimates.mean() - seen_sets.mean())) * math.sqrt(len(seen_sets))
         if not np.ptp(made.estimates) > 0.0 and off > _SETTINGS.off_sigmas * float(seen_sets.std()):
@@ -1240,7 +1262,8 @@ def _improved(
             smooths |= curve.rate < _SETTINGS.steepest_rate
             curve = replace(curve, rate=max(curve.rate, _SETTINGS.steepest_rate))
         (ours, ours_se), (other, other_se) = curve.at(n), base.at(cost)
-        # Take the geometric mean of two extrapolations: by the rate of the change, and by its gain.
+        # Extrapolate the variance of the change in two ways, and take the geometric mean.
+        # One uses the rate of the change, the other its gain over the best unchanged estimator.
         # Half of the difference of the two extrapolations is an additional error
         points_at_budget = budget // estimator.evaluations_per_point
         (value, error), at_best = curve.at(at_budget), base.at(points_at_budget)[0]

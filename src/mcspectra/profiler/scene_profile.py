@@ -5,7 +5,8 @@ Method
 Pixels are chosen at random in strata of the image.
 Each pixel is rendered several times with every sampler.
 The renders are the same as in an image (`mcspectra.rendering.rendered`).
-The samplers of this package are padded, with and without the joint dims of the plugin.
+The samplers of this package are padded: each request of a path gets its own point set.
+They are also measured with joint dims, so that the first dims of a path come from one set.
 Mitsuba's own samplers are not changed.
 All samplers are measured with two numbers n of samples per pixel.
 The best sampler is then confirmed by further renders with new seeds.
@@ -87,8 +88,8 @@ class SceneSettings:
     # The variance of 32 normal values has a relative error of 25 %.
     most_renders: int = 32
     least_renders: int = 8
-    # Numbers of pixels and of renders that measure the speed.
-    # Together these are 65,000 samples, because smaller wavefronts are slow
+    # Number of pixels, and number of renders, in the test that measures the speed.
+    # The test takes 65,000 samples, because smaller wavefronts are slow
     pilot_pixels: int = 256
     pilot_renders: int = 16
     # Fraction of the time that is spent on the comparison of samplers.
@@ -98,7 +99,7 @@ class SceneSettings:
     # The second number is the number of renders of each of these pixels
     near: int = 32
     near_renders: int = 16
-    # Fraction of the time that all renders with more samples take, on average over five scenes
+    # Fraction of the time that is spent on pixels near a quantile, on average over five scenes
     nearby: float = 0.2
     # Time in seconds to compile the two kernels of a sampler. It is part of the estimated time
     compilation: float = 2.0
@@ -135,7 +136,10 @@ _CLASSES = {
 @final
 @dataclass(frozen=True)
 class VarianceShare:
-    """Share of the variance that first appears with one decision of a random path."""
+    """Share of the variance that is due to one decision of a random path.
+
+    Interactions of several decisions count for the last of these decisions.
+    """
 
     decision: str
     share: float
@@ -398,7 +402,10 @@ def _prepared(
     seconds: float,
     rng: RngLike,
 ) -> tuple[_Work, dict[str, str | Mapping[str, Any]], str, int]:
-    """Read a scene. Return the work, all samplers, the scene's sampler and samples per pixel."""
+    """Read a scene and prepare its profile.
+
+    Return the work to be done, all samplers, the scene's sampler, and its samples per pixel.
+    """
     limit = as_real("seconds", seconds, least=1.0, most=86_400.0)
     check_channel(channel, ("luminance",))
     request, spec = as_scene(scene), integrator or SCENE_INTEGRATOR
@@ -518,7 +525,10 @@ class _Work:
     def planned(
         self, candidates: Mapping[str, str | Mapping[str, Any]], most: int, given: str
     ) -> tuple[Array, int, float]:
-        """Return tiles and a number of renders that fit into the time, and samples per second."""
+        """Return tiles, number of renders and speed. The renders of all tiles fit into the time.
+
+        The speed is the measured number of samples per second.
+        """
         settings, rendered, counts = _SETTINGS, self.rendered, _SETTINGS.counts
         tiles, side = chosen_tiles(rendered.film, most, self._stream(), self.crop)
         self.side, wide = side, (side + 2 * rendered.film.margin) ** 2
@@ -762,7 +772,10 @@ class _Work:
         return np.asarray(logs - bias)
 
     def _narrowed(self, values: Array, mean: Array) -> Array:
-        """Return log squared errors of pixels, without the part of their spread due to noise."""
+        """Return log squared errors of pixels, moved towards their median.
+
+        Noise widens the spread of the measured values. The returned values lack this widening.
+        """
         logs = self._logs(values, mean)
         halves = [self._logs(values[k::2], mean) for k in (0, 1)]
         noise = float(np.var(halves[0] - halves[1])) / 4.0

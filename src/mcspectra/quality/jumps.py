@@ -23,7 +23,8 @@ _FIRST, _NEXT = 6, 12
 # Fraction of the change between two cells that must remain after the first halvings.
 # On a straight line, six halvings of the interval leave 1/64 of the change
 _SLOPE = 1 / 32
-# Fraction of a jump that remains after the last halvings. For a square root, 2^-6 remains
+# Fraction of a change that must remain after the last twelve halvings if the change is a jump.
+# At a square root of the distance, which is no jump, only 2^-6 of the change remains
 _STAYS = 0.5
 _GROWS = 2.0  # Factor of growth above which the change is a pole
 _NEGLIGIBLE = 1e-7  # Fraction of the scale below which changes are ignored

@@ -18,7 +18,8 @@ from mcspectra.samplers._primes import LARGEST_BASE, power_from
 
 __all__ = ["elementary_intervals", "net_t_value"]
 
-_MOST_WORK = 2**34  # Largest number of points times interval shapes: about a minute of work
+# Largest product of the numbers of points and of interval shapes: about a minute of work
+_MOST_WORK = 2**34
 
 
 def net_t_value(points: object, base: int = 2) -> int | None:

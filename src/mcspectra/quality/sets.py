@@ -30,7 +30,7 @@ _TREE_DIMS = 6  # Largest number of dims for a tree. In more dims a tree visits 
 _TREE_POINTS = 2**21
 
 _BEST_LATTICE = {
-    # For each number of dims: minimum distance in the densest packing of one point per unit volume
+    # By number of dims: the largest possible minimum distance, with one point per unit volume
     1: 1.0,
     2: math.sqrt(2.0 / math.sqrt(3.0)),
     3: 2.0 ** (1.0 / 6.0),
@@ -303,7 +303,9 @@ def _diaphony_sum(x: Array) -> float:
     n, dims = x.shape
     total = 0.0
     for i in range(n):
-        row = 0.0  # One partial sum per point has rounding errors of n terms, not of n²
+        # Sum over the pairs of each point first.
+        # A single sum of n² terms would accumulate more rounding errors
+        row = 0.0
         for j in range(i):
             product = 1.0
             for k in range(dims):

@@ -56,7 +56,10 @@ LARGEST_SAMPLE = 1.0 - 2.0**-24
 """The largest float32 below 1. Rounding a coordinate up to 1 would leave the unit square."""
 
 LOCK = threading.RLock()
-"""Lock for all work with Dr.Jit: its traces and the variant are shared by the whole process."""
+"""Lock for all work with Dr.Jit, whose recorded operations are shared by all threads.
+
+The current variant of Mitsuba is also shared by all threads.
+"""
 
 _LIBRARY_VARIABLE = "DRJIT_LIBLLVM_PATH"
 _OLDEST_LLVM = 19
@@ -82,7 +85,8 @@ import mitsuba as mi, os
 mi.file_resolver().clear()
 mi.file_resolver().append(os.path.dirname(mi.__file__))
 """  # Mitsuba would search the current folder first, which may be untrusted
-# Test three features that fail with unsuitable versions of LLVM: a minimum, rays, rough metal
+# This program tests three operations that fail with unsuitable versions of LLVM.
+# The operations are the minimum of two numbers, tracing rays, and sampling a rough metal
 _PROBE = f"""{_OWN_PLUGINS}
 mi.set_variant({VARIANT!r})
 import drjit as dr

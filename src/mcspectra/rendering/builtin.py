@@ -129,7 +129,7 @@ def figure1(*, edge: float = 0.0, width: int = 384, height: int = 256) -> dict[s
 
     With a soft border, the radiance is a texture of 256² texels with bilinear interpolation.
     Mitsuba samples such a light texel by texel, in proportion to the texture.
-    For BSDF sampling, a light with a soft border has no silhouette.
+    With a soft border, the integrand of BSDF sampling has no jump at the outline of the light.
     With ``edge=1``, the rate of jittered points at P is −1.9 instead of −1.5.
     """
     radiance: Any = _RADIANCE
@@ -275,7 +275,8 @@ def sky(*, width: int = 384, height: int = 256) -> dict[str, Any]:
 
     Notes
     -----
-    The map is `mcspectra.integrands.synthetic_sky` with 64 × 128 pixels, its first row toward +y.
+    The map is `mcspectra.integrands.synthetic_sky` with 64 × 128 pixels.
+    The first row of the map lies in the direction +y.
     Nothing is downloaded. Mitsuba places the columns at atan2(x, −z) = 2π (column + ½) / 128.
     Mitsuba places the rows at acos(y) = π row / 63, from pole to pole, and interpolates linearly.
     The named pixels show the open floor and the upper front of each sphere.

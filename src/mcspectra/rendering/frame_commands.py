@@ -4,7 +4,7 @@ A nonlinear filter has no transfer function, so its error cannot be predicted fr
 Every frame is filtered instead. The error has two parts: variance and squared bias.
 The variance is measured over the filtered frames.
 The bias is the mean of the filtered frames minus a reference.
-Without a reference, the mean of the unfiltered frames replaces it, which is unbiased.
+Without a reference, the mean of the unfiltered frames is used, because this mean is unbiased.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def denoised(
     files
         Frames of one view.
     read
-        Reads the frames and the output of the program.
+        Reader of image files, for the frames and for the output of the program.
     truth
         Reference (y, x), or None for the mean of the frames.
     wait
@@ -110,7 +110,8 @@ def denoised(
             total = total + plane / count
             apart = apart + (plane - (raw if truth is None else truth)) / count
             report("filter", (k + 1) / (2 * count))
-        # Squared deviations, and products for the jackknife of the squared bias
+        # Sum squared deviations for the variance.
+        # Also sum products, from which the jackknife computes the error of the squared bias
         squares, own, cross = np.empty((3, count))
         for k, (file, output) in enumerate(zip(files, outputs, strict=True)):
             plane = read.plane(output, None)[0]

@@ -11,7 +11,7 @@ A filter that repeats or mirrors the border leaves somewhat more error there.
 
 Filters in space are separable, with the same weights along rows and columns.
 Filters in time act on the frames of a sequence, such as ``ema``, the exponential moving average.
-A chain such as ``gaussian(sigma=1.5) | ema(alpha=0.1)`` is their product.
+A chain such as ``gaussian(sigma=1.5) | ema(alpha=0.1)`` applies its filters one after another.
 """
 
 from __future__ import annotations
@@ -187,7 +187,10 @@ class Chain:
         return _product(each for each in self.filters if each.temporal)
 
     def memory(self, count: int) -> tuple[Array, float]:
-        """Return h(k) at the lags of 0 … count − 1 frames, and the sum of h(k) at other lags."""
+        """Return autocorrelations h(k) of the weights of frames, for lags k < count.
+
+        Also return the sum of h(k) over all larger lags k, positive and negative.
+        """
         lags = np.correlate(self.time, self.time, "full")[self.time.size - 1 :]
         whole = lags[:count]
         beyond = 2.0 * float(lags[count:].sum())
@@ -239,7 +242,8 @@ def curve_filters(height: int, width: int, times: int) -> dict[str, dict[float, 
     gaussians = (Gaussian(sigma=sigma) for sigma in _SIGMAS)
     found = {"sigma": {g.sigma: Chain((g,)) for g in gaussians if 2 * g.weights().size <= side}}
     if times > 1:
-        # If weights reach far beyond the sequence, the correlations at their lags are unknown
+        # Leave out filters whose weights reach far beyond the length of the sequence.
+        # The correlations of errors at such long lags are unknown
         known = (a for a in _ALPHAS if (1 - a) ** times < _LEFT_OUT)
         found["alpha"] = {alpha: Chain((Ema(alpha=alpha),)) for alpha in known}
     return {name: chains for name, chains in found.items() if len(chains) > 1}
@@ -273,7 +277,7 @@ class SpatialPower:
         self.down = np.array([_response(c.space, height, self.shape[0]) for c in chains])
         half = np.array([_response(c.space, width, self.shape[1]) for c in chains])
         across = self.shape[1] // 2 + 1
-        # Columns of positive frequency also count for the frequencies of opposite sign
+        # The transform has no negative column frequencies, so positive ones count twice
         both = np.full(across, 2.0)
         both[0] = 1.0
         if self.shape[1] % 2 == 0:
@@ -353,14 +357,15 @@ def filtered_of(
         own = left[:, k]
         values[:, k] = scale * (2.0 * own @ memory - own[:, 0] * memory[0])
         mean = own.mean(axis=0)
-        # Number of independent frames for which the mean square has the same error
+        # Number of independent frames whose mean square has the same error as that of the sequence
         filtered = np.convolve(_mirrored(memory), _mirrored(mean), "same")
         fade = 1.0 - np.abs(np.arange(1 - times, times)) / times
         relative = filtered / (filtered[times - 1] or 1.0)
         frames = float(np.clip(times / max((fade * relative**2).sum(), 1e-12), 1.0, times))
         least[k] = noise[k] / max(mean[0], 1e-300) ** 2 / ((count - 1) * frames)
         if rest > 0 and times > 1:
-            # Correlations at lags beyond the sequence are at most those of its last quarter
+            # The correlations at lags longer than the sequence are unknown.
+            # Assume that they do not exceed the correlations at the longest quarter of known lags
             late = own[:, 3 * times // 4 :].mean(axis=1)
             most = float(late.mean()) + student_t(count) * float(late.std(ddof=1)) / count**0.5
             more[k] = scale * rest * max(most, 0.0)

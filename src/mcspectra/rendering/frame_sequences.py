@@ -36,8 +36,8 @@ _FOUND = re.compile(
 _NAMES = {"seed": r"(?P<seed>[A-Za-z0-9]+)", "frame": r"(?P<frame>\d+)"}
 _IN_MEMORY = 2**29  # limit in bytes for arrays in memory; larger arrays are kept in a file
 _SLOW = 0.125  # temporal frequencies below this limit in cycles per frame count as low
-# Effective numbers of frames are averaged over squares of pixels until the error is 20 %,
-# but over at most 15 × 15 pixels
+# The effective number of frames of a pixel is averaged over a square of pixels.
+# The square is so large that the average has an error of 20 %, but at most 15 × 15 pixels
 _WIDEST, _PIXEL_ERROR = 15, 0.2
 _BLOCK = 2**22  # number of complex values that are transformed over time together
 
@@ -152,11 +152,12 @@ class Temporal:
     boiling, boiling_ci
         Mean power below 1/8 cycle per frame; 1 for white noise.
     effective, effective_ci
-        Number of independent frames whose mean would have the same variance.
+        Number of independent frames whose mean has the same variance as the mean of a sequence.
     pixels
         Effective number of frames of each pixel, averaged over a square of `window` pixels.
     frames_for_squares
-        Number of independent frames whose mean square would have the same variance.
+        Number of independent frames whose mean squared error has the same variance.
+        The variance is that of the mean squared error of a sequence.
     """
 
     frequency: Array

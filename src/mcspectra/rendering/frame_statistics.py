@@ -71,7 +71,7 @@ _REACH = 8  # largest lag in pixels, to either side, for which correlations are 
 _FILTER = 2  # pixels at this distance may have correlated errors because of a reconstruction filter
 _SAMPLE = 2**14  # number of pixels at which two frames are compared
 _TAIL = 64  # number of extreme deviations kept per frame; `Moments` uses the same number
-_TABLE = 4001  # number of true correlations at which the bias of estimates is tabulated
+_TABLE = 4001  # size of the table that maps a true correlation to the mean of its estimates
 _SIGNIFICANCE = 0.05  # significance level of a test of all pixels, frames or lags together
 _OUTLIER = 1e-3  # significance level of Grubbs' test at each pixel
 _RELATED = 0.1  # smallest correlation of two frames to report, whatever its significance
@@ -163,7 +163,7 @@ def frames(
         FLIP needs the package flip-evaluator. If a reference is given, FLIP compares with it.
         ``gaussian_variance(n, sigma)``: variance after a Gaussian filter.
         ``gaussian_ratio``: this variance divided by that of equally strong white noise.
-        ``filtered_variance(n, filter)`` and ``filtered_ratio`` are the same for the `filters`.
+        ``filtered_variance(n, filter)``, ``filtered_ratio``: variance and ratio after `filters`.
         Sequences also have ``joint_spectrum(n, radius, frame_frequency)``, 1 for white noise,
         ``frame_correlation(n, lag_t)``, ``boiling(n)`` (power below 1/8 cycle per frame),
         ``effective_frames(n)`` and ``pixel_effective_frames(n, y, x)``.
@@ -452,7 +452,8 @@ def _percentiles(need: Array, spread: Array) -> dict[str, float]:
 
     Errors of the estimates widen the distribution over the pixels.
     The logarithms are therefore moved towards their median.
-    Their new variance is that of the estimates minus the mean variance of the errors [Louis1984]_.
+    The variance of the moved logarithms is the variance of the logarithms of the estimates,
+    minus the mean variance of the errors [Louis1984]_.
     """
     known = np.isfinite(need) & np.isfinite(spread) & (need > 0)
     if not known.any():
@@ -514,7 +515,7 @@ class _Group:
 
     @property
     def related(self) -> float:
-        """Number of pixels that carry the information of one independent pixel."""
+        """Number of correlated pixels that give as much information as one independent pixel."""
         frames = 1.0 if self.temporal is None else self.temporal.frames_for_squares
         return self.alike / frames
 
@@ -555,7 +556,10 @@ _Parts = dict[str, tuple[str, tuple[Any, ...], slice]]
 
 
 def _filter_parts(group: _Group, asked: int) -> _Parts:
-    """Return the name, labels and positions of the filters that belong to each dim of a result."""
+    """For each dim of the result that lists filters, return name, labels and positions of filters.
+
+    The positions are indices into the list of all filters.
+    """
     specs = group.filtered.specs
     parts: _Parts = {"filter": ("filtered", specs[1 : 1 + asked], slice(1, 1 + asked))}
     first = 1 + asked
@@ -714,8 +718,8 @@ def _group(
     every, loss = _unbiased(every / every[0, 0], 1 + max(round(fields), 1))
     measured, curve = rings.mean(power), np.maximum(rings.mean(np.fft.rfft2(every).real), 0.0)
     half *= np.divide(curve, measured, out=np.ones_like(curve), where=measured > 0)
-    # With two frames, the deviations are opposite, so their curves show no spread.
-    # The errors used are therefore at least those of normal noise.
+    # With two frames, the deviations differ only in sign, so their spectra are equal.
+    # The spread of the spectra is then 0, so use at least the errors of normal noise.
     # For R frames of such noise, a pair m, −m gives R − 1 independent exponential values.
     # The power is the mean of these values
     independent = fields * loss**2
@@ -725,7 +729,8 @@ def _group(
     alike = max(1.0, float((every**2).sum()) / (1.0 + 1.0 / independent))
     near, repeat, repeated = _lags(every, alike / (varied.sum() * independent))
     pair, relation = _related(sample.reshape(count, -1), alike * times / frames_per)
-    # Count outliers above twice the mean, and the number expected for normal noise
+    # Count pixels with an outlier above twice the pixel's mean.
+    # Also compute the expected number of such pixels for normal noise
     limit = _grubbs(len(files))
     outliers = (share > limit) & (above > np.maximum(moments.mean, below))
     expected = _OUTLIER / 2 * int((limit * pooled.m2[varied] > moments.mean[varied] ** 2).sum())
@@ -794,7 +799,10 @@ def _group(
 
 
 def _pooled(a: Moments, b: Moments) -> Moments:
-    """Add moments about separate means, such as the means of two times. The means are added."""
+    """Add the means of two groups of values, and the moments of each group about its own mean.
+
+    The groups are, for example, the frames at two times of a sequence.
+    """
     return replace(
         a,
         count=a.count + b.count - 1,  # variances are divided by the count minus 1
@@ -806,7 +814,7 @@ def _pooled(a: Moments, b: Moments) -> Moments:
 
 
 def _recounted(moments: Moments, count: int) -> Moments:
-    """Return moments with equal variance and kurtosis, as if from `count` independent values."""
+    """Return moments with the same variance and kurtosis, but for `count` independent values."""
     factor = (count - 1) / (moments.count - 1)
     return replace(
         moments,
@@ -843,7 +851,8 @@ def _drift(
     means
         Image mean of each frame, in order.
     gained
-        For each frame, the sum of squares that a common factor of all pixels explains.
+        For each frame, the sum of squared deviations due to a change of brightness.
+        Such a change multiplies all pixels by the same factor.
     squares
         Sum of squared deviations over pixels and frames.
     chance
@@ -901,7 +910,10 @@ def _unbiased(correlation: Array, count: int) -> tuple[Array, float]:
 
 
 def _lags(every: Array, variance: float) -> tuple[Array, list[int] | None, float]:
-    """Return correlations at small lags; also the nearest far lag (y, x) of a repeated pattern."""
+    """Return correlations of errors at small lags, and the lag at which a pattern repeats.
+
+    The lag (y, x) is None if no pattern repeats. The last value is the correlation at this lag.
+    """
     height, width = every.shape
     down, right = np.rint(np.fft.fftfreq(height) * height), np.rint(np.fft.fftfreq(width) * width)
     near = [np.abs(lag) <= min(_REACH, (lag.size - 1) // 2) for lag in (down, right)]
@@ -1026,7 +1038,8 @@ def _compared(
         whole = _student(apart_means.mean(), apart_means.var(ddof=1), len(pairs))
     pixels = int((~np.isnan(z)).sum())
     limit = _sidak(pixels)
-    # Scale the variance of the other set to the same number of samples, by a measured rate if any
+    # Scale the variance of the other set to the same number of samples.
+    # Use a measured rate if one is known, and otherwise the rate −1
     step, (rate, rate_se) = 0.0, (math.nan, 0.0)
     if a.spp != b.spp and a.told["spp_known"] and b.told["spp_known"]:
         rate, rate_se = _known_rate(others) or _known_rate(ours) or (-1.0, 0.0)
@@ -1035,7 +1048,8 @@ def _compared(
     with np.errstate(invalid="ignore", divide="ignore"):
         variances = a.moments.variance / b.moments.variance / scale
     first, second = a.picture_relative_se, b.picture_relative_se
-    # If errors of paired frames have the correlation ρ, errors of the two variances have ρ²
+    # Let ρ be the correlation of the errors of paired frames.
+    # The errors of the two variances then have the correlation ρ²
     shared = 0.0 if pairs is None else 2.0 * relation**2 * first * second
     error = math.sqrt(max(first**2 + second**2 - shared, 0.0) + (step * rate_se) ** 2)
     level = math.log(a.picture_variance / b.picture_variance / scale)
@@ -1099,7 +1113,8 @@ def _known_rate(groups: list[_Group]) -> tuple[float, float] | None:
 def _paired(a: _Group, b: _Group) -> tuple[list[tuple[int, int]] | None, float]:
     """Return pairs of frames with the same seeds in two sets, and their mean correlation.
 
-    Sets are paired if every frame of the smaller set correlates with its own frame of the other.
+    Sets are paired if every frame of the smaller set correlates with a frame of the larger set.
+    Different frames of the smaller set must correlate with different frames of the larger set.
     """
     from scipy.optimize import linear_sum_assignment
 

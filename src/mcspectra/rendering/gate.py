@@ -1,6 +1,7 @@
 """A gate for continuous integration: do new renders agree with a reference?
 
-The verdict is ``pass``, ``fail`` or ``undecided``, with the bias that would have been found.
+The verdict is ``pass``, ``fail`` or ``undecided``.
+The gate also states how large a bias must be to be found with high probability.
 """
 
 from __future__ import annotations
@@ -43,7 +44,8 @@ GATE_VERDICTS = {"pass": 0, "fail": 3, "undecided": 4}
 """Exit code of the command for each verdict."""
 
 _LEAST_LEVEL = 1e-4
-_RELABELINGS = 5  # number of relabelings in units of 1 / level; more would gain little power
+# Number of relabelings, times the significance level. More relabelings would gain little power
+_RELABELINGS = 5
 _SAMPLE = 2**15  # number of tiles at which two frames are compared
 _ONE_SEED = 0.9  # two frames of one set have the same seed if their errors correlate more than this
 # Frames of two sets have the same seed if their errors correlate by at least _RELATED,
@@ -54,7 +56,8 @@ _LEAST_PAIRS = 4
 # or if the difference is not significant
 _EQUAL, _DOUBT = 1.25, 0.01
 _COPY = 1e-6  # images that differ by less than this fraction of their mean are copies
-_TREND_SHARE = 0.2  # fraction of the level for the test of the mean against samples per pixel
+# Fraction of the significance level for one test: does the mean depend on the samples per pixel?
+_TREND_SHARE = 0.2
 _BINS = 20
 _MEANS = ("image", "tiles", "pixels", "spread", "trend")
 
@@ -134,7 +137,8 @@ def gate(
             f"{sources[1].shape}; give frames of one view."
         )
 
-    # Compare at the largest number of samples that both sets have, or else at the largest of each
+    # Compare frames with the largest number of samples that both sets have.
+    # If no number is common, take the largest number of each set
     known = [{each.spp for each in source.groups} for source in sources]
     common = known[0] & known[1]
     chosen = [max(common or own, key=lambda n: n or 0) for own in known]
@@ -454,7 +458,7 @@ def _verdict(
     outcome, finest = result.outcome, result.levels[0]
     tests = list(outcome.tests)
     if trend:
-        # The level is split between the trend and all other tests
+        # The significance level is split between the test of a trend and all other tests
         tests = [replace(each, p=min(1.0, each.p / (1.0 - _TREND_SHARE))) for each in tests]
         least = min(trend, key=lambda each: each[2])
         tests.append(
@@ -553,7 +557,8 @@ def _number(value: float) -> float | None:
 def _region(tests: list[Found], shape: tuple[int, int]) -> float:
     """Return the smallest relative bias that is found in a square region of 1 % of the image.
 
-    Wherever the region is, it covers a whole tile, or half of its own width of a tile.
+    The region may lie anywhere. A region at least twice as wide as a tile covers a whole tile.
+    A narrower region covers part of a tile, at least half as wide as the region.
     """
     half = 0.05 * math.sqrt(shape[0] * shape[1])
     known = [

@@ -44,7 +44,8 @@ _ROUNDING = 1e-5
 _SHARED = 4
 # Variances are averaged over neighbors only if there are at least this many tiles
 _MANY = 64
-# Added to the score −log p of the whole image, which most errors change
+# The score −log p of the whole image is increased by this number.
+# Most errors of a renderer change the mean of the whole image
 _FAVOR = 1.5
 # Least width in pixels of tiles whose means are treated as normal by the t tests
 _NORMAL = 8
@@ -56,8 +57,8 @@ _SKEW = 0.25
 # Skewness below which the tails of a difference of image means count as normal
 _EVEN = 0.02
 # Few frames underestimate the tail, so the skewness is multiplied by this factor.
-# At level 0.01, clean pairs of 1 + 8 skewed frames then alarm in 15 of 1,000 cases.
-# Without the factor they alarm in 17 of 1,000 cases
+# At level 0.01, one frame was compared with 8 frames without bias, all with skewed noise.
+# The gate then failed in 15 of 1,000 cases with this factor, and in 17 without it
 _UNSEEN = 1.5
 # Least number of tiles for the test that averages the differences of all tiles
 _TILES = 16
@@ -67,7 +68,7 @@ _WORK = 2**33
 _BLOCK = 2**23  # number of values that are computed together
 _POWER = 1.2815515655446004  # normal quantile: a stated bias is found with 90 % probability
 _MEDIAN = math.log(2.0)  # median of −log p if there is no bias
-# Median minus 10 % quantile of −log p, for the smallest of many p-values
+# If p is the smallest of many p-values, the median of −log p exceeds its 10 % quantile by this
 _SPREAD = 1.2
 
 
@@ -434,7 +435,7 @@ def _median(values: Array) -> float | None:
 
 
 def _one_sided(share: Array, degrees: int) -> tuple[Array, float]:
-    """Return −log p for correlations by their t values, and the first t value."""
+    """Return −log p of one-sided t tests of correlations, and the first t value."""
     share = np.clip(share, -1.0 + 1e-12, 1.0 - 1e-12)
     t = share * np.sqrt(degrees / (1.0 - share**2))
     score = _surprise(t**2, degrees, 1) + _MEDIAN
@@ -445,12 +446,15 @@ def _one_sided(share: Array, degrees: int) -> tuple[Array, float]:
 def _largest(
     rows: Array, total: Array, valid: Array, each: Level, contrast: Contrast, weights: Array
 ) -> tuple[Array, Array, float, Array, Array | None]:
-    """Return the largest t² for each relabeling, and for the true labels t², error and p-value.
+    """Return the largest t² for each relabeling, and results of each tile for the true labels.
 
-    The variance is the one within the relabeled sets.
+    The results of a tile are t², the standard error and a p-value.
+    The variance in t² is the one within the relabeled sets.
     In wide tiles, the variance is averaged with the mean over the 3 × 3 neighborhood.
-    Single pixels and the image use their own variance, and t² is then a function of r².
-    The p-value of each of these alone is also returned; it is exact for any noise.
+    For single pixels and for the image, the variance is not averaged over neighbors.
+    Then t² is a function of the squared correlation of values and labels.
+    The p-value of a single pixel or the image is its rank among relabelings.
+    This p-value is exact for any noise. Other tiles have no p-value.
     """
     from scipy.ndimage import uniform_filter
 
@@ -511,7 +515,10 @@ def frame_features(finest: Level) -> dict[str, Array]:
 
 
 def _noise_families(finest: Level, contrast: Contrast, weights: Array) -> Iterator[_Family]:
-    """Yield one-sided tests: is the noise larger, and do neighboring errors correlate more?"""
+    """Yield one-sided tests of whether the new frames have more noise than the reference.
+
+    Also test whether neighboring errors correlate more in the new frames.
+    """
     if min(contrast.first, contrast.second) < 2:
         return
     for name, values in frame_features(finest).items():
@@ -636,7 +643,7 @@ def _skewness(frames: Array, contrast: Contrast) -> float:
         error = part - part.mean(axis=0)
         scale = math.sqrt(float((error**2).mean() * count / (count - 1))) or 1.0
         error /= scale
-        # These factors remove the bias of the second and third moments of few values
+        # The factors with `count` make the second and third moments of few values unbiased
         squares += float((error**2).sum()) * count / (count - 1)
         cubes += float((error**3).sum()) * count**2 / ((count - 1) * (count - 2))
     total = sum(part.size for part in parts)
@@ -647,9 +654,11 @@ def _skewness(frames: Array, contrast: Contrast) -> float:
 
 
 def _skewed_tail(probability: float, skewness: float) -> float:
-    """Replace a normal tail probability by the tail of a Pearson III law at the same point.
+    """Replace a normal tail probability by that of a Pearson III distribution.
 
-    The law has the given skewness, and its longer tail is used.
+    Both are probabilities to exceed the same number of standard deviations.
+
+    The distribution has the given skewness, and its longer tail is used.
     """
     from scipy.special import gammaincc, ndtri
 
@@ -716,7 +725,7 @@ def _single(finest: Level, contrast: Contrast) -> Array:
 
 
 def _spread(smallest: Array, p: Array, times: int) -> None:
-    """Lower the p-values of the finest tiles to that of the wide tile that contains them."""
+    """Lower the p-value of each finest tile to the p-value of the wide tile that contains it."""
     wide = np.repeat(np.repeat(p, times, axis=0), times, axis=1)
     part = smallest[: wide.shape[0], : wide.shape[1]]
     np.minimum(part, wide, out=part)

@@ -120,7 +120,8 @@ def render(
     warn_integrator(scene)
     warn_missed(scene, strategy, light)
 
-    # Choose tiles and images that are rendered together; all images of a tile follow each other
+    # Choose tiles and images that are rendered together.
+    # All images of a tile are rendered before the next tile
     count = width * height
     size = min(count, max(1, _TILE_LANES // spp))
     together = max(1, _TILE_LANES // (size * spp))
@@ -155,7 +156,8 @@ def render(
     finished, threads = 0, available_workers(workers)
     for images, evaluate in map_in_order(draw, blocks, threads if net is None else 1):
         means = evaluate()
-        if realizations == 1:  # for one image of 4 samples, this saves a third of the time
+        # A single image needs no moments. With 4 samples per pixel, this saves a third of the time
+        if realizations == 1:
             found = Moments(1, means, *[np.zeros(())] * 3)
         else:
             found = Moments.of(means.reshape(len(images), -1, len(CHANNELS)))

@@ -27,7 +27,8 @@ from mcspectra.samplers.scrambles import Owen
 
 __all__ = ["JointSets", "Net", "NetPoints", "Pads", "net_of", "scramble_key"]
 
-# Size of the table of permutations: 256 KiB, or more to hold the fewest allowed permutations
+# The table of permutations has at least this many numbers, which take 256 KiB.
+# The table is larger if 16 permutations, the smallest number allowed, do not fit
 _ORDER_NUMBERS = 2**16
 _FEWEST_ORDERS = 16
 _FIRST_STEP = 1 << 16  # label of the random stream of a sampler's first randomization
@@ -101,7 +102,7 @@ def _philox(module: Any, key: Any, number: Any) -> tuple[Any, Any]:
 
 
 def _halves(module: Any, bits: Any) -> tuple[Any, Any]:
-    """Split 64 random bits into two numbers of the hash: one that is added, and an odd factor."""
+    """Split 64 random bits into two parameters of a hash: a summand and an odd factor."""
     return module.UInt32(bits >> 32), module.UInt32(bits) | 1
 
 
@@ -220,7 +221,8 @@ class JointSets:
         for j, word in enumerate(net_words(module, self._net, self._count, index)):
             both = [mix_bits(module, k0, k1, address + 2 * j + part) for part in (0, 1)]
             made.append(_unit(module, _hashed(word, *(_halves(module, key) for key in both))))
-        # In a recorded loop, the start is known only at run time: select among all coordinates
+        # In a recorded loop, the index `start` of the first coordinate is known only at run time.
+        # Compute all coordinates, and select the requested ones
         found = []
         for k in range(dims):
             value = made[k]

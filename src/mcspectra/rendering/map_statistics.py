@@ -67,9 +67,9 @@ def smooth(rate: Array, rate_se: Array, window: int, independent: bool) -> tuple
     """Average rates (S, y, x) over window × window pixels, weighted by their precision.
 
     Pixels without a rate are ignored and remain without a rate.
-    If pixels have `independent` points, averages have smaller standard errors.
-    Otherwise the mean standard error is used: it is exact if all errors in the window are equal,
-    and too large if they are not.
+    If the points of pixels are `independent`, an average has a smaller error than its pixels.
+    Otherwise the mean standard error of the pixels is used.
+    The mean is exact if all errors in the window are equal, and too large if they are not.
     """
     if window == 1:
         return rate, rate_se
@@ -193,7 +193,8 @@ def path_shares(chains: Array, partitions: list[Array]) -> tuple[Array, Array, A
 def gain(single: LineFits, mis: LineFits, total: float, missed: Array) -> tuple[Array, Array]:
     """Variance of the best single strategy divided by that of MIS, each with `total` samples.
 
-    Strategies in `missed` hit too little light and are excluded: their variance is too small.
+    Strategies in `missed` are excluded, because they miss light that another strategy hits.
+    The measured variance of such a strategy is too small.
 
     Both variances come from the fitted lines. MIS gives each technique half of the samples.
     The standard error treats the two variances as independent.

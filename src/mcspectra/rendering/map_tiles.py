@@ -32,7 +32,7 @@ The variance of g is the sum of σ²_l, the parts that depend on l_j bits of coo
 The parts come from means over blocks of a grid with a random point in each cell.
 
 The last three predictions take their standard errors from grids with half the resolution.
-Other samplers have no prediction, because these formulas ignore terms between frequencies.
+Other samplers have no prediction, because these formulas ignore the cross term of the variance.
 
 No prediction detects a light that is so rare that no sample hits it.
 If one technique hits significantly more light (`surely`) than another technique,
@@ -295,7 +295,10 @@ class Measurement:
         )
 
     def _traced(self, pixels: Array, u: Array) -> Array:
-        """Mean values of paths. A single pixel is computed twice, as in `Receivers`."""
+        """Mean values of paths.
+
+        A single pixel is listed twice, so that sums have the same rounding as with more pixels.
+        """
         assert self.tracer is not None
         twice = np.repeat(pixels, 2, axis=0) if len(pixels) == 1 else pixels
         if u.ndim == 4 and len(twice) > u.shape[1]:
@@ -558,8 +561,8 @@ class _Grid:
         whole, *parts = map(self._of_grid, (grid, *coarse))
         if self.power is None:
             return whole, _error_of_mean(parts)
-        # The powers of m and −m are the same number, so add their errors.
-        # Different pairs have independent errors, so add the squares of their errors
+        # The power at −m equals the power at m, so the errors at m and −m are equal: add them.
+        # Different pairs m, −m have independent errors, so add the squares of these errors
         doubled = np.sqrt(2.0 * _sum(self.power_se**2, _energy(grid) ** 2))
         return whole, np.hypot(_error_of_mean(parts), doubled)
 

@@ -425,7 +425,7 @@ def variance_map(
     dims
         2, the default, or 3. The third coordinate then chooses a light or a BSDF lobe.
         With an integrator, the same as in `PathPixel`.
-        The default is then the number that paths through 256 of the pixels use.
+        The default is then the number of random numbers that paths through 256 pixels use.
     integrator
         Measures whole paths, like `PathPixel`. The only strategy is then ``"path"``.
         The value ``"scene"`` is the scene's own integrator.
@@ -437,7 +437,7 @@ def variance_map(
         If it equals the number of dims of the paths, all numbers are joint.
     points
         ``"shared"``: in a realization, all pixels have the same points.
-        Results of a pixel are as good as with its own points, and are computed faster.
+        Each pixel is measured as accurately as with points of its own, but in less time.
         Shared points also give smooth maps, but the errors of neighbors are correlated.
         Structure in such a map may therefore come from one set of points.
         ``"own"``: every pixel has its own realizations, so the errors look like noise.
@@ -489,7 +489,7 @@ def variance_map(
         With an integrator: ``path_variance``, the variance of one random path, with ``_se``.
         ``bounce_share(bounce)`` is the share of the variance that first appears at a bounce.
         Bounce 0 stands for the random numbers of the camera.
-        ``decision_share(decision)`` is the same for each kind of decision, summed over the bounces.
+        ``decision_share(decision)`` is the share of one kind of decision, summed over all bounces.
         Shares of each kind sum to 1. Interactions count for the last random number involved.
         Estimates may be negative, and their intervals ``_ci`` extend below 0.
         Shares are NaN if the standard error of ``path_variance`` exceeds half of this variance.
@@ -560,7 +560,7 @@ def _threads(workers: int | None) -> Iterator[None]:
 
 
 _LARGEST_PREDICTED_SE = 0.5  # largest relative standard error of a reported prediction
-_SURE_LEVEL = 0.99865  # one-sided confidence level of three standard errors of a normal mean
+_SURE_LEVEL = 0.99865  # probability that a normal value is below its mean + 3 standard deviations
 _SHARES = ("mis-light", "mis-bsdf")
 _SINGLE = ("light", "bsdf")
 

@@ -76,7 +76,7 @@ def as_rendered(
     try:
         pair = as_sampler(sampler if isinstance(sampler, str) else sampler.spec, 2)
     except McspectraError:
-        pair = None  # no spec that recreates the sampler, or no 2-D version
+        pair = None  # The sampler has no 2-D version, or no spec recreates it
     if pair is not None and joint is None:
         joint = joint_dims_of(pair)
     if (
@@ -125,7 +125,10 @@ class Padded(Sampler):
 
     @property
     def plain(self) -> Sampler:
-        """This sampler, because the padding comes after all randomizations."""
+        """The padded sampler itself.
+
+        Its randomizations cannot be removed, because they are applied before the padding.
+        """
         return self
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:

@@ -197,7 +197,10 @@ class PathPixel(MitsubaIntegrand):
 
     @property
     def dimensions(self) -> tuple[Dimension, ...]:
-        """What each coordinate is used for; unknown beyond the longest path of the dry run."""
+        """Purpose of each coordinate, as found by a dry run that traces some paths.
+
+        The purpose is unknown if all paths of the dry run have fewer coordinates.
+        """
         return self._tracer.dimensions(((self.x, self.y),), self.dims)
 
     @property

@@ -11,7 +11,7 @@ The integrand is evaluated at the direction to which the strategy maps u.
 The heuristic is for equal numbers of samples.
 With independent points, the sum of both parts is therefore multiple importance sampling.
 `pixel_mis` supports all heuristics, and any counts and techniques.
-The techniques share directions but no warp, because each technique has a separate unit cube.
+All techniques sample directions, but each maps a separate unit cube to directions by its own warp.
 Results therefore exist only in primary space, and densities are per steradian.
 Light that reaches the camera directly is excluded.
 
@@ -121,7 +121,10 @@ ENVIRONMENT = "environment"
 
 
 class MitsubaIntegrand(Integrand):
-    """Values from Mitsuba for one or all channels. The integral is a mean over points."""
+    """Integrand that Mitsuba evaluates, for one or all channels.
+
+    The integral is estimated by a mean over points.
+    """
 
     costly: ClassVar[bool] = True
     stock_samplers: ClassVar[tuple[str, ...]] = (
@@ -177,7 +180,7 @@ class Pixel(MitsubaIntegrand):
         A spec without a ``path`` means the environment map of the scene.
         By default, the density interpolates `channel` of this map bilinearly.
         Nothing is sampled where the density is 0.
-        Densities with compensation are therefore for `pixel_mis` only.
+        Compensation sets dark parts of a density to 0, so it may be used with `pixel_mis` only.
 
     Raises
     ------
@@ -362,7 +365,8 @@ class PixelView:
         """Return the same as `draws`, computed in one kernel."""
         import drjit
 
-        # Evaluate f/p, the densities of light and BSDF, and the directions that skies need
+        # Evaluate f/p, and the densities of light and BSDF at the sampled directions.
+        # The densities of the environment are evaluated below at the same directions
         mitsuba, scene, count = load_mitsuba(), load_scene(self.scene), len(u)
         hit = primary_hit(scene, self.x, self.y)
         if self.on_film:
@@ -375,7 +379,7 @@ class PixelView:
             directions, own = technique.sample(u[:, :2])
             towards = mitsuba.Vector3f(*(np.ascontiguousarray(c, np.float32) for c in directions.T))
             value, bsdf = look_at_sky(hit, emitter, towards, hit.active)
-            drjit.eval(value, bsdf)  # evaluate both in one kernel
+            drjit.eval(value, bsdf)  # evaluate the value and the BSDF density in one kernel
             f = np.asarray(_numbers(value, self.channel, count), np.float64)
             scaled = own if f.ndim == 1 else own[:, None]
             values = np.divide(f, scaled, out=np.zeros_like(f), where=scaled > 0)
@@ -518,11 +522,11 @@ def incident_light(
 
 
 SOURCE = "mean of 16 Owen-scrambled sets of 2^17 Sobol' points"
-"""Text that `integral_source` returns."""
+"""How the integral of a pixel is computed. The attribute `integral_source` returns this text."""
 
 _POINTS, _SETS = 2**17, 16
 _SEED = 20_170_623
-# Relative rounding error of values, which their spread does not show
+# Relative rounding error of values. The spread of values over sets does not contain this error
 _SINGLE = float(np.finfo(np.float32).eps)
 
 
@@ -716,7 +720,7 @@ def pixel_mis(
     heuristic
         Name or spec from `mcspectra.estimators.HEURISTICS`, or a heuristic object.
         ``optimal`` and ``variance-aware`` use a pilot, by default 4096 random samples with seed 0.
-        With these two heuristics, a pixel has no quadrature.
+        The pilot of these heuristics cannot be a quadrature, as techniques share no domain.
     techniques
         ``"light"``, ``"bsdf"``, and densities for the environment as in `Pixel`,
         or ``"environment"`` for the scene's own map.

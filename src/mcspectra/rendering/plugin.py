@@ -77,7 +77,7 @@ In a scene of a room, 8 joint dims had 16 % more variance at n = 16.
 """
 
 _MOST_WORDS = 8  # largest number of joint dims computed in a kernel; more are stored in a table
-_UNKNOWN = 2**32 - 1  # Mitsuba's wavefront size for "unchanged"
+_UNKNOWN = 2**32 - 1  # with this value, Mitsuba keeps the current size of the wavefront
 
 
 def register_samplers(variant: str | Sequence[str] | None = None) -> tuple[str, ...]:
@@ -160,7 +160,7 @@ def joint_dims_of(sampler: Sampler) -> int:
 def joint_sampler(pair: Sampler, dims: int) -> Sampler:
     """Return the sampler of joint sets for a sampler in two dims.
 
-    Scrambled binary nets in `JOINT_DIMS` dims become two linked copies of a net (`JoinedPairs`).
+    For `JOINT_DIMS` dims, two copies of a scrambled binary net are joined (`JoinedPairs`).
     In other cases, the sampler itself is used in `dims` dims.
     """
     net = net_of(pair)
@@ -213,13 +213,14 @@ def _plugin_class(variant: str) -> Any:
             self.per_pass = samples_per_wavefront
 
         def seed(self, seed: Any, wavefront_size: int = _UNKNOWN) -> None:
-            # The `seed` of the base class also calls this method if Python calls it
+            # The method `seed` of the base class calls this method again if Python called it
             if self.seeding:
                 super().seed(seed, wavefront_size)
                 return
             self._seed_base(seed, wavefront_size)
             per_pass = self.per_pass or self.options.samples_per_pass or self.sets.count
-            # Mitsuba's own integrators set this without calling Python: drop the old value
+            # Mitsuba's own integrators change the samples per pass without calling Python.
+            # Forget the last value, which may be outdated at the next call
             self.per_pass = None
             number = int(seed) if isinstance(seed, int) else int(seed.numpy()[0])
             stream = self.options.stream(number)
@@ -529,7 +530,10 @@ class Rounds:
 
     @staticmethod
     def of(pixels: int, requests: int, numbers_each: int) -> Rounds:
-        """Choose the layout of sets for the first `requests` of a pixel within a memory limit."""
+        """Choose the number of sets and the stride for the first `requests` requests of a pixel.
+
+        The memory of the table limits the number of sets.
+        """
         size = max(_FEWEST_SETS, pixels * requests + 1)
         size = min(size, _MOST_NUMBERS // numbers_each)
         golden = int(size * _GOLDEN)

@@ -2,8 +2,8 @@
 
 Samplers by name use the variant ``scalar_rgb``, but do not set it as the current variant.
 The current variant stays the same, because pixels depend on it.
-The module belongs to the package `rendering` because it needs `backend`.
-That module imports Mitsuba in a way that keeps rendering possible.
+The module belongs to the package `rendering` because it needs the module `backend`.
+Before Mitsuba is imported, `backend` chooses a libLLVM with which rendering works.
 """
 
 from __future__ import annotations

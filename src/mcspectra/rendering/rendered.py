@@ -46,7 +46,10 @@ _WIDE_LANES = 2**22  # largest wavefront if a single tile has more samples than 
 @final
 @dataclass(frozen=True)
 class Film:
-    """Size of a film, and how far beyond a pixel its filter takes samples, all in pixels."""
+    """Size of a film in pixels, and a margin of pixels for the reconstruction filter.
+
+    The filter uses samples from up to `margin` pixels beyond the border of a tile.
+    """
 
     width: int
     height: int
@@ -138,7 +141,7 @@ class RenderedPixels:
         wide = side + 2 * self.film.margin
         each = wide * wide * n
         step = max(1, _LANES // each)
-        # Each cell is one tile in one realization
+        # Each row of `cells` is one tile in one realization
         cells = np.tile(tiles, (realizations, 1))
         found = []
         for number, first in enumerate(range(0, len(cells), step)):

@@ -226,7 +226,8 @@ def render_file(
     )
     plugin = None if integrator is None else integrator_plugin(integrator)
     if sampler is not None:
-        as_sampler(sampler, 2)  # check the spec here, for a message of ours instead of Mitsuba's
+        # Check the spec here, because errors inside Mitsuba have less helpful messages
+        as_sampler(sampler, 2)
     elif joint_dims is not None:
         raise ParameterError(Parameter("joint_dims"), " is for a sampler of this package; name it.")
     with LOCK:
@@ -271,7 +272,8 @@ def render_file(
                 camera.film().write(str(target))
             return np.array(image, dtype=np.float64)
         except (RuntimeError, TypeError) as error:
-            if isinstance(error.__cause__, McspectraError):  # one of our samplers raised it
+            # If a sampler of this package raised the error, raise the original error
+            if isinstance(error.__cause__, McspectraError):
                 raise error.__cause__ from None
             reason = mitsuba_reason(error)
             raise FileFormatError(f"Mitsuba cannot render {shown(named)}: {reason}.") from None
@@ -330,7 +332,7 @@ def integrator_plugin(spec: str) -> dict[str, Any]:
         raise ParameterError(f"The integrator {shown(spec)} cannot be read: {error}") from None
     if reach_of(found) is not None:
         raise ParameterError(f"The integrator {shown(spec)} names a file or code; remove it.")
-    _copied(found)  # Copying checks files and depth; the copy is not used
+    _copied(found)  # This call checks the files and the depth of nesting. Its result is not used
     return found
 
 
@@ -464,7 +466,8 @@ def _built(request: str | Path | DictScene, _state: Hashable = None) -> Any:
     if found is None:
         return scene
     part, reason = found[0], mitsuba_reason(found[1])
-    # Delete the scene: as long as materials exist, Dr.Jit traces them for every other scene
+    # Delete the scene with its materials.
+    # Otherwise Dr.Jit also runs the code of these materials when it records other scenes
     del scene, found
     gc.collect()
     raise ParameterError(
@@ -670,7 +673,9 @@ def referenced_files(
     values: dict[str, dict[str, None]] = {k: {v: None} for k, v in (definitions or {}).items()}
     folders, here = {first.parent: None}, Path.cwd()
     files: dict[Path, _SceneFile] = {}
-    places_of: dict[tuple[Path, int], dict[Path, None]] = {}  # keys: file, index of its name
+    # Paths of the files that a scene file includes.
+    # A key is the scene file and the index of the included file's name in it
+    places_of: dict[tuple[Path, int], dict[Path, None]] = {}
     found: set[Path] = set()
 
     @functools.cache
@@ -828,7 +833,7 @@ def _elements(file: Path, data: bytes) -> _SceneFile:
         name = attributes.get("filename") or (value if tag in ("string", "path") else "")
         if found.depth > DEEPEST or found.elements > MOST_ELEMENTS:
             return  # The limit is exceeded: only count, for the message
-        # A default value with a backslash may form this escape when it is inserted
+        # The text \$ is an escape. A default value with a backslash may form it when inserted
         if any("\\$" in each for each in attributes.values()) or (
             tag == "default" and "\\" in value
         ):

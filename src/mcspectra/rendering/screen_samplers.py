@@ -239,7 +239,10 @@ class PixelSampler(ScreenSampler):
         return last if isinstance(last, Decorrelate) else None
 
     def frames_of(self, n: int, block: ScreenBlock, seed: int, stream: Stream) -> Iterator[Array]:
-        """Draw one realization per pixel. Blocks take successive frames of realizations."""
+        """Draw one realization for each pixel of each frame.
+
+        Blocks with different seeds use different realizations.
+        """
         width, height, frames = block
         stride, lines = width, height
         if self._mask is not None:
@@ -262,7 +265,10 @@ def _check_processes(spec: str, processes: int) -> None:
 
 
 _AXES = (("frame", "frames"), ("y", "height"), ("x", "width"))
-"""Axes of a block, slowest first: the placeholder for one place, and that for all places."""
+"""Placeholders of the axes of a block, for one position and for the number of positions.
+
+The slowest axis comes first.
+"""
 
 _PLACEHOLDERS = (*(name for axis in _AXES for name in axis), "n", "seed", "dims")
 
@@ -276,7 +282,7 @@ class CommandScreen(ScreenSampler):
     ----------
     run
         Program and arguments; no shell is used.
-        Each axis of the block has two placeholders, of which the command contains one.
+        Each axis of the block has two placeholders. The command contains only one of the two.
         With ``{x}``, ``{y}`` or ``{frame}``, the program runs once per position on this axis.
         With ``{width}``, ``{height}`` or ``{frames}``, one run prints all positions on this axis.
         Points are printed frame by frame, row by row, pixel by pixel.
@@ -572,7 +578,7 @@ class Tiles(ScreenSampler):
         Each pixel adds its value of the mask to this set, modulo 1.
         By default, the mask's values are the points: frame t uses the slices t·n … t·n + n − 1.
     time
-        ``"golden"`` adds t times the steps of the R-sequence to the values of frame t.
+        ``"golden"`` shifts the values of frame t by t times the step of Roberts's R-sequence.
         A mask of one frame then changes from frame to frame.
     dims
         Number of channels to use, starting with the first.

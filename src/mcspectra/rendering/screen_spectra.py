@@ -4,7 +4,8 @@ Let f be an integrand with integral I, and u_i(x, y, t) the points of a pixel an
 The error of the pixel is e(x, y, t) = (1/n) Σ_i f(u_i(x, y, t)) − I.
 Its power P_err(ν_y, ν_x, ν_t) is the squared Fourier transform over a block of pixels and frames.
 A linear filter K, in space or in time, leaves the mean squared error ∫ |K(ν)|² P_err(ν) dν.
-This is the slides' formula for the variance, with the filter in the place of the integrand.
+The paper's slides have the same formula for the variance of an estimate.
+In their formula, the integrand takes the place of the filter.
 
 The power is normalized: for white noise it equals the mean squared error of a pixel.
 
@@ -64,9 +65,9 @@ class ScreenSpectrumSettings:
         Only pixels at least 4 σ away from the border of the block are used.
         Beyond 4 σ, the Gaussian has the weight 6e-5 in one dim: errors change by less than 2.5e-4.
     remembered
-        An average over frames may still contain this share of an earlier error.
-        Earlier frames are not used, unless the points repeat after the block.
-        If errors are correlated in time, the variance changes by about this share.
+        A moving average over frames also contains frames from before the block with some weight.
+        Averages in which this weight exceeds `remembered` are not used, unless the points repeat.
+        If errors are correlated in time, the variance changes by about this weight.
     """
 
     most_values: int = 2**23
@@ -127,7 +128,7 @@ def screen_spectrum(
         ``relative_power`` is the power over the mean squared error of a pixel, 1 for white noise.
         By sampler: ``pixel_error``, the mean squared error of a pixel, with ``pixel_error_ci``.
         ``low_share`` is the mean relative power below 1/8 cycle per pixel, 1 for white noise.
-        ``slow_share`` is the same below 1/8 cycle per frame.
+        ``slow_share`` is the mean relative power below 1/8 cycle per frame, 1 for white noise.
         By sampler and filter: ``filtered_error``, the mean squared error after a filter.
         ``filtered_ratio`` is this error divided by that of random points after the same filter.
         The intervals ``filtered_ratio_ci`` have 95 % confidence for all samplers together.
@@ -368,7 +369,10 @@ def _used(
 
 
 def _white_gain(kind: str, sigma: float, alpha: float) -> float:
-    """Return the sum of the squared weights of a filter, its factor for white noise."""
+    """Return the sum of the squared weights of a filter.
+
+    The filter multiplies the variance of white noise by this factor.
+    """
     space = float((Gaussian(sigma=sigma).weights() ** 2).sum()) ** 2
     time = alpha / (2.0 - alpha)
     return {"none": 1.0, "gaussian": space, "ema": time, "both": space * time}[kind]
@@ -428,7 +432,8 @@ def _interval(values: Array, whole: bool, samplers: int, slack: Array | float = 
         return np.stack([mean, mean], axis=-1)
     if count < 2:
         return np.full((values.shape[1], 2), np.nan)
-    level = 0.5 * (1.0 + 0.95 ** (1.0 / samplers))  # Šidák
+    # Šidák correction: the intervals of all samplers together have 95 % confidence
+    level = 0.5 * (1.0 + 0.95 ** (1.0 / samplers))
     error = values.std(axis=0, ddof=1) / math.sqrt(count)
     relative = np.divide(error, mean, out=np.zeros_like(error), where=mean > 0)
     factor = np.exp(np.minimum(float(stdtrit(count - 1, level)) * relative, 700.0)) * (1.0 + slack)

@@ -52,7 +52,7 @@ POWERS = {"balance": 1, "power": 2}
 Techniques = tuple[Any, Any, Any]
 """Three arrays: the value f/p, the density of the technique, and that of the other technique."""
 
-_SCENES, _PIXELS = 4, 256  # number of scenes with cached hits, and of pixels in each
+_SCENES, _PIXELS = 4, 256  # number of scenes with cached hits, and number of pixels per scene
 _PROBES = 16  # number of tested positions along each side of a pixel
 
 
@@ -98,7 +98,8 @@ def hits_of(scene: Any) -> Callable[[int, int], Hit]:
 def _primary_hit(scene: Any, x: int, y: int) -> Hit:
     import drjit
 
-    # Opaque values are data, not constants, so that all pixels share compiled kernels
+    # Make the position an input of the kernel and not a constant in its code.
+    # All pixels then share one compiled kernel
     position = load_mitsuba().Point2f(*_on_film(scene, x, y))
     drjit.make_opaque(position)
     interaction = follow_camera(scene, position)
@@ -232,7 +233,10 @@ def chooses_lobe(hit: Hit, u: Any) -> bool:
 
 
 def sample_columns(u: Array) -> list[Any]:
-    """Return the columns of samples u (M, dims) as `Float` in [0,1). None is rounded up to 1."""
+    """Return the columns of samples u (M, dims) as `Float` in [0,1).
+
+    Values that float32 would round up to 1 are replaced by the largest float32 below 1.
+    """
     columns = np.minimum(np.array(u.T, np.float32, order="C"), np.float32(LARGEST_SAMPLE))
     return [load_mitsuba().Float(c) for c in columns]
 
@@ -248,13 +252,13 @@ def lane_sums(
     """Sum float32 values over k < `count` in float64, separately in each lane: (lanes, numbers).
 
     One loop is recorded, so that memory does not grow with `count`.
-    The argument `values` is a function of the lane numbers that returns a function of k.
+    `values(lane_numbers)` returns a function, which returns the values of all lanes for a given k.
     """
     import drjit
 
     mitsuba = load_mitsuba()
     real: Any = drjit.float64_array_t(mitsuba.Float)
-    # Opaque values are data. As constants, each new value would require a compilation
+    # Make `count` an input of the kernel. As a constant, each new value would need a compilation
     end, at = drjit.opaque(mitsuba.UInt32, count), values(drjit.arange(mitsuba.UInt32, lanes))
 
     def add(k: Any, *sums: Any) -> tuple[Any, ...]:

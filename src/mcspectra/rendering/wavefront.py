@@ -326,7 +326,8 @@ def _chunks(pixels: int, u: Array) -> Iterator[tuple[slice, slice, Array]]:
         for column in range(0, u.shape[-2], width):
             rows, columns = slice(row, row + height), slice(column, column + width)
             part = np.ascontiguousarray(u[columns] if u.ndim == 2 else u[rows, columns], np.float32)
-            if not (part.min() >= 0.0 and part.max() <= 1.0):  # NaN fails both
+            # Comparisons with NaN are false, so this condition also finds NaN
+            if not (part.min() >= 0.0 and part.max() <= 1.0):
                 raise DomainError(
                     "u has samples that are NaN or outside [0,1); give finite numbers in [0,1)."
                 )

@@ -53,7 +53,8 @@ _ROWS = 44  # lines of text per PDF sheet
 _ABREAST = 6  # with more samplers, each one is a row of a table instead of a column
 _IN_OVERLAY = 10  # largest number of samplers per plot
 _MOST_AXES = 10
-_MOST_NAMED = 2  # with more exceptions, the caption gives a range for the number of sets
+# If more samplers than this have an unusual number of sets, the caption gives a range
+_MOST_NAMED = 2
 _CURVES = ["points_made", "variance", "variance_ci", "rate", "rate_ci", "rank", "rank_ci"]
 
 
@@ -177,7 +178,7 @@ def bench_labels(bench: xr.Dataset) -> list[str]:
 
 
 class BenchFigure(NamedTuple):
-    """A figure of a bench: title, name for files, plot, and a text with n and the sets."""
+    """A figure of a bench: title, file name, plot, and a text about the averaged sets."""
 
     title: str
     name: str
@@ -229,7 +230,7 @@ def _plots_of(
             yield BenchFigure(f"Convergence in {d}-D", f"convergence-{d}d", plot, sets)
 
     def of(*names: str, sets: str) -> tuple[dict[str, xr.Dataset], str]:
-        """Return some variables of the samplers that have the first variable, with a caption."""
+        """Return variables of all samplers that have the variable `names[0]`, and a caption."""
         dims, kept = point_dims(bench), [*names, sets]
         found = {
             name: each[kept].assign_attrs(n=int(each["pictured_n"]), dims=dims)
@@ -285,7 +286,10 @@ def _plots_of(
 
 
 def _sets_of(group: Group, key: str) -> str:
-    """Return the usual number of averaged sets, and in brackets samplers with other numbers."""
+    """Return how many sets were averaged for most samplers.
+
+    Samplers with other numbers of sets are listed in brackets.
+    """
     counts = {name: int(each[key]) for name, each in group.items() if np.isfinite(each[key])}
     usual = Counter(counts.values()).most_common(1)[0][0] if counts else 0
     others = [f"{name}: {count}" for name, count in counts.items() if count != usual]

@@ -67,7 +67,7 @@ def compare_curves(first: xr.Dataset, second: xr.Dataset) -> Difference:
 def verdict(first: Curves, second: Curves) -> str:
     """Return sentences that say where the second study has significantly less or more noise.
 
-    A ratio of variances is smaller or larger than 1 if its interval excludes 1.
+    A ratio of variances differs significantly from 1 if its interval does not contain 1.
     The intervals hold simultaneously for all pairs in both studies [Sidak1967]_.
     """
     both = [pair for pair in first if pair in second]
@@ -202,7 +202,10 @@ def _written(folders: list[Path], file: Path, second: str) -> Path:
 
 
 def _side_by_side(first: Curves, second: Curves) -> Iterator[html.Block]:
-    """Yield a table and plots of the set-ups that both studies have, and lists of all others."""
+    """Yield a table and plots of the set-ups that both studies have.
+
+    Also yield lists of the set-ups that only one study has.
+    """
     both = [pair for pair in first if pair in second]
     if both:
         yield html.table_of(

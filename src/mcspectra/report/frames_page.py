@@ -43,11 +43,12 @@ _SURE = 2.24
 _HEAVY = 0.5  # tail index above which the variance is infinite
 _CARRIED = 0.05  # fireflies are reported if they hold more than this share of the variance
 _MOST = 0.5  # a cause with more than this share is called the main source of the variance
-_SURELY = 100.0  # effect of findings that change the meaning of all numbers, for example a bias
+# A finding that changes the meaning of all numbers, for example a bias, gets this large effect
+_SURELY = 100.0
 
 
 def frame_summary(result: xr.Dataset) -> dict[str, Any]:
-    """Return numbers of the whole image as a dict: per number of samples, with all attributes."""
+    """Return numbers of the whole image for each number of samples, and all attributes."""
     # Attributes store lists as JSON text
     told = {
         key: json.loads(value) if isinstance(value, str) and value[:1] == "[" else value
@@ -178,7 +179,8 @@ def _after(found: dict[str, Any]) -> Iterator[_Finding]:
             continue
         if asked:
             yield each
-    # If no filter was given, report the Gaussian at which the order changes most
+    # A Gaussian filter may reverse which of two sets of frames has less variance.
+    # If no filter was given, report the Gaussian for which the reversal is largest
     if not asked and opposites:
         yield max(opposites)
 
@@ -251,7 +253,7 @@ class _Finding(NamedTuple):
 
 
 def _lost(share: float) -> float:
-    """Return the effect of a cause that makes this share of the variance."""
+    """Return the effect of a cause to which the given share of the variance is due."""
     return -math.log1p(-min(max(share, 0.0), 1.0 - 1e-9))
 
 
@@ -451,7 +453,7 @@ def _noise(result: xr.Dataset, found: dict[str, Any]) -> Iterator[_Finding]:
     below = f"below {_LOW} cycles per pixel " + (
         f"the errors have {have}" if power.size else "this small image has no frequencies"
     )
-    # Errors of a power are relative, so multiply it by a factor for its interval
+    # The error of a power is relative, so its interval is from power / factor to power · factor
     factor = math.exp(min(half / level, 700.0)) if level > 0 else math.inf
     if level < _BLUE and level * factor < 1.0:
         yield _Finding(

@@ -182,7 +182,10 @@ def _place(result: xr.Dataset, size: int, name: str) -> str:
 
 
 def _power(found: dict[str, Any]) -> Iterator[str]:
-    """Describe the smallest bias that would have been found, and how many samples find less."""
+    """Describe the smallest bias that the gate would have found.
+
+    Also describe how many samples are needed to find a smaller bias.
+    """
     seen, region = found.get("detectable_image"), found.get("detectable_region")
     if seen is None:
         return
@@ -193,7 +196,7 @@ def _power(found: dict[str, Any]) -> Iterator[str]:
         text = "If the variance falls as 1/n"
     else:
         text += ", with 90 % probability. If the variance falls as 1/n"
-    # Choose the next power of ten below the bias, and compute the samples that find it
+    # Choose the next power of ten below this bias, and compute how many samples would find it
     wanted = found.get("target")
     if wanted is None or wanted >= seen:
         wanted = 10.0 ** math.floor(math.log10(seen / 1.5))

@@ -24,7 +24,7 @@ from mcspectra.report import page as html
 
 __all__ = ["map_layers", "map_note", "map_sentences", "map_summary", "map_table", "write_map"]
 
-_TELLING = 0.1  # a cause is named if it holds at more than this share of the pixels
+_TELLING = 0.1  # a cause is named if it applies to more than this share of the pixels
 _WORST = 5  # number of pixels that are listed
 _COLUMNS = {
     "mean": "Mean",
@@ -212,7 +212,10 @@ def map_layers(result: xr.Dataset) -> dict[str, Array]:
 
 
 def _layers(name: str, data: xr.DataArray) -> Iterator[tuple[str, Array]]:
-    """Yield one layer per sampler, strategy, bounce, count and end of an interval."""
+    """Yield a layer for each combination of sampler, strategy, bounce and count.
+
+    An interval has two layers, one for each end.
+    """
     outer = next((dim for dim in data.dims if dim not in ("y", "x")), None)
     if outer is None:
         yield name, data.values

@@ -496,7 +496,7 @@ def write_page(
         seen: Counter[str] = Counter()
 
         def label(text: str) -> str:
-            """Add a number to the label of a page region if an earlier region has the same."""
+            """Add a number to the label of a page region if an earlier region has this label."""
             seen[text] += 1
             return text if seen[text] == 1 else f"{text} ({seen[text]})"
 

@@ -131,7 +131,7 @@ def _bench_tables(bench: xr.Dataset) -> Iterator[_Table]:
         cells = {"rates": list[list[str]](), "variances": list[list[str]]()}
         for i in range(part.sizes["sampler"]):
             one = part.isel(sampler=i)
-            if not one["variance"].notnull().any():  # this sampler has no sets in these dims
+            if not one["variance"].notnull().any():  # the sampler has no sets in d dims
                 continue
             rates = []
             for k in range(one.sizes["integrand"]):
@@ -283,7 +283,8 @@ def _with_digits(value: float, low: float, high: float) -> str:
     if not math.isfinite(half) or half <= 0.0:
         return f"${value:.2f}$"
     decimals = min(max(-math.floor(math.log10(half)), 0), 4)
-    if round(half * 10**decimals) == 10:  # rounding added a digit
+    # The error should have one digit. If it is rounded up to 10, drop a decimal
+    if round(half * 10**decimals) == 10:
         decimals = max(decimals - 1, 0)
     text = rf"{value:.{decimals}f}({max(round(half * 10**decimals), 1):.0f})"
     return rf"$\mathit{{{text}}}$" if half > 0.5 else f"${text}$"

@@ -26,7 +26,7 @@ __all__ = [
 
 _TOGETHER = 0.3  # interactions with a smaller share of the variance are not reported
 _SHOWN = 0.005  # smallest share of the variance that is named
-_CHARGED = ("order", "roulette", "selection")  # kinds of changes that change the cost of a path
+_CHARGED = ("order", "roulette", "selection")  # kinds of changes that affect the cost of a path
 _ABOUT_CHARGED = (
     "Costs are counted in random numbers: each turn of the integrator's loop (a ray and at most "
     "one shadow ray) uses the same number of them. A change that needs a pilot run is charged for "
@@ -127,7 +127,7 @@ def path_answer(tree: xr.DataTree) -> str:
     for k in range(found.sizes["remedy"]):
         row = found.isel(remedy=k)
         # Recommend only changes whose gain is significant, as in the table of changes.
-        # The error excludes the cost of a pilot, but the verdict includes it
+        # The variable `error` excludes the cost of a pilot. The verdict includes this cost
         sure = row["verdict"].item() in ("better", "given")
         if not sure and row["remedy"].item() != other["remedy"].item():
             continue
@@ -137,8 +137,9 @@ def path_answer(tree: xr.DataTree) -> str:
 
 
 def _advised(tree: xr.DataTree, *kinds: str) -> tuple[xr.Dataset, xr.Dataset]:
-    """Return the best change if it helps significantly, else the path as given; and the reference.
+    """Return the recommended path and the reference path.
 
+    The best change is recommended if it helps significantly, and otherwise the path as given.
     If `kinds` are given, only these kinds of changes are considered.
     The reference is the path with random numbers if it was measured, otherwise the path as given.
     """
@@ -209,7 +210,7 @@ def path_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
         text += f"; random numbers have {number(rows['random'] / rows[name])} times this variance"
     said.append(("sampler", f"{text}."))
 
-    # Lights and remedies
+    # Describe the lights with most variance, and the best remedy
     if "lights" in tree.children:
         lights = tree["lights"].to_dataset()
         largest = lights.isel(light=np.argsort(-lights["light_share"].values)[:3])

@@ -383,7 +383,8 @@ def _sections(tree: xr.DataTree) -> Iterator[tuple[str, tuple[html.Block, ...]]]
     if "pictures" in tree.children:
         group = {}
         for name, node in tree["pictures"].children.items():
-            strategy, _, technique = name.partition("-")  # "balance-bsdf" is one part of MIS
+            # A name such as "balance-bsdf" has two parts: a heuristic of MIS and a technique
+            strategy, _, technique = name.partition("-")
             title = (
                 f"{STRATEGY_NAMES[technique]} share, {strategy}"
                 if technique

@@ -46,7 +46,7 @@ RESULT_FILES = (".npz", ".csv", ".tex", *backend_matplotlib.FORMATS, ".html")
 """Extensions that `write_result_file` accepts."""
 
 _SAID = ("answer", "diagnosis", "note")
-# Combinations of dims: a page has one table of values for each of them
+# A page has one table of values for each of these combinations of dims
 _TABLES = (
     ("sampler",), ("method",), ("n",), ("sampler", "n"), ("method", "n"), ("sampler", "method"),
     ("sampler", "method", "n"),
@@ -148,7 +148,7 @@ def result_table(
     for name, values in variables.items():
         own = [d for d in values.dims if d != "bound"]
         if not set(own) <= set(dims) or (dims and not own):
-            continue  # these variables belong to other tables
+            continue  # a variable with other dims belongs to another table
         missing = {d: sizes[d] for d in dims if d not in own}
         full = values.expand_dims(missing).transpose(*dims, ...).values.reshape(rows, -1)
         ends = ("_low", "_high") if "bound" in values.dims else ("",)

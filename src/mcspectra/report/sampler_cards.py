@@ -280,7 +280,8 @@ def _projection(spec: str, n: int, rng: int) -> Array | None:
     try:
         source = shared_sets(sampler(spec, _PROJECTED_DIMS))
         points: Array = source.draw(source.nearest_count(n), rng=rng)[0, :, 2:]
-    except McspectraError:  # for example, a program that prints too few coordinates
+    # Leave out the projection if drawing fails, for example if a program prints too few coordinates
+    except McspectraError:
         return None
     return points
 

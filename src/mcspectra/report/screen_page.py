@@ -33,7 +33,8 @@ SCREEN_FILES = (".html", ".csv", *_PICTURES)
 """Extensions that `write_screen` accepts; a name without an extension is a folder."""
 
 _AFTER = {"none": "As it is", "gaussian": "After blur", "ema": "After EMA", "both": "After both"}
-_WIDE = 1.5  # above this ratio of its ends, both ends of an interval are shown
+# If the upper end of an interval exceeds the lower end by this factor, both ends are shown
+_WIDE = 1.5
 _CURVES = ["pixel_error", "pixel_error_ci", "low_share", "slow_share", "blocks"]
 
 

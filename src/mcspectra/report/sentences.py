@@ -33,9 +33,11 @@ _DOMINANT = 0.9  # share of dc + power above which the dc term is mentioned
 _AWAY = 4.0  # two means differ if they are more than 4 standard errors apart
 _LENGTH = "|\u2060m|\u2060"  # word joiners prevent a line break after a bar
 _CLOSE = 0.1  # prediction and measurement are close up to this relative difference
-# Widens the 95 % interval of a rate to 3 standard errors: a page makes dozens of claims
+# A page makes dozens of claims, of which some would be wrong with 95 % intervals.
+# This factor widens the interval of a rate to 3 standard errors
 _RATE_MARGIN = 1.5
-_SURE = 0.2  # the interval of a rate must have at most this half width to call the rate random
+# A rate near −1 is called the rate of random sampling if half of its interval is below this
+_SURE = 0.2
 _REMEDY_WORDS = ("diagnosis", "answer")
 _TERMS = {
     "dc": "weights: p does not follow f",
@@ -167,7 +169,7 @@ def explain(row: SummaryRow, terms: xr.Dataset | None = None) -> str:
     -------
     str
         Sentences about the rate, the prediction, the terms and the captured share.
-        The text is empty if nothing is known about the pair.
+        The text is empty if nothing is known about this estimator with this sampler.
 
     Raises
     ------
@@ -381,7 +383,7 @@ def _captured_sentence(row: SummaryRow, terms: xr.Dataset) -> str:
             "measured variance: the sum over frequencies has not converged."
         )
     if found == "agrees":
-        if _is_predicted(row):  # another sentence compares them
+        if _is_predicted(row):  # another sentence compares prediction and measurement
             return ""
         share = f"{row.captured:.0%}".replace("%", " %")
         return f"Prediction and measurement agree ({share})."

@@ -183,7 +183,7 @@ def _written(root: Path, file: Path) -> Path:
         sections.append(html.Section(title=each.name, anchor=anchor, blocks=shown))
     gaps = tuple(_gaps(root, asked))
     blocks = (*_summary(rows, bool(estimates)), *gaps)
-    # If there are pictures, the table follows them; otherwise it comes first
+    # The summary follows the pictures of estimators, or comes first if there are no pictures
     place = len(sections) if len(estimates) <= _MOST_ROWS else 0
     sections.insert(place, html.Section(title="Summary", anchor="summary", blocks=blocks))
     text = study_toml(study)
@@ -324,7 +324,10 @@ def _advice(each: Estimates) -> tuple[str, str]:
 
 
 def _allowed(study: str) -> str:
-    """Return the command-line options that a study with Python functions needs, after a blank."""
+    """Return the command-line options for the Python functions of a study.
+
+    Each option begins with a blank.
+    """
     return "".join(f" --allow-code {name}" for name in dict.fromkeys(_FUNCTION.findall(study)))
 
 
@@ -484,7 +487,7 @@ def _details(
     if shown:
         yield html.Figures(figures=tuple(shown))
 
-    # Tables
+    # Show the table of terms and the tables of all analyses
     terms = terms_table([row for rows in each.rows.values() for row in rows])
     if terms.rows:
         yield html.Collapsible(summary="Three terms in numbers", blocks=(terms,))
@@ -498,7 +501,7 @@ def _details(
             yield html.Paragraph(text=made[0], kind="heading")
             yield made[1]
 
-    # Details
+    # Show the figures with details, and the settings
     for summary, figures in details.items():
         if figures:
             yield html.Collapsible(summary=summary, blocks=(html.Figures(figures=tuple(figures)),))

@@ -67,7 +67,7 @@ def summary_table(
     Raises
     ------
     ParameterError
-        If an argument is not such a list, or the lengths differ.
+        If an argument is not a list of the required type, or the lists differ in length.
     """
     cells, rows = [], as_instances("rows", rows, SummaryRow, _ROW)
     found = as_instances(
@@ -314,7 +314,7 @@ _TABLES: Mapping[
             "Ratio",
             "95 % interval",
             "Rate",
-            "Verdict",  # not a column of words, because these wrap
+            "Verdict",  # not marked as a column of words, because columns of words wrap
             "What to do",
         ),
         (0, 1, -1),

@@ -100,7 +100,8 @@ class Claim:
     about
         Kind of the plot on the slide that shows the claim. Default: the first slide of the exhibit.
     corrects
-        Whether the claim, if it agrees, limits or contradicts the slide, as a counterexample does.
+        Whether the claim limits or contradicts the slide if the measurement confirms the claim.
+        An example is a counterexample to a statement of the slide.
     """
 
     statement: str
@@ -143,7 +144,7 @@ class Finding:
     agrees
         The verdict. None if the claim has no verdict, or if its bound lies inside the interval.
     corrects
-        Whether the claim, if it agrees, limits or contradicts the slide.
+        Whether the claim limits or contradicts the slide if the measurement confirms the claim.
     """
 
     statement: str
@@ -165,7 +166,7 @@ class Exhibit:
     numbers
         Values that replace the names in braces in the texts.
     plots
-        Plots in the order of the page. Texts and layouts belong to the kinds of plots.
+        Plots in the order of the page. Plots of one kind have the same texts and layout.
     claims
         Claims in the order in which the page shows them.
     sliders
@@ -233,7 +234,7 @@ def about(plot: str, *claims: Claim) -> tuple[Claim, ...]:
 
 
 def correction(claim: Claim) -> Claim:
-    """Mark a claim as one that limits or contradicts the slide if it agrees."""
+    """Mark a claim as one that, if confirmed, limits or contradicts the slide."""
     return replace(claim, corrects=True)
 
 

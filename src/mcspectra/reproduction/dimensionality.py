@@ -171,7 +171,7 @@ def entries(dims: int, half_width: int) -> int:
 
 
 def subsets(dims: int, half_width: int) -> Array:
-    """Return as a bit mask, for each frequency, on which axes it is not 0."""
+    """Return a bit mask for each frequency m. Bit i is set if m is not 0 on axis i."""
     side = np.arange(-half_width, half_width + 1)
     grids = np.meshgrid(*[side] * dims, indexing="ij")
     return np.asarray(sum(2**i * (m != 0) for i, m in enumerate(grids))).ravel()

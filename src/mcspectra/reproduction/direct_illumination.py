@@ -91,7 +91,11 @@ def integrands() -> dict[Case, Any]:
 
 
 def _expected(case: Case, sampler: str) -> float:
-    """Return the expected rate: −2 if the light is fully visible and points do not wrap."""
+    """Return the expected rate: −2 for light sampling at P with jittered points, otherwise −1.5.
+
+    From P, the whole light is visible, so the integrand has no jump inside the unit square.
+    Shifted points wrap around the border of the square, which adds a jump.
+    """
     return -2.0 if (case, sampler) == (("P", "light"), "jittered") else -1.5
 
 

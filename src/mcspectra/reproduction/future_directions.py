@@ -19,7 +19,8 @@ from mcspectra.reproduction.strata_alignment import edge
 
 __all__ = ["exhibit"]
 
-COUNTS = (36, 144, 576, 2304)  # squares of multiples of 6; the edge at 1/3.5 cuts their strata
+# Squares of multiples of 6. With these counts, the edge at 1/3.5 lies inside a stratum
+COUNTS = (36, 144, 576, 2304)
 AT = 2 / 7
 BUDGET = 256
 _TABLE = 8  # cells along each side of the tabulated density for importance sampling
@@ -139,7 +140,7 @@ def _aligned(n: int) -> mcs.Estimator:
 
 
 def _measured_aligned(realizations: int, seed: int) -> xr.Dataset:
-    """Measure aligned strata. Their estimator depends on the number of points."""
+    """Measure the variance with aligned strata, whose borders change with the number of points."""
     options: dict[str, Any] = {"realizations": realizations, "rng": seed}
     curves = [mcs.convergence(_aligned(n), "jittered", [n], **options) for n in COUNTS]
     return xr.concat([c[["mean", "variance", "variance_ci"]] for c in curves], dim="n")

@@ -123,7 +123,7 @@ class ExhibitTexts:
     slides
         The slides that the exhibit reproduces.
     plots
-        By kind of plot: caption, words and optional layout (attributes of `Plot`).
+        Attributes of `Plot` for each kind of plot: caption, words, and optionally a layout.
     """
 
     summary: str
