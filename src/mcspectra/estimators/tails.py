@@ -45,7 +45,7 @@ __all__ = [
 ]
 
 _LEAST, _POINTS = 2**12, 2**16
-_LARGE = 0.1  # Shares of ∫f²/p in regions without samples are reported above this
+_LARGE = 0.1  # Smallest share of ∫f²/p in regions without samples that causes a note
 
 
 @final
@@ -365,7 +365,7 @@ def unsampled_note(estimator: AbstractEstimator, samples: int) -> str | None:
 
 
 def tail_note(moments: Moments) -> str | None:
-    """Return a sentence if the estimates of some channel do not resolve the tails of f/p."""
+    """Return a sentence about tails if the estimates of some channel do not resolve their tails."""
     unresolved = ~np.atleast_1d(moments.resolved)
     if not unresolved.any():
         return None
