@@ -338,7 +338,7 @@ def _row(side: str, setup: ExplorerSetup, board: Board) -> str:
     missing = "…" if board.busy else "–"
 
     # Show the ratio of measured and predicted variance, as in the summary of a report.
-    # Both variances belong to the number of points n of the variance terms
+    # Both variances are for the number of points n at which the variance terms were computed
     parts = {k: v for k, v in board.latest.items() if k in ("terms", "predict")}
     ratio = missing
     if len(parts) == 2:

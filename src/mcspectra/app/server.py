@@ -234,7 +234,7 @@ def serve(port: int = 0, *, open_browser: bool = True, quiet: bool = False) -> N
 def _is_own_error(record: logging.LogRecord) -> bool:
     """Make the text of a logged error printable.
 
-    Return whether the explorer itself caused the error, not a request of the browser.
+    Return True if the explorer itself caused the error, and False if a request caused it.
     """
     text = record.getMessage()
     record.msg, record.args = printable(text, lines=True), ()

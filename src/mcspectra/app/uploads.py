@@ -1,4 +1,4 @@
-"""Pictures that users upload to the explorer. The cache folder stores each by its digest.
+"""Pictures that users upload to the explorer. The cache folder stores them by digest.
 
 The state contains the digest, so a URL shows the same picture after a restart.
 """

@@ -193,7 +193,7 @@ def convergence(result: xr.Dataset) -> VerbOutput:
 
 @_view("terms")
 def terms(result: xr.Dataset) -> VerbOutput:
-    """Prints the terms, their sum, the measured variance, and the ratio of sum and variance.
+    """Prints the terms, their sum, the measured variance, and the sum divided by this variance.
 
     Each sampler has a table.
     The energy share is the fraction of ∫f² at frequencies up to the half width.

@@ -186,7 +186,7 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         An option's value is in the attribute that has the name of the option.
     companions
         Names of other analyses that a study computes in addition to this analysis.
-        For example, a study that asks for spectra also draws the points.
+        For example, a study that computes spectra also computes the points.
     pictured
         Whether the first screen of a report shows the analysis.
         A study computes such analyses first. If it is interrupted, it already has a report.

@@ -59,7 +59,7 @@ _NEGLIGIBLE = 1e-6
 # Largest ratio between the unresolved volumes of successive levels.
 # In 2-D, this ratio is ½ if cells along a line are unresolved, and ¼ if cells at a point are
 _SHRINKING = 0.8
-# Number of the first levels, which ratios omit.
+# Number of levels at the start that are omitted from ratios of levels.
 # These levels also split cells that are near a zero without containing it
 _FIRST_LEVELS = 4
 _WINDOW = 8
@@ -226,9 +226,8 @@ def positive_integral(
         If the unresolved part does not shrink, the integral is infinite and the error is 0.
         Poles r^-a with a > 0.97 count as divergent.
         See `mcspectra.densities.reciprocal_integral`.
-        If the totals of the levels were extrapolated as a geometric series, the error differs.
-        It is then the last change of the extrapolated limit, times r/(1 − r), or 1 if this is less.
-        Here r is the ratio of the series.
+        If the totals were extrapolated as a geometric series of ratio r, the error is a product:
+        the last change of the extrapolated limit, times the larger of 1 and r/(1 − r).
         Where poles cross, the levels form only approximately a geometric series.
     """
     with np.errstate(over="ignore", invalid="ignore"):

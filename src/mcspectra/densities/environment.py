@@ -121,7 +121,7 @@ class EnvironmentDensity(Wrapper):
         False makes the density proportional to L on the square, as for a flat picture.
     compensation
         The multiple of the mean radiance to subtract: p ∝ max(0, L − multiple · mean L).
-        This is the version of [Karlik2019]_ that does not depend on the normal of a surface.
+        The subtraction is the version of [Karlik2019]_ that does not depend on a surface normal.
         False means no subtraction.
         True means 1, which suits equal numbers of direction and BSDF samples.
         The density is then 0 at places where f is not 0, so combine it with another technique.

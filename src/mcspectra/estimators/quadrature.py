@@ -92,7 +92,7 @@ _FAR, _NEAR, _INSIDE = (30, 60, 90, 120), (20, 30, 40, 50), (8, 14, 20, 26)
 _TOP, _RANK = 256, 8
 # The largest values follow a power law t^-a under two conditions.
 # First, the exponent a is above the first number.
-# Second, log(g_4/g_32) is above log(g_32/g_256) times the second number; g_k has rank k.
+# Second, log(g_4/g_32) exceeds log(g_32/g_256) times the second number; g_k has rank k.
 # The third number is the largest exponent a that is used to integrate g²
 _HEAVY, _AS_POWER, _LARGEST_POWER = 0.1, 0.6, 0.47
 # Growth is unbounded if log2 |g| rises by at least this much at each step toward the plane
@@ -110,7 +110,8 @@ _GRADED = {
 class Pointwise(Derived):
     """A pointwise function of an integrand.
 
-    If `width` is given, it is the number of channels; otherwise the channels are the integrand's.
+    If `width` is given, it is the number of channels.
+    Otherwise the function has as many channels as the integrand.
     """
 
     name: ClassVar[str] = "pointwise"
@@ -215,7 +216,7 @@ def blindness(g: Integrand, means: Array, squares: Array) -> Array:
 def moments(g: Integrand) -> tuple[Array, Array, Array, Array]:
     """Return a number a near ∫g, the integrals ∫(g − a) and ∫(g − a)², and their error.
 
-    Each of these four arrays has the shape (channels or 1,).
+    All four results are arrays of shape (channels or 1,).
     The integrals have a closed form, or come from the rule that detects regions between nodes.
     They are cached. With a learned density, f is integrated over the domain.
     There, the knots of the density are on planes normal to the axes.
@@ -490,7 +491,7 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
     If g = f/p, this second quadrature integrates f²/p over the domain:
     in primary space, floating-point numbers are sparse next to 1.
     The integral is infinite if the unresolved part does not shrink.
-    However, it is finite if g grows with an exponent below ½ toward a plane normal to an axis.
+    If g grows toward a plane normal to an axis with an exponent below ½, the integral is finite.
     Otherwise the result with the smaller error is used.
     In more dims, other poles can at best be recognized by a large error.
     """

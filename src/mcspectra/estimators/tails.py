@@ -82,7 +82,8 @@ class TailSettings:
     largest: float = 0.46
     surely: float = 0.25
     # Probability that the integral lies beyond the extended end of its interval.
-    # The opposite end comes from Student's t. The integral hardly ever lies beyond the opposite end
+    # The other end of the interval comes from Student's t.
+    # The integral hardly ever lies beyond the other end of the interval
     beyond: float = 0.04
     # If fewer values than this hold half of the variance, most sets miss important regions.
     # Of 8,192 values of a smooth function, 700 or more hold half of the variance.

@@ -68,7 +68,7 @@ class LineSettings:
     steps: int = 16
     # Number of halvings of the step around the roughest place.
     # After 12 halvings, the step is 1.5e-5 of the length of the line, which is far above rounding.
-    # The step is also much smaller than the distance of features that 16 steps can find.
+    # The step is also much smaller than the distance between features that 16 steps can find.
     # With 6 halvings, 29 of 152 causes are wrong; values from 12 to 24 give the same results.
     halvings: int = 12
     # Number of the last halvings. The exponent is computed from their second differences.
