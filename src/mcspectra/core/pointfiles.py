@@ -205,7 +205,7 @@ def format_dat(sets: Iterable[object], meta: Mapping[str, Any] | None = None) ->
 def _content(
     extension: str, sets: Iterable[object], meta: Mapping[str, Any] | None, name: str
 ) -> bytes:
-    """Return the bytes of a file. Messages call the file `name`."""
+    """Return the bytes of a file. Error messages call the file `name`."""
     # Convert the sets to float64 arrays (n, d), and their description to JSON
     try:
         numbered, text = enumerate(sets), json.dumps(dict(meta or {}), default=str)
