@@ -153,7 +153,7 @@ class Board:
         self._later(self._read)
 
     def _read(self) -> None:
-        """Process updates in their order of arrival, which callbacks of the page do not keep."""
+        """Process updates in order of arrival. The page may run its callbacks in another order."""
         while not self._inbox.empty():
             job, news = self._inbox.get()
             if job is not self._job:  # an earlier job sent this update
@@ -226,7 +226,8 @@ def card_of(
 ) -> Card:
     """Show a plot of a side in the card `before` if it fits, otherwise in a new card.
 
-    The heading names the side if `named` is true. The label for screen readers always does.
+    If `named` is true, the heading names the side.
+    The label for screen readers always names the side.
     """
     words = f'<p>{escape_html(plot.words)}</p><p class="soft">{escape_html(plot.caption)}</p>'
     if before is not None and before.drawn.fits(plot):

@@ -55,7 +55,10 @@ UPDATE_KINDS = ("points", "integrand", "spectrum", "convergence", "terms", "pred
 """Parts of a result, in order of computation. Later rounds omit points, integrand and predict."""
 
 MOST_AT_ONCE = 2
-"""Maximum number of parts that all pages compute at once. A second part uses idle time."""
+"""Maximum number of parts that all pages together compute at the same time.
+
+With two parts, one part can use the time in which the other part is idle.
+"""
 
 _PATIENCE = 0.2  # seconds between checks whether a waiting job was canceled
 _INTEGRAND = ("integrand", "density", "dims", "mirror", "channel", "smoothing")
@@ -66,9 +69,10 @@ _OWN = {  # for each part, the fields of the set-up that affect it
 
 _FIRST_ROUND, _GROWTH = 16, 4
 _LONGEST_ROUND = 30.0  # a round that is expected to take longer, in seconds, is not begun
-_MATRIX_HALF_WIDTH = 64  # largest half width at which the cross matrix is computed
+# Largest half width of the frequencies for which the matrix of all cross terms is computed
+_MATRIX_HALF_WIDTH = 64
 _KEPT = 64  # maximum number of cached datasets, of about 1 MB each
-_GRID = {1: 1024, 2: 128}  # grid points per axis for plots of the integrand, by dims
+_GRID = {1: 1024, 2: 128}  # number of grid points per axis in plots of the integrand
 _FILTERS = threading.Lock()  # warning filters belong to the process, not to a thread
 
 
@@ -124,8 +128,9 @@ def compute(kind: str, setup: ExplorerSetup, realizations: int) -> xr.Dataset:
 def _computed(kind: str, setup: ExplorerSetup) -> xr.Dataset:
     parts = make_parts(setup)
     if kind == "integrand":
-        # Tabulate f, p and f/p on the unit square
-        # For a sum of techniques, only f/p is known, with x in primary space
+        # Tabulate f, p and f/p on the unit square.
+        # A sum of techniques has no single f and p.
+        # In this case, tabulate g = f/p of each technique in primary space instead
         dims, f = parts.sampler.dims, parts.estimator.domain_integrand
         size = _GRID[dims]
         middles = (np.arange(size) + 0.5) / size

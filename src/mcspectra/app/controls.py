@@ -174,7 +174,10 @@ class Controls:
         self._on_error(sentence)
 
     def change(self, **values: Any) -> None:
-        """Change fields of the set-up as a user would. Texts are read as in the page's address."""
+        """Change fields of the set-up as a user would.
+
+        A value that is a string is read like the value of a parameter in the page's URL.
+        """
         try:
             read = {
                 k: ExplorerSetup.read(k, v) if isinstance(v, str) else v for k, v in values.items()

@@ -36,8 +36,10 @@ def figures_of(kind: str, value: xr.Dataset, name: str) -> list[Plot]:
     ----------
     kind
         Name of the part, one of `mcspectra.app.compute.UPDATE_KINDS`.
-    value, name
-        The result, and its name in the figures.
+    value
+        The result.
+    name
+        Name of the result in the figures.
     """
     if kind == "integrand":
         # Show f, p and f/p side by side, because a constant f/p would mean no variance

@@ -337,7 +337,8 @@ def _row(side: str, setup: ExplorerSetup, board: Board) -> str:
     terms, curve = board.latest.get("terms"), board.latest.get("convergence")
     missing = "…" if board.busy else "–"
 
-    # Show measured and predicted variance at the n of the terms, as the summary of a report does
+    # Show the ratio of measured and predicted variance, as in the summary of a report.
+    # Both variances are for the number of points n at which the variance terms were computed
     parts = {k: v for k, v in board.latest.items() if k in ("terms", "predict")}
     ratio = missing
     if len(parts) == 2:

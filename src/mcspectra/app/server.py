@@ -100,7 +100,8 @@ class Guard(routing.Router):
             return False
         if not all(each.lower() in self._origins for each in origins):
             return False
-        # Other paths of bokeh also open sessions. Its pattern for autoload.js matches more names
+        # Allow only the paths of the page, because other paths of Bokeh also open sessions.
+        # Bokeh's pattern for the path of autoload.js also matches other names
         if request.path not in ("/", "/ws") and not request.path.startswith("/static/"):
             return False
         is_page = request.path == "/" and request.method in ("GET", "HEAD")
@@ -231,7 +232,10 @@ def serve(port: int = 0, *, open_browser: bool = True, quiet: bool = False) -> N
 
 
 def _is_own_error(record: logging.LogRecord) -> bool:
-    """Whether a logged error is the explorer's own, not of a request; make its text printable."""
+    """Make the text of a logged error printable.
+
+    Return True if the explorer itself caused the error, and False if a request caused it.
+    """
     text = record.getMessage()
     record.msg, record.args = printable(text, lines=True), ()
     return "GET /ws" not in text and "GET /static" not in text

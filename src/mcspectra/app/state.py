@@ -254,9 +254,8 @@ class ExplorerState:
         """Return the query string for `from_query`, without a question mark."""
         pairs = list(self.a.differences().items())
         if self.b is not None:
-            own = self.b.differences() or {
-                "n": str(self.b.n)
-            }  # needed even if B has only default values
+            # If all values of B are defaults, the query contains n of B, to show that B exists
+            own = self.b.differences() or {"n": str(self.b.n)}
             pairs += [(_PREFIX + key, text) for key, text in own.items()]
         if self.theme != THEMES[0]:
             pairs.append(("theme", self.theme))

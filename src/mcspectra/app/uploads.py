@@ -1,4 +1,4 @@
-"""Pictures uploaded to the explorer, which the cache folder stores under their digest.
+"""Pictures that users upload to the explorer. The cache folder stores them by digest.
 
 The state contains the digest, so a URL shows the same picture after a restart.
 """

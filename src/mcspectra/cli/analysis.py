@@ -78,11 +78,11 @@ _ESTIMATOR = (
         repeated="all",
     ),
 )
-"""Options that describe the estimator. For the sampler, each analysis has its own option."""
+"""Options that describe the estimator. Each analysis declares its own option for samplers."""
 
 
 def analysis_verb(names: Sequence[str], given: Sequence[str] = ()) -> Verb:
-    """Create the verb of one or several analyses, for given arguments.
+    """Create the verb of one or several analyses. Its options depend on the given arguments.
 
     Parameters
     ----------
@@ -294,7 +294,8 @@ def _estimator_subject(options: argparse.Namespace, default_sampler: str | None)
 def _of_splits(chosen: str, options: dict[str, tuple[Option, ...]]) -> list[Declaration]:
     """Declare the options for all values of --split. Only those of the chosen value may be given.
 
-    Options for all values come first. Each further group has the options for some values.
+    Options that apply to all values of --split come first.
+    Each group after them has the options that apply to the same value or values.
     """
     owners: dict[str, list[str]] = {}
     for split, its in options.items():
@@ -339,7 +340,7 @@ def _of_splits(chosen: str, options: dict[str, tuple[Option, ...]]) -> list[Decl
 
 
 def _flags(given: Option) -> list[str]:
-    """Return the flags of an option: usually a letter and the name, but only ``-n`` for ``n``."""
+    """Return the flags of an option: usually a letter and the name. The option n is only ``-n``."""
     own = given.extra.get("flag", given.flag)
     if given.is_flag:
         return [own if "flag" in given.extra or not given.default else f"--no-{own[2:]}"]
@@ -395,7 +396,7 @@ def declared(
     def read(name: str, text: str) -> Any:
         if not listed:
             return given.read(text, name)
-        # Names have no commas, so commas may separate names; other texts are given one by one
+        # Names contain no commas, so commas may separate them. Other texts are not split
         texts = text.split(",") if given.item_choices else [text]
         return given.check(tuple(each.strip() for each in texts), name)
 

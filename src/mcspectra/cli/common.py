@@ -161,7 +161,7 @@ def whole(least: int = 1, most: int | None = None) -> Callable[[str, str], int]:
 
 
 def wholes(form: str = "", least: int = 1) -> Callable[[str, str], list[int]]:
-    """Return a parser of whole numbers separated by commas. A form such as W,H sets their count."""
+    """Return a parser of whole numbers with commas between them. The form W,H means two numbers."""
 
     def read(name: str, text: str) -> list[int]:
         parts = text.split(",")

@@ -77,7 +77,7 @@ def design_(options: argparse.Namespace) -> VerbOutput:
 
     A density is learned for one integrand and one sampler.
     The table compares variances with and without the density, at points not used for learning.
-    If the density does not lower the variance, the result is uniform.
+    If the learned density does not lower the variance, the uniform density is saved instead.
     """
     density = options.kind == _DENSITY
     other = "samplers" if density else "densities"
@@ -117,7 +117,7 @@ def _sampler(options: argparse.Namespace, path: str | None) -> tuple[str, dict[s
         )
     ]
     rows[0][0] = "this design"
-    # If the rival is unbiased, and better with 95 % confidence, save it instead
+    # If the best usual sampler is unbiased, and better with 95 % confidence, save it instead
     spec, saved = sampler.spec, ""
     if low > 1.0:
         rival = mcs.sampler(found.attrs["best_rival"], sampler.dims)
@@ -147,7 +147,8 @@ def _sampler(options: argparse.Namespace, path: str | None) -> tuple[str, dict[s
     }
     if path is not None:
         sets = str(Path(path).with_suffix(".npz"))
-        stored = spec.replace(repr(sets), repr(Path(sets).name))  # relative to the file's folder
+        # In the file, the path of the point sets is relative to the folder of the file
+        stored = spec.replace(repr(sets), repr(Path(sets).name))
         with writing(path):
             Path(path).write_text(json.dumps(data | {"spec": stored}, indent=2) + "\n")
     return text, data

@@ -43,8 +43,10 @@ def gate_(options: argparse.Namespace) -> VerbOutput:
     """Test whether new renders agree with a reference: pass, fail or undecided.
 
     The exit code is 0 for pass, 3 for fail and 4 for undecided.
-    The output states the bias that would have been found, and the samples that find a smaller one.
-    A false alarm has at most the probability --level with 5 + 5 frames or more of equal samples.
+    The output states how large a bias the test would have detected.
+    It also states the number of samples that would detect a smaller bias.
+    Suppose that both sets have 5 frames or more, all with equal numbers of samples.
+    In this case, a false alarm has at most the probability --level.
     With fewer frames or unequal samples, t tests are used, and this probability is approximate.
     """
     from mcspectra.rendering.gate import GATE_VERDICTS, gate

@@ -265,7 +265,10 @@ def _dispatch(given: list[str]) -> int:
 
 
 def _writer(parser: argparse.ArgumentParser) -> Callable[[Parameter | Function], str]:
-    """Return a function that writes parameters as typed options, and functions as verbs."""
+    """Return a function that adapts names in messages to the command line.
+
+    The function replaces a parameter by its option as typed, and a Python function by its verb.
+    """
     import shlex
 
     from mcspectra.core.analysis import ANALYSES
@@ -351,7 +354,10 @@ def _outside_analyses(word: str) -> list[str]:
 
 
 def _outside_verbs() -> tuple[dict[str, list[str]], dict[str, str]]:
-    """Return verbs from other packages with names of analyses, and omitted names with reasons.
+    """Return the verbs of analyses from other packages, and reasons why analyses are omitted.
+
+    The first dictionary maps each verb to the names of its analyses.
+    The second dictionary maps the name of each omitted analysis to the reason.
 
     An analysis is omitted if another analysis has the same function, or the same verb and split.
     Analyses of this package have priority.

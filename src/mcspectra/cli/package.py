@@ -52,7 +52,7 @@ _ITSELF = f"""@software{{mcspectra,
     option("-o, --out DIR", "output folder (default out/reproduce)", repeated="once"),
 )
 def reproduce_(options: argparse.Namespace) -> VerbOutput:
-    """Make the figures of the slides again, and report which statements agree.
+    """Make the figures of the slides again, and report which statements of the slides hold.
 
     Writes DIR/index.html, a lecture in a single self-contained file.
     Also writes DIR/findings.json and DIR/figures/*.png and *.pdf.

@@ -88,7 +88,8 @@ def list_(options: argparse.Namespace) -> VerbOutput:
             row = {"name": name, "summary": f"not available: {reason}", "parameters": []}
         rows.append(row)
 
-    # Print summary and parameters of each name, and then its verb, or its dims, counts and sources
+    # Print the summary and the parameters of each component.
+    # For an analysis, also print its verb. For a sampler, also print dims, counts and sources
     widest, lines = max(len(row["name"]) for row in rows), []
     for row in rows:
         lines.append(f"{row['name'].ljust(widest)}  {row['summary']}")
@@ -305,7 +306,8 @@ def bench_(options: argparse.Namespace) -> VerbOutput:
     --screen compares masks and screen-space samplers by their errors in images, before any render.
     The table has the variance, its share at low frequencies, and the variance after filters.
 
-    With --style paper, DIR has each figure as PDF, PGF and SVG, tables, and main.tex with all.
+    With --style paper, DIR has each figure as PDF, PGF and SVG, and the tables.
+    The file main.tex in DIR contains all figures and tables.
     Width, sizes and colors that are not given follow the rcParams of Matplotlib.
     """
     look = given_of(options, "width", "font_size", "spectra", "colors")
@@ -333,8 +335,8 @@ def bench_(options: argparse.Namespace) -> VerbOutput:
     given = given_of(options, "counts", "dims", "realizations")
     bench = mcs.sampler_bench(specs, **given, rng=seed)
 
-    # Measure a card of each sampler only if a page is written.
-    # The cards use the largest count only: the result of `sampler_bench` already has the rates
+    # A card is the section of the page about a sampler. Measure cards only for a page.
+    # The result of `sampler_bench` already has the rates, so each card uses only the largest count
     cards = []
     if not paper and any(is_folder(file) or file.endswith(".html") for file in options.out):
         spectra = min(200, options.realizations or 200)

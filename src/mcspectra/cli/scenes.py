@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 __all__ = ["frames_", "map_", "pixel_", "render_"]
 
 _WIDTH = 100  # width of wrapped sentences in columns
-_AROUND = 8  # side in pixels of the square in which samplers are compared for a target
+_AROUND = 8  # side, in pixels, of the square of pixels for which samplers are compared
 _SPP, _COMPARED_SPP, _REFERENCE_SPP = 16, 4, 1024
 
 
@@ -137,7 +137,7 @@ def render_(options: argparse.Namespace) -> VerbOutput:
 
     With --integrator Mitsuba renders whole paths, and --sampler replaces the scene's own sampler.
     Our samplers are padded: each request of the integrator has its own points.
-    The first 4 numbers of a path are joint for scrambled nets (--joint-dims).
+    With scrambled nets, the first 4 numbers of a path come from one point set (--joint-dims).
     A scene file can also name a sampler of this package:
     <sampler type="mcspectra"> with <string name="spec" value="sobol | owen"/>.
     """

@@ -223,7 +223,10 @@ def _cluster_engine(options: argparse.Namespace, time_limit: float | None) -> Ma
 
 
 def estimate_text(estimates: Sequence[CellEstimate], wall: float, workers: int) -> str:
-    """Return a table with a row per estimator and analysis, which sums over all samplers."""
+    """Return a table of costs with a row for each pair of estimator and analysis.
+
+    A row combines the costs for all samplers.
+    """
     from mcspectra.core.memory import shown_bytes
 
     groups: dict[tuple[str, str], list[CellEstimate]] = {}

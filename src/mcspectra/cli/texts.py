@@ -193,9 +193,10 @@ def convergence(result: xr.Dataset) -> VerbOutput:
 
 @_view("terms")
 def terms(result: xr.Dataset) -> VerbOutput:
-    """Prints the terms, their sum, the measured variance, the share they capture, and the rest.
+    """Prints the terms, their sum, the measured variance, and the sum divided by this variance.
 
-    Each sampler has a table. The energy share is the part of ∫f² up to the half width.
+    Each sampler has a table.
+    The energy share is the fraction of ∫f² at frequencies up to the half width.
     The tail term estimates the variance at higher frequencies as if the points were random.
     """
     known = result.attrs
@@ -309,8 +310,9 @@ def pcf(result: xr.Dataset) -> VerbOutput:
 
 @_view("anova")
 def anova(result: xr.Dataset) -> VerbOutput:
-    """Prints the variance of each subset of axes, of larger subsets, and effective dimensions.
+    """Prints the variance of each subset of axes, and of all larger subsets together.
 
+    The mean dimension and the effective dimensions follow.
     Shares and dimensions have 95 % intervals.
     The intervals may exceed the range from 0 to 1, or the number of axes.
     """
@@ -453,7 +455,7 @@ def remedies(result: xr.Dataset) -> VerbOutput:
 
 
 def remedies_table(result: xr.Dataset) -> str:
-    """Return the table of changes that were tried, as a report has it."""
+    """Return the table of changes that were tried, with columns of the table in a report."""
     from mcspectra.report.page import columns_of
     from mcspectra.report.tables import analysis_table
 

@@ -2,7 +2,8 @@
 
 A decimal number w/10^k with at most 19 digits and k ≤ 22 is divided in twice float64 precision.
 In this division, w, 10^k and the remainder of the first quotient are exact.
-The sum of both quotients is correctly rounded, except in rare cases.
+A second quotient divides this remainder by 10^k.
+The sum of the first and the second quotient is correctly rounded, except in rare cases.
 In these cases it lies within about 2^-40 of the midpoint of two neighboring float64 numbers.
 The kernel leaves such numbers, and numbers of other forms, to the caller.
 """

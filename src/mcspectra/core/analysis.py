@@ -185,10 +185,11 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         The attribute ``stream_key`` holds the key of the random stream.
         An option's value is in the attribute that has the name of the option.
     companions
-        Further analyses that a study computes for the same table, such as points for a spectrum.
+        Names of other analyses that a study computes in addition to this analysis.
+        For example, a study that computes spectra also computes the points.
     pictured
         Whether the first screen of a report shows the analysis.
-        A study computes such analyses first, so that a study that was interrupted has a report.
+        A study computes such analyses first. If it is interrupted, it already has a report.
     """
 
     function: ClassVar[str] = ""
@@ -388,7 +389,7 @@ def needed(analysis: Analysis, subject: Subject) -> Need:
     ParameterError
         If a list is given where the analysis takes one object, or a sampler is listed twice.
     McspectraError
-        If the method `need` of the analysis raises it.
+        If the method `need` of the analysis raises this error.
     """
     _check_lists(analysis, subject)
     need: Any = analysis.need(subject)
@@ -504,7 +505,7 @@ def finished(analysis: Analysis, result: xr.Dataset, rng: RngLike = None) -> xr.
         If a variable is not declared, or has other dims or another type.
     """
     check_variables(result, type(analysis).variables, type(analysis).__name__)
-    if isinstance(rng, int | numbers.Integral):  # NumPy's integers are included
+    if isinstance(rng, int | numbers.Integral):  # NumPy's integers also count as seeds
         return result.assign_attrs(attributes_of(seed=rng))
     return result
 
@@ -524,7 +525,7 @@ def compute(
     ConfigError
         If the analysis needs more memory than there is.
     McspectraError
-        If one of the functions that are called here, `needed` or `steps_of`, raises it.
+        If `needed` or `steps_of` raises this error; this function calls both.
     """
     given: tuple[Any, Any] = analysis, subject
     if not isinstance(given[0], Analysis) or not isinstance(given[1], Subject):

@@ -24,7 +24,7 @@ from mcspectra.core.records import pack, unpack
 
 __all__ = ["cache_folder", "cache_size", "cached_array"]
 
-_FORMAT = "2 "  # prefix of every key; another format has another prefix and other file names
+_FORMAT = "2 "  # version of the file format; each key, and so each file name, contains it
 _WORTH_KEEPING = 0.05  # in seconds; arrays that take less time to compute are not stored
 _LIMIT = 2**30  # in bytes; if the cache is larger, the oldest entries are deleted
 _warn_once = lru_cache(warn)

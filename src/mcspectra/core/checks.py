@@ -73,14 +73,17 @@ def as_path(name: str, value: object) -> Path:
 
 
 def as_instance(name: str, value: Any, kind: Any, what: str) -> Any:
-    """Return a value if it has one of the given types. Messages call this type `what`."""
+    """Return a value if it has one of the types `kind`. Error messages call these types `what`."""
     if isinstance(value, kind):
         return value
     raise ParameterError(Parameter(name), f" is {shown(value)}; give {what}.")
 
 
 def as_instances(name: str, value: Any, kind: Any, what: str) -> list[Any]:
-    """Return a list or tuple as a list if all items have the type `kind`, called `what`."""
+    """Return a list or tuple as a list if all items have the type `kind`.
+
+    Error messages call this type `what`.
+    """
     as_instance(name, value, list | tuple, f"a list of {what}")
     return [as_instance(f"{name}[{k}]", each, kind, what) for k, each in enumerate(value)]
 

@@ -49,5 +49,5 @@ def log_mean_interval(mean: Array, se: Array, count: int) -> Array:
 
 
 def rounding_floor(size: Array) -> Array:
-    """Return the variance below which such estimates differ only by rounding: (16 ulps)²."""
+    """Return (16 ulps)² of estimates of magnitude `size`. Smaller variances are only rounding."""
     return np.asarray((16 * np.finfo(float).eps * np.abs(size)) ** 2)

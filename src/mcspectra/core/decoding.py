@@ -164,7 +164,9 @@ def read_npy(stream: IO[bytes], size: int, name: str, held: int | None = None) -
 def read_npz(
     stream: IO[bytes], size: int, name: str, array: str, *, or_only: bool = False
 ) -> Array:
-    """Return an array of a .npz file by its name. With `or_only`, it may be the only array instead.
+    """Return the array called `array` of a .npz file.
+
+    With `or_only`, a single array in the file may have another name.
 
     Raises
     ------
@@ -183,7 +185,7 @@ def read_npz(
                 f"array to {array!r}."
             )
         member = archive.getinfo(f"{array}.npy")
-        # the sizes of other compression methods are not limited
+        # Reject other compression methods, because the size of their content could not be limited
         if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             raise FileFormatError(f"{name} is not compressed as NumPy does; use savez_compressed.")
         with archive.open(member) as content:

@@ -4,10 +4,12 @@ Names, titles, paths and messages may come from an untrusted file.
 `printable` escapes characters that would control a terminal or reorder a line.
 `escape_html` and `csv_cell` also escape text that a browser or a spreadsheet would run.
 The package applies `printable` to errors and warnings when it creates them.
-Tables and answers become `printable` when they are printed, pages and figures when drawn.
+Text in tables and answers passes through `printable` when it is printed.
+Text in pages and figures passes through `printable` when it is drawn.
 
 Drawing needs modules of `mcspectra.report`, which is a higher layer.
-Like the classes of a registry, these modules are named in text and imported when first needed.
+The names of these modules are stored as text, and a module is imported when it is first needed.
+A registry of components does the same with its classes.
 Therefore no module imports from a higher layer, and nothing is loaded before it is needed.
 """
 

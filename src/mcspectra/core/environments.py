@@ -1,4 +1,4 @@
-"""Latitude-longitude environment maps: radiance from all directions, as pixels of the unit square.
+"""Latitude-longitude environment maps. Pixels on the unit square hold radiance by direction.
 
 Conventions
 -----------

@@ -5,7 +5,7 @@ The command line prints such an error as one sentence and exits with code 2.
 Errors about values also derive from `ValueError` or another built-in class that fits.
 Code outside this package can therefore catch them by these classes.
 
-In a message, options and public functions are separate parts (`Parameter` and `Function`).
+A message consists of parts: text, options (`Parameter`) and public functions (`Function`).
 For example: ``ParameterError(Parameter("bins"), " is 0; give more.")``.
 Python shows ``bins is 0; give more.``; the command line shows ``--bins is 0; give more.``
 """
@@ -180,7 +180,7 @@ class StorageError(StoreError):
 
 
 class AnalysisError(McspectraError, TypeError):
-    """An analysis, such as another package's, breaks its contract. Its author has to fix it."""
+    """An analysis breaks its contract. The author of the analysis has to fix it."""
 
 
 class NoClosedForm(McspectraError, NotImplementedError):
@@ -192,7 +192,7 @@ class MissingDependency(McspectraError, ImportError):
 
 
 MEASURE_IT: tuple[Part, ...] = (Function("convergence"), " or ", Function("variance_terms"))
-"""Part of messages about a variance without a closed form: the functions that simulate it."""
+"""Names of functions that simulate a variance. Messages name them if no closed form is known."""
 
 
 class CorrelatedFrequenciesWarning(UserWarning):
@@ -313,7 +313,7 @@ def warn(message: str, category: type[Warning]) -> None:
     """Warn at the line that called the package: the first frame outside of the package's files.
 
     In Python 3.12, the argument `skip_file_prefixes` of `warnings.warn` does this.
-    A fixed number of frames to skip would have to change with the code.
+    A fixed number of skipped stack frames would be wrong after changes of this package.
     """
     frame = sys._getframe(1)
     while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGE):

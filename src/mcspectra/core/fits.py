@@ -3,20 +3,20 @@
 The fits are weighted least squares.
 The weight of each variance is the inverse square of its relative standard error.
 The standard errors are estimated from the realizations.
-Therefore the 95 % interval of a straight line's slope is normal.
+Therefore the 95 % interval of a straight line's slope is computed from a normal distribution.
 Lack of fit is χ² per degree of freedom. If it exceeds 1, the interval is widened by √χ².
 If the lack of fit is significant (`LACK_OF_FIT`), the standard errors do not explain the scatter.
 The scatter is then estimated from the data: the factor is √χ² times Student's t.
 Student's t has the degrees of freedom of the fit, which is one if there are three counts.
 
 Curves bend at small n because of lower-order terms.
-A *window* consists of the largest counts, to which a fit is limited.
+A fit can be limited to the largest counts, which are called its *window*.
 ``"auto"`` takes the largest window of at least three counts that passes two tests:
 no significant lack of fit (`LACK_OF_FIT`), and no significant curvature (`CURVATURE`).
-The test of curvature has one degree of freedom, whereas χ² spreads a bend over all of them.
+The test of curvature has one degree of freedom. χ² has more, so a small bend changes χ² little.
 Therefore the test of curvature also detects small bends.
 Noise may still hide a bend in a window that passes both tests.
-Therefore the interval uses the scatter also for χ² below 1, if this makes the interval wider.
+Therefore the interval uses the scatter if this makes the interval wider, even for χ² below 1.
 ``"auto"`` is not the default, because it loses precision if the line is straight.
 
 In simulations, counts were 4, 16, … 1024 and standard errors were 6 % (500 realizations).
@@ -59,15 +59,17 @@ __all__ = [
 ]
 
 LACK_OF_FIT = 0.05
-"""Significance level of χ². If a window of counts is below this level, it is rejected as bent."""
+"""Significance level of χ². A window of counts with a smaller p-value is rejected as bent."""
 
 CURVATURE = 0.1
-"""Significance level of a quadratic term in log n. Windows below it are rejected as bent."""
+"""Significance level of a quadratic term in log n. Windows with smaller p-values are rejected."""
 
 UNRESOLVED = "not resolved: use five or more counts, more realizations or larger counts"
 """Text that replaces a rate whose interval is too wide. Results keep the number."""
 
-_WIDEST = 0.5  # largest half-width of a reported rate's interval: it separates −1 from −2
+# Largest half width of the 95 % interval of a rate that is reported.
+# Intervals of this half width around the rates −1 and −2 only touch each other
+_WIDEST = 0.5
 _LEAST = 3  # smallest number of counts that can show lack of fit
 
 
@@ -281,7 +283,10 @@ def fit_rates(
 
 
 def _line(x: Array, y: Array, se: Array, *, chosen: bool = False) -> RateFit:
-    """Fit y against x by weighted least squares. A `chosen` window uses the scatter of the data."""
+    """Fit y against x by weighted least squares.
+
+    If `chosen` is true, tests chose the window, and the interval uses the scatter of the data.
+    """
     if len(x) < 2:
         return RateFit()
     fit = line_fit(x, y, se**-2.0)
@@ -298,7 +303,10 @@ def widening(degrees: int, chi2: float) -> float:
 
 
 def _quantile(degrees: int, chi2: float, *, chosen: bool) -> float:
-    """Return half the interval of a slope, in units of the standard error without lack of fit."""
+    """Return the half width of a slope's 95 % interval, divided by the slope's standard error.
+
+    This standard error assumes that there is no lack of fit.
+    """
     if not degrees:
         return CONFIDENCE_Z
     from scipy.special import chdtrc, stdtrit

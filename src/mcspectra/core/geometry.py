@@ -13,7 +13,8 @@ _LARGEST = 1e9
 # If the sine of the angle between the edges of a light is below this limit, the light has no area.
 # The same limit applies to the length of an edge divided by the distance
 _FLAT = 1e-9
-# Smallest height of a point above a light's plane, divided by the largest distance to the light
+# Smallest allowed height of a point above the plane of a light.
+# The height is divided by the largest distance from the point to the light
 _GRAZING = 1e-6
 
 

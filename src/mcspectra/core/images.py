@@ -87,7 +87,8 @@ def read_image(
         * PNG, JPEG: gray images have 1 channel, color images have 3. Values run from 0 to 1.
           Alpha is dropped, and not multiplied in.
           For color PNG of 16 bits, Pillow reads only 8 bits. Gray PNG keeps its 16 bits.
-        * EXR: the channels R, G, B of the first layer that has them. Otherwise the first Y.
+        * EXR: the channels R, G, B of the first layer that has them.
+          If no layer has R, G, B, the first channel Y is used.
           The layer without a name is the first. Only pixels of the data window are read.
         * PFM: 1 or 3 channels, unchanged.
         * ``.npy``, ``.npz``: shape (height, width) or (height, width, channels), values unchanged.
@@ -207,7 +208,8 @@ def _read_pillow(stream: IO[bytes], size: int, name: str, linear: bool) -> Array
         # Convert palettes to RGBA. Pillow would warn about their alpha if they became RGB
         image = image.convert({"1": "L", "P": "RGBA"}.get(mode, "RGB"))
 
-    # Convert values by a table of all possible values: of 8 bits, or of 16 bits for gray
+    # Convert values with a table of all possible values.
+    # Gray images may have values of 16 bits; other values have 8 bits
     most = 65535 if mode.startswith("I") else 255
     levels = np.arange(most + 1) / most
     if not linear:  # undo the sRGB transfer function (IEC 61966-2-1)
@@ -246,7 +248,9 @@ def load_openexr() -> Any:
 
 
 def exr_attributes(path: str | PathLike[str]) -> dict[str, object]:
-    """Return the header attributes of an EXR file by name. The first part of the file has priority.
+    """Return the header attributes of an EXR file by name.
+
+    If several parts of the file have the same attribute, the value of the first part is returned.
 
     Raises
     ------
@@ -276,7 +280,8 @@ def _exr_file(name: str, *, header_only: bool) -> Any:
     """Open an EXR file and suppress the messages that OpenEXR prints for a broken file.
 
     OpenEXR prints these messages to standard output, and partly through Python's stdout.
-    Results also go there. The messages contain the file's name with its control characters.
+    The command line prints its results to standard output as well.
+    The messages contain the file's name with its control characters.
     If other threads print lines during this time, these lines are printed afterwards.
     """
     OpenEXR = load_openexr()

@@ -8,8 +8,11 @@ from mcspectra.core.errors import ConfigError, Function
 
 __all__ = ["available_memory", "check_memory", "memory_of", "shown_bytes"]
 
-_COPIES = 4  # number of copies of the points: as drawn, warped, and with values and weights
-_GRIDS = 8  # number of complex arrays over the frequencies: transform, sums, squares, coefficients
+# Number of copies of the points in memory: drawn points, warped points, values and weights
+_COPIES = 4
+# Number of arrays with a complex number for each frequency.
+# These arrays hold transforms, sums, squares and coefficients
+_GRIDS = 8
 _NUMBERS = 2**21  # float64 numbers in a block of realizations (see core.parallel)
 _BASE = 2**20
 

@@ -238,14 +238,16 @@ def options_of(struct: Any) -> tuple[Option, ...]:
     for field in kind.fields:
         about, extra = _annotation(field.type)
         given = field.default
-        if field.default_factory is not msgspec.NODEFAULT:  # the factory makes a new default
+        if field.default_factory is not msgspec.NODEFAULT:  # a function makes the default
             given = field.default_factory()
         found.append(Option(field.name, field.type, given, about, extra))
     return tuple(found)
 
 
 def checked(struct: Any) -> Any:
-    """Return a struct after a check of its options. Python functions make no other check.
+    """Return a struct after a check of its options.
+
+    For options that are given in Python, this is the only check.
 
     Raises
     ------
@@ -270,7 +272,7 @@ def whole_number(text: str) -> int | float | str:
 
 
 def _annotation(kind: inspect.Type) -> tuple[str, dict[str, Any]]:
-    """Return the description and `extra` of the outermost annotation."""
+    """Return the description and `extra` of an annotated type. Outer annotations have priority."""
     if not isinstance(kind, inspect.Metadata):
         return "", {}
     own = dict(kind.extra or {})
@@ -315,7 +317,7 @@ def _clean(label: str, kind: inspect.Type, value: Any, from_file: bool) -> Any:
                 Parameter(label), f" is {shown(value)}; give {wanted}, or {offer}."
             )
 
-    # If there are several types, choose the one that fits the value's type, even beyond its limits
+    # If several types are allowed, choose the type of the value, even if the value exceeds limits
     fits = [each for each in kinds if isinstance(value, _SORTS.get(type(each), ()))]
     if isinstance(value, str):  # a string is a sequence, but not a list
         fits = [each for each in fits if not isinstance(each, _LISTS)]

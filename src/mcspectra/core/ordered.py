@@ -2,7 +2,8 @@
 
 BLAS divides large sums by the number of its threads, which changes the last digits of results.
 Products here use the function `numpy.einsum` without optimization, which never calls BLAS.
-It has a quarter of the speed of BLAS, but points and transforms take far more time.
+This function is four times slower than BLAS, but analyses spend far more time on other work:
+they draw points and compute transforms.
 Factorizations use Householder reflections. docs/decisions/0015 compares them with NumPy's.
 """
 
@@ -23,7 +24,7 @@ def product(a: Array, b: Array) -> Array:
 
 
 def weighted_sum(weights: Array, values: Array) -> Array:
-    """Return Σ w v over all axes of the weights w. The first axes of the values v are the same."""
+    """Return Σ w v over all axes of the weights w, which are the first axes of the values v."""
     flat = values.reshape(weights.size, *values.shape[weights.ndim :])
     return np.asarray(np.einsum("i,i...->...", weights.ravel(), flat))
 

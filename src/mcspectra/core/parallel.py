@@ -74,7 +74,7 @@ def realization_blocks(
     """Split realizations into blocks of about `_BLOCK_NUMBERS` numbers.
 
     The size of a block is a multiple of `multiple`.
-    There are at least `least` blocks, if each of them can have `multiple` realizations.
+    There are at least `least` blocks if there are enough realizations for blocks of `multiple`.
     """
     size = max(1, _BLOCK_NUMBERS // max(1, numbers_each) // multiple) * multiple
     size = min(size, max(1, realizations // least // multiple) * multiple)

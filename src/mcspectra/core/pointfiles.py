@@ -189,10 +189,11 @@ def write_points(
 
 
 def parse_dat(text: str, name: str) -> list[Array]:
-    """Read UTK text in the same way as `read_points`. Messages call its source `name`."""
+    """Read UTK text in the same way as `read_points`. Error messages call the text `name`."""
     if not isinstance(text, str):
         raise FileFormatError(f"{name} is {type(text).__name__}, not text; give lines of numbers.")
-    data = text.encode(errors="surrogatepass")  # the decoder then rejects the surrogates
+    # Keep invalid characters (surrogates) in the bytes. The parser of the bytes rejects them
+    data = text.encode(errors="surrogatepass")
     return _read_dat(io.BytesIO(data), len(data), name)
 
 
@@ -204,7 +205,7 @@ def format_dat(sets: Iterable[object], meta: Mapping[str, Any] | None = None) ->
 def _content(
     extension: str, sets: Iterable[object], meta: Mapping[str, Any] | None, name: str
 ) -> bytes:
-    """Return the bytes of a file. Messages call the file `name`."""
+    """Return the bytes of a file. Error messages call the file `name`."""
     # Convert the sets to float64 arrays (n, d), and their description to JSON
     try:
         numbered, text = enumerate(sets), json.dumps(dict(meta or {}), default=str)
@@ -505,7 +506,8 @@ def _read_bin(stream: IO[bytes], size: int, name: str) -> Array:
             f"{announced}, that is {count * dtype.itemsize} bytes after the header, but has "
             f"{size - _HEADER_BYTES}."
         )
-    # Memory for two copies of integers: one in this machine's byte order, and one after shifting
+    # Integers need memory for two copies.
+    # One has the byte order of this machine. The other has no bits that do not fit into a double
     copies = 1 if dtype.kind == "f" else 3
     check_decoded_size(name, size, count * (copies * dtype.itemsize + 17) + shape[0] * _SET_BYTES)
     values = np.fromfile(stream, dtype, count).reshape(shape)

@@ -96,7 +96,7 @@ def _somebody_waits() -> bool:
     """Whether this process is a notebook, IPython, or Python's prompt."""
     if hasattr(sys, "ps1"):
         return True
-    # IPython counts only if it has already been imported, as its own process always does
+    # IPython counts only if it is already imported. In a process of IPython, it always is
     ipython = sys.modules.get("IPython")
     get = getattr(ipython, "get_ipython", None)
     return get is not None and get() is not None
@@ -174,7 +174,7 @@ class ProgressBars:
                 console=Console(stderr=True, force_terminal=True, force_jupyter=False),
                 auto_refresh=False,
                 transient=True,
-                redirect_stdout=self._closes,  # other output then appears above the bar
+                redirect_stdout=self._closes,  # prints other output above the bar
                 redirect_stderr=self._closes,
             )
             self._bar.add_task(escape(first), total=1.0, **state)

@@ -58,7 +58,7 @@ def bibtex(key: str) -> str:
 
 
 def address(fields: dict[str, str]) -> str:
-    """Return the web address of a work, if possible made from its DOI. If unknown, it is ``""``."""
+    """Return the web address of a work, from its DOI if there is one. ``""`` means no address."""
     return next((site + fields[name] for name, site in _SITES.items() if name in fields), "")
 
 

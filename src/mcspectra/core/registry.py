@@ -24,7 +24,7 @@ from mcspectra.core.spec import Call, Component, kebab_case
 __all__ = ["DEFAULT_DIMS", "Registry", "classes_of", "optional_package"]
 
 DEFAULT_DIMS = 2
-"""Default number of dims of a spec string: images have two."""
+"""Default number of dims for a spec string. The default is 2 because images have two dims."""
 
 
 class Registry(Mapping[str, str]):

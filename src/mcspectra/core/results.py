@@ -362,7 +362,7 @@ def dataset(
 
 
 def coordinate(dim: str, values: Any, meaning: str) -> tuple[str, Any, dict[str, str]]:
-    """Return a coordinate along a dim, of numbers without unit."""
+    """Return a coordinate of a dataset. Its values are numbers without a unit."""
     return dim, values, {"long_name": meaning, "units": "1"}
 
 

@@ -25,12 +25,11 @@ _NAME = re.compile(r"[a-z][a-z0-9]*(?:-[a-z0-9]+)*")
 _CAPITALS = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")  # boundary between words of a class name
 _WORD = re.compile(r"[A-Za-z_][\w.-]*")
 _NO_NUMBERS = ("nan", "inf", "infinity")
-# Components that run code, each with the parameter that a positional argument sets
+# Components that run code, and for each the parameter that an argument without a name sets
 _FIRST = {"command": "run", "python": "function"}
 _MAX_LENGTH = 20_000
-_FOLDERS = re.compile(
-    r"""(?:\w+=)?(['"])[^'"]*/(?=[^'"/]+\1)"""
-)  # matches the folders of a quoted file name, with the name of the parameter if it is given
+# Matches the folders in a quoted path, and the name of the parameter if it is written
+_FOLDERS = re.compile(r"""(?:\w+=)?(['"])[^'"]*/(?=[^'"/]+\1)""")
 _MARK = re.compile(
     r"""'(?:[^'\\]|\\.)*'|"(?:[^"\\]|\\.)*"|['"()\[\]{}|]""", re.DOTALL
 )  # a quoted text counts as one token

@@ -37,7 +37,8 @@ from mcspectra.core.jit import kernel
 
 __all__ = ["RngLike", "Stream", "golden_vector", "mix_bits", "mix_uniform", "uniforms"]
 
-_SEED_BITS = 4096  # largest size of a seed in bits: Python writes at most 4300 digits
+# Largest size of a seed in bits. Such a seed has 1234 digits, and Python prints at most 4300
+_SEED_BITS = 4096
 
 RngLike: TypeAlias = "int | np.random.Generator | np.random.SeedSequence | None"
 
@@ -104,7 +105,7 @@ def golden_vector(dims: int) -> Array:
     The points are k·α modulo 1, where α_j = g^−j and g is the root of g^(d+1) = g + 1.
     """
     root = 1.5
-    for _ in range(64):  # each step at least halves the error
+    for _ in range(64):  # each iteration at least halves the error of the root
         root = (1.0 + root) ** (1.0 / (dims + 1))
     return np.asarray(root ** -np.arange(1.0, dims + 1))
 

@@ -34,7 +34,7 @@ class EvaluationTally:
     most: int | None = None
     outer: EvaluationTally | None = None
     made: int = 0
-    # Largest total of evaluations that a rejected call would have reached
+    # Calls beyond the limit are rejected. This is the largest total that would have been reached
     refused: int = 0
 
     def foresee(self, evaluations: int) -> None:

@@ -49,9 +49,8 @@ FILE_KEYS = (
 FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 """Form of a function name: ``module:function``."""
 
-_NAMED = re.compile(
-    rf"{FUNCTION.pattern}|.*[/{{].*", re.DOTALL
-)  # a command has two forms: the whole command, or the path of a program
+# Matches a function name, a whole command, or the path of a program
+_NAMED = re.compile(rf"{FUNCTION.pattern}|.*[/{{].*", re.DOTALL)
 
 
 @final
@@ -63,7 +62,8 @@ class Trust:
     ----------
     code
         Functions ``module:function``, which specs ``python('module:function')`` may name.
-        Commands, or only their programs, which specs ``command('./mine {n} {seed}')`` may run.
+        Commands that specs ``command('./mine {n} {seed}')`` may run.
+        A program without arguments allows all commands that start this program.
         Modules are searched for on Python's path (PYTHONPATH), not in a study's folder.
         Programs are given with their paths.
     folders

@@ -1,4 +1,4 @@
-"""Adaptive quadrature over the unit cube of integrals that may diverge, with a record of levels.
+"""Adaptive quadrature on the unit cube for integrals that may diverge. All levels are recorded.
 
 Method
 ------
@@ -56,8 +56,12 @@ SETS, SET_SIZE = 32, 4096
 """Number of shifted low-discrepancy sets, whose spread estimates the error, and their size."""
 _SLOWEST = 0.98  # largest ratio between levels: p ~ r^a with a > 0.97 counts as divergent
 _NEGLIGIBLE = 1e-6
-_SHRINKING = 0.8  # largest ratio of volumes of levels: it is ½ next to a line, ¼ next to a point
-_FIRST_LEVELS = 4  # ratios omit these levels, which also split cells that are only near a zero
+# Largest ratio between the unresolved volumes of successive levels.
+# In 2-D, this ratio is ½ if cells along a line are unresolved, and ¼ if cells at a point are
+_SHRINKING = 0.8
+# Number of levels at the start that are omitted from ratios of levels.
+# These levels also split cells that are near a zero without containing it
+_FIRST_LEVELS = 4
 _WINDOW = 8
 _TAIL = 256
 _LARGEST_TAIL_INDEX = 1.0 - 3.0 / math.sqrt(_TAIL)
@@ -91,7 +95,7 @@ class Quadrature:
     def ratio(self) -> float:
         """Ratio of the unresolved parts of successive levels. It is 0 if everything is resolved.
 
-        The ratio compares the sum over the last levels with that over as many earlier levels.
+        The ratio is computed from two sums: over the last levels, and over as many levels before.
         Ratios of single levels vary, because the position of a zero within its cell changes.
         """
         parts = self.unresolved
@@ -222,8 +226,8 @@ def positive_integral(
         If the unresolved part does not shrink, the integral is infinite and the error is 0.
         Poles r^-a with a > 0.97 count as divergent.
         See `mcspectra.densities.reciprocal_integral`.
-        If the remainder of a geometric series was added, the last change of the limit is the error.
-        The ratio of the series extrapolates this change.
+        If the totals were extrapolated as a geometric series of ratio r, the error is a product:
+        the last change of the extrapolated limit, times the larger of 1 and r/(1 − r).
         Where poles cross, the levels form only approximately a geometric series.
     """
     with np.errstate(over="ignore", invalid="ignore"):

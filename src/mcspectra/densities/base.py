@@ -78,7 +78,8 @@ class Density(Component, ABC):
     dims
         Number of dimensions d.
     warps
-        Names that the parameter ``warp`` allows. Each names a warp T of the same pdf. Often empty.
+        Names that the parameter ``warp`` allows. All these warps T have the same pdf.
+        The tuple is empty if the density has a single warp.
     """
 
     dims: int

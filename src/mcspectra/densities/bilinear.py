@@ -159,9 +159,9 @@ def _fraction(knots: Array, i: int, x: float) -> float:
 
 @kernel
 def _solve(a: float, b: float, share: float) -> float:
-    """Return t in [0,1] such that `share` of the integral of a linear function lies below t.
+    """Return t in [0,1] that divides the integral of a linear function.
 
-    The function is a at 0 and b at 1.
+    The function is a at 0 and b at 1. Its integral from 0 to t is `share` of the whole integral.
     The result is the root of (b − a) t²/2 + a t = share (a + b)/2, without cancellation.
     """
     scale = max(a, b)
@@ -202,9 +202,12 @@ def _evaluate(xs: Array, ys: Array, nodes: Array, x: Array, out: Array) -> None:
 
 @kernel
 def _column(xs: Array, nodes: Array, sums: Array, j: int, t: float, u: float) -> float:
-    """Return the x_0 below which the line at t, between rows j and j+1, has the share u of mass."""
+    """Return the x_0 at which the cdf along a line of constant x_1 is u.
+
+    The line lies between the rows j and j + 1, at the fraction t of their distance.
+    """
     total = _mixed(sums, j, t, xs.size - 1)
-    if total <= 0.0:  # a line without mass is mapped to itself, the same as in `_flatten`
+    if total <= 0.0:  # a line without mass is mapped to itself; `_flatten` does the same
         return u
     target = min(u * total, below(total))
     low, size = 0, xs.size - 1

@@ -46,7 +46,8 @@ from mcspectra.densities.registry import DENSITIES, as_density, density
 __all__ = ["Defensive", "Mixture", "Product"]
 
 _MAX_PARTS = 1024
-_PLACES = 4  # number of positions on the other axes that are tried for each zero of a part
+# Where one part of a product is 0, probes have this number of positions along the other axes
+_PLACES = 4
 _SELECTIONS = ("coordinate", "extra")
 
 
@@ -120,7 +121,10 @@ class Product(Density):
         return self.lifted([part.zero_points() for part in self.parts])
 
     def lifted(self, points: Sequence[Array]) -> Array:
-        """Return the points (k_j, d_j) of all parts in d dims, at some places on other axes."""
+        """Return the points (k_j, d_j) of each part as points in d dims.
+
+        On the axes of the other parts, a point gets one of a few positions.
+        """
         found = []
         for own, given in zip(self._domain, points, strict=True):
             turn = np.arange(len(given))[:, None] % _PLACES
@@ -250,7 +254,7 @@ class Mixture(Density):
 
     def preimages(self, x: object) -> Array:
         """Return the points u of all parts that map to x. There are none with ``"extra"``."""
-        if self.selection == "extra":  # every x has a whole line of u for each part
+        if self.selection == "extra":  # each part maps a whole line of points u to x
             return np.empty((0, self.primary_dims))
         found = [part.preimages(x) for part in self.parts]
         for t, u in enumerate(found):
@@ -275,7 +279,7 @@ class Mixture(Density):
             own = chosen == t
             if not own.any():
                 continue
-            v = u[own]  # a copy
+            v = u[own]  # this index makes a copy, so u does not change below
             if self.selection == "extra":
                 v = v[..., :-1]
             else:

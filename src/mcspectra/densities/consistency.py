@@ -16,7 +16,7 @@ __all__ = ["check_density"]
 _SPREADS = 7.0  # limit in standard errors; a false alarm has probability 7e-8 per cell
 # Let the mean count of a cell be k + q. All sets have the count k with probability (1 − q)^32.
 # For q > 0.4 this probability is below 7e-8.
-# If the sets have different counts, their standard error already covers the deviation.
+# If the counts of the sets differ, their standard error already covers the error of the mean.
 _ALIKE = 0.4
 _ROUND_TRIP = 1e-6
 _INTEGRAL = 1e-4
@@ -61,7 +61,8 @@ def check_density(density: Checkable) -> None:
     Notes
     -----
     * pdf is finite and not negative at 4096 points, and its integral is 1 to 1e-4.
-    * sample stays in [0,1]. invert(sample(u)) = u to 1e-6, plus the effect on u of rounding x.
+    * sample stays in [0,1]. invert(sample(u)) = u to 1e-6.
+      The rounding of x also changes u; this change is allowed in addition.
     * Samples follow the pdf, which is tested in one of three ways.
 
     In 1-D and 2-D, points of 32 shifted sets of 4096 points are counted in cells.
@@ -105,7 +106,7 @@ def check_density(density: Checkable) -> None:
                 f"u = {point_in_words(u[outside][0])}."
             )
         x = np.minimum(x, BELOW_ONE)
-        # Compare invert with sample and the pdf with sample, so that messages name the wrong one
+        # Compare sample with invert and with the pdf. If two of the three agree, blame the third
         loop = _round_trip(density, u[0], x[0])
         if density.dims <= 2:
             problem = _mass_problem(density, x)

@@ -121,7 +121,7 @@ class EnvironmentDensity(Wrapper):
         False makes the density proportional to L on the square, as for a flat picture.
     compensation
         The multiple of the mean radiance to subtract: p ∝ max(0, L − multiple · mean L).
-        The subtraction is the form of [Karlik2019]_ that does not depend on the normal.
+        The subtraction is the version of [Karlik2019]_ that does not depend on a surface normal.
         False means no subtraction.
         True means 1, which suits equal numbers of direction and BSDF samples.
         The density is then 0 at places where f is not 0, so combine it with another technique.
@@ -179,7 +179,7 @@ class EnvironmentDensity(Wrapper):
                 f"Compensation leaves nothing of {source}: no pixel is above "
                 f"{float(self.compensation):g} times the mean; give a smaller multiple or False."
             )
-        # These angles are proportional to sin θ at the centers (see `row_solid_angles`)
+        # The solid angle of a row is proportional to sin θ at its center (see `row_solid_angles`)
         weighted = left * angles[:, None]
         if self.interpolation == "bilinear":
             return Bilinear(values=weighted, periodic=True)
@@ -260,7 +260,10 @@ def compensated(
 
 
 def _taken(others: list[Density], shares: Array, shape: tuple[int, ...]) -> Array:
-    """Return means of Σ β_s p_s over cells, in `shape`. If a sum is 0 at a node, the cell has 0."""
+    """Return means of the sum Σ β_s p_s over the cells of a table, as an array of shape `shape`.
+
+    If the sum is 0 at a Gauss node of a cell, the mean of this cell is set to 0.
+    """
     node, weight = np.polynomial.legendre.leggauss(_NODES)
     grid = np.stack(np.meshgrid(*([0.5 * (node + 1)] * len(shape)), indexing="ij"), axis=-1)
     inside = grid.reshape(-1, len(shape))

@@ -245,7 +245,9 @@ def _walk(
     given: Array,
     out: Array,
 ) -> None:  # pragma: no cover - compiled
-    # Fill `out` with x and the pdf (N, d + 1) from u, with u from x, or with the pdf (N, 1) at x.
+    # The mode determines what `given` holds and what is written to `out`.
+    # To sample, `given` holds u. Write x and the pdf, (N, d + 1).
+    # To invert, `given` holds x. Write u. Otherwise write the pdf at x, (N, 1).
     # The array `a` holds the spline weights of one axis
     d, cells, parts = knots.shape[0], knots.shape[1] - 1, shares.size
     a, held, x = np.empty(cells + 2), np.empty(parts), np.empty(d)

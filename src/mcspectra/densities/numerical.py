@@ -34,7 +34,8 @@ __all__ = ["NumericalWarp"]
 
 _START = {1: 256, 2: 16}
 _MOST = {1: 2**15, 2: 256}
-_MOST_OF_MARGINAL = 2**11  # largest number of cells of the marginal, with one row per node
+# Largest number of cells for the marginal pdf. At each node of a cell, a row is integrated
+_MOST_OF_MARGINAL = 2**11
 _ROWS = 509
 _PROBES = {1: 2**18, 2: 2**10}  # number of probes along each axis
 _SAME = 1e-9
@@ -110,7 +111,8 @@ class NumericalWarp:
             start=256,
             most=_MOST[1] if self.dims == 1 else _MOST_OF_MARGINAL,
             subject=subject,
-            probes=_PROBES[1] if self.dims == 1 else 0,  # the nodes outnumber the 509 rows
+            # A marginal needs no probes: it has more nodes than the 509 rows that are resolved
+            probes=_PROBES[1] if self.dims == 1 else 0,
         )
         return _Axis.of(cells, density(cells.nodes[..., None]))
 
@@ -186,7 +188,9 @@ class NumericalWarp:
         return self._rows.place(cell, density, integral, v - start)
 
     def check_rows(self) -> None:
-        """In 2-D, compare integrals of rows with integrals on halved cells, at other rows.
+        """In 2-D, compare integrals of rows over the cells with integrals over halved cells.
+
+        These rows differ from the rows that determined the cells.
 
         Raises
         ------

@@ -10,7 +10,7 @@ Therefore the choice of the warp determines the rate.
 * ``"marginal"`` [Shirley1992]_ [Pharr2016]_ (§13.6.7): u_1 chooses the row by the marginal cdf.
   u_0 chooses the column by the cdf within that row.
   T_1 is continuous, and T_0 jumps from row to row. All jumps of g lie on axis-aligned segments.
-  These are whole lines ``u_1 = row border``, and in each row segments ``u_0 = column border``.
+  Lines ``u_1 = row border`` cross the whole square. Each row has segments ``u_0 = column border``.
   The positions u_0 of the segments differ from row to row.
   A line along u_0 crosses no jump of T, and a line along u_1 crosses at most h − 1 jumps.
   If all rows are proportional (a separable table), T is continuous.
@@ -19,7 +19,7 @@ Therefore the choice of the warp determines the rate.
   Each split halves the longer side, until single cells are left.
   A split divides the coordinate of u along that side.
   Neighborhoods stay compact along both axes.
-  T jumps at the border of a split if the later splits on its two sides have different shares.
+  T jumps at the border of a split if the two halves are then divided in different ratios.
   Lines along u_0 cross at most w − 1 jumps, and lines along u_1 at most h − 1 jumps.
 * ``"alias"`` [Walker1977]_ [Vose1991]_: this warp costs O(1).
   u_0 chooses one of h·w bins of equal size, and one of the two cells in the bin.
@@ -34,7 +34,8 @@ Therefore the choice of the warp determines the rate.
   If the table is a square of side 2^k, each jump stays within two neighboring cells.
   For tables of other sizes, the curve leaves the table and returns.
     A line along u_1 crosses no jumps.
-  This warp suits n strata in u_0. Square 2-D strata give only √n strata along the curve.
+  This warp suits samplers with n strata in u_0, which become n strata along the curve.
+  Samplers with square 2-D strata have only √n strata in u_0, and so along the curve.
 
 *Bilinear* tables (`bilinear`) make p continuous. Therefore g is also continuous along rows.
 Use such tables if jumps make the rate worse.
@@ -345,8 +346,9 @@ def _unwarp_rows(rows: Array, columns: Array, x: Array, u: Array) -> None:
 
 @final
 class _Hierarchical:
-    """Hierarchical warp: splits of the longer side, down to the cells, by the coordinate along it.
+    """Hierarchical warp: repeated splits of the longer side of the table, down to single cells.
 
+    A split along an axis uses the coordinate of u on the same axis.
     `shares` is a heap. Node k has the children 2k+1 (lower indices) and 2k+2.
     shares[k] is the fraction of the mass of node k that belongs to its first child.
     `axes` (levels,) is the axis that each level splits: 0 for columns, 1 for rows.
@@ -368,7 +370,7 @@ class _Hierarchical:
             pairs = (table[0::2], table[1::2]) if axes[depth] else (table[:, 0::2], table[:, 1::2])
             table = pairs[0] + pairs[1]
             share = np.divide(pairs[0], table, out=np.full(table.shape, 0.5), where=table > 0)
-            # Flatten the level: reorder from row bits and column bits to the order of the splits
+            # Flatten the level: sort the bits of row and column indices in the order of the splits
             above = self.axes[:depth]
             order = np.empty(depth, np.int64)
             order[above == 1] = np.arange(above.sum())
@@ -383,7 +385,10 @@ class _Hierarchical:
         _return_to_root(self.shares, self.axes, self.cells.shape, x, u)
 
     def breaks(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Borders of the first splits, which split the same axis. Later borders are segments."""
+        """Borders of the first splits, which all divide the same axis.
+
+        These borders are whole lines. Borders of later splits are only segments, and are omitted.
+        """
         found: list[tuple[float, ...]] = [(), ()]
         if self.axes.size:
             axis = int(self.axes[0])
@@ -429,7 +434,7 @@ def _return_to_root(shares: Array, axes: Array, size: tuple[int, ...], x: Array,
         column, row = _cell_at(x[k, 0], width), _cell_at(x[k, 1], height)
         rest_x = max(x[k, 0] * width - column, 0.0)
         rest_y = max(x[k, 1] * height - row, 0.0)
-        # Find the leaf from the bits of the cell's indices, highest first, in the splits' order
+        # Find the leaf of the cell. Each split takes the next lower bit of the row or column index
         rows, columns = row_bits, axes.size - row_bits
         node = 0
         for axis in axes:
@@ -489,7 +494,8 @@ def _alias_table(masses: Array) -> tuple[Array, Array]:
     n = masses.size
     left = masses.copy()
     keep, other = np.ones(n), np.arange(n)
-    stack = np.empty(n, np.int64)  # cells below the mean from the front, others from the back
+    # Cells with masses below the mean are at the front of this array, all others at its back
+    stack = np.empty(n, np.int64)
     low, high = 0, n
     for i in range(n):
         if left[i] < 1.0:
@@ -570,7 +576,8 @@ class _Hilbert:
 def _position(side: int, column: int, row: int) -> int:
     """Return a cell's index on the curve through side × side cells, with side a power of two.
 
-    The curve visits one quadrant after another. Each is turned so that the ends meet.
+    The curve visits one quadrant after another.
+    Quadrants are turned, so that each starts next to the end of the quadrant before.
     """
     found = 0
     step = side >> 1
@@ -620,7 +627,7 @@ def _follow(
 ) -> None:
     height, width = size
     for k in range(u.shape[0]):
-        # u · 2^g is exact, so the interval of the guide contains u
+        # This product is exact, so the interval that the guide table gives for u_0 contains u_0
         g = int(u[k, 0] * (guide.size - 1))
         i = last_at_most(borders, guide[g], guide[g + 1] + 1 - guide[g], u[k, 0])
         rest = (u[k, 0] - borders[i]) / (borders[i + 1] - borders[i])

@@ -174,7 +174,10 @@ class AbstractEstimator(Drawable, ABC):
         return 0
 
     def primary_integrand(self, technique: int = 0) -> Integrand:
-        """Return g_t of the primary view. It is cached, because it stores results of quadrature."""
+        """Return the integrand g_t of the primary view. Later calls return the same object.
+
+        This object stores results of quadrature.
+        """
         if technique not in self._primaries:
             self._primaries[technique] = self._primary(technique)
         return self._primaries[technique]
@@ -372,7 +375,7 @@ def carried_breaks(integrand: Integrand, density: Density, weights: Sequence[flo
 
 @runtime_checkable
 class Weighted(Protocol):
-    """An estimator that combines techniques by a heuristic, which can be replaced."""
+    """An estimator that combines techniques by a heuristic. A copy can have another heuristic."""
 
     counts: tuple[int, ...]
 

@@ -1,7 +1,7 @@
 """Color: importance sampling with one density for each channel, or with one density for all.
 
 If all channels share one density p, such as the luminance, then f_c/p may jump where p jumps.
-A separate density for each channel removes the jumps where f_c itself does not jump.
+With a separate density p_c for each channel, f_c/p_c jumps only where f_c itself jumps.
 The rate then depends on the rest of f_c. `channel_estimators` makes four estimators:
 
 ``one``

@@ -58,8 +58,9 @@ _BISECTIONS = 45
 _EDGE = 1e-12  # Breaks within this distance from the ends of [0,1] are dropped
 
 _MOST_SAMPLES = 2**22
-# Densities count as identical if A has a singular value below this fraction of its largest one.
-# Identical densities share one α
+# Densities count as identical if the matrix A has a very small singular value.
+# This is the limit, as a fraction of the largest singular value of A.
+# Identical densities share one coefficient α
 _SINGULAR = 1e-10
 # Upper limit of v_t = 1 + μ²/σ², reached if all samples of a technique are equal
 _MOST_FACTOR = 1e8
@@ -417,7 +418,8 @@ class VarianceAware(_Piloted):
 
     v_t is the second moment of one random sample of f/p_t, divided by its variance σ_t².
     The weights are w_t = v_t n_t p_t / Σ_s v_s n_s p_s with v_t = 1 + μ_t²/σ_t², at most 10⁸.
-    The balance heuristic is derived from second moments. The factors v_t replace them by variances.
+    The balance heuristic is derived from second moments of f/p_t.
+    With the factors v_t, variances replace these second moments.
     Therefore a technique of low variance gets more weight.
     If f has several channels, v_t is computed from their mean.
 
@@ -454,7 +456,10 @@ class VarianceAware(_Piloted):
 @final
 @dataclass(frozen=True)
 class Residual(Derived):
-    """The residual f − Σ α_t p_t of the control variate, for optimal weights in the domain view."""
+    """The difference f − Σ α_t p_t between f and the control variate of the optimal weights.
+
+    This difference is the integrand in the domain view.
+    """
 
     text = "{0.integrand.spec} less its control variate"
     integrand: Integrand

@@ -33,7 +33,7 @@ _MOST_DIMS = 12  # An average over all reflections takes 2^d values of f
 
 @final
 class Mirrored(AbstractEstimator):
-    """An estimator of the same integral as another, with a mirrored primary-space integrand.
+    """An estimator that mirrors the primary-space integrand of another, with the same integral.
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ class FoldedIntegrand(Derived):
 
     @property
     def breaks(self) -> Breaks:
-        """Both images of each break of f, and additionally the fold at ½."""
+        """Breaks of the folded function: two images of each break of f, and the fold at ½."""
         return tuple(
             tuple(sorted({0.5, *(0.5 * b for b in axis), *(1.0 - 0.5 * b for b in axis)}))
             for axis in self.integrand.breaks

@@ -54,7 +54,7 @@ __all__ = [
 
 SELECTIONS = ("extra", "coordinate")
 
-_SUM = 1e-9  # Largest allowed difference of 1 from the sum of the probabilities
+_SUM = 1e-9  # Largest allowed difference between 1 and the sum of the probabilities
 _EXACT = 1e-9  # Largest allowed difference between a share and the fraction that replaces it
 
 
@@ -76,7 +76,10 @@ class Combined(DomainEstimator):
     combination: Combination
 
     def _take(self, integrand: Integrand | str, densities: Any, dims: int | None) -> None:
-        """Set f and the densities p_t from objects or specs of equal dims; the p_t must cover f."""
+        """Set f and the densities p_t from objects or specs of equal dims.
+
+        Wherever f is not 0, some density must be above 0.
+        """
         parts = densities if isinstance(densities, list | tuple) else ()
         self.integrand = as_integrand(integrand, known_dims(dims, integrand, *parts))
         self.densities = as_densities(densities, self.integrand.dims)
@@ -416,7 +419,8 @@ def split_mixture(
     Returns
     -------
     MultipleImportance
-        The parts as techniques, with counts in proportion to the shares, by the balance heuristic.
+        An estimator with a technique for each part, combined by the balance heuristic.
+        The counts of the techniques are proportional to the shares of the parts.
         With counts c_t there are n Σ c_t points. Each has the weight 1/p, where p is the mixture.
         Such a set is a stratified sample of the mixture ([OwenZhou2000]_ §3.2).
         For random points, the estimator's variance is at most that of sampling from the mixture.

@@ -26,7 +26,8 @@ __all__ = [
     "variance_interval",
 ]
 
-# Weight of the prior that assumes normal estimates, as a number of values
+# Weight of the prior for the kurtosis, which assumes normal estimates.
+# The prior counts as much as this number of values
 _PRIOR = 20
 _LEAST = 10  # Fewer values than this cannot show a tail
 # Number of smallest and of largest values that are stored; the tail index is fitted to these values
@@ -34,11 +35,13 @@ _TAIL = 64
 _LEAST_TAIL = 300  # With fewer values, the extreme values are not a tail
 _CLUMPS = 4.0  # If the kurtosis is at most this, extreme values are not a tail
 _LEAST_POINTS = 3000  # With fewer points, the 256 farthest values are not a tail
-# Largest allowed share of the variance beyond all sampled values, which is small if g is bounded.
-# Each key is the number of farthest values to which a tail is fitted; the entry is the limit
+# Limits for the share of the variance that comes from values beyond all sampled values.
+# This share is small if g is bounded.
+# Each key is a number of farthest values, to which a tail is fitted; its value is the limit
 _BEYOND = {16: 0.005, 64: 0.02, 256: 0.15}
-# Largest squared error. Larger errors leave less than one degree of freedom.
-# The upper end of the variance is then above 100 s²
+# Largest allowed square of the standard error of log s².
+# Larger squares mean that s² has less than one degree of freedom.
+# The upper end of the interval of the variance would then be above 100 s²
 _MOST_ERROR = 2.0
 # Three limits for tails. If the tail index is above the first number,
 # the upper end of the variance accounts for the tail.
@@ -205,10 +208,11 @@ class Moments:
     # Smallest and largest values, sorted along the first axis; None if tails are not examined
     extremes: Array | None = None
     kept: int = field(default=_TAIL, kw_only=True)  # Number of extreme values at each end
-    # Moments of the values at single points, if the values here are means over points.
+    # Moments of the values at single points, if each value of this object is a mean over points.
     # Single values show tails that are hidden in means
     points: Moments | None = field(default=None, kw_only=True)
-    # Moments by stored sets, if the sampler has few. Errors use them once a set is reused
+    # Moments for each stored set, if the sampler has only a few stored sets.
+    # Errors are computed from these moments if a set is used more than once
     stored: StoredSets | None = field(default=None, kw_only=True)
 
     @staticmethod
@@ -347,7 +351,8 @@ class Moments:
         """95 % interval of the variance, (..., 2). Its upper end is infinite unless `resolved`.
 
         The interval is logarithmic and uses the kurtosis, as in [Bonett2006]_.
-        The kurtosis is about a center that depends on the skewness; Bonett uses a trimmed mean.
+        The kurtosis is taken about a center that depends on the skewness.
+        [Bonett2006]_ takes the kurtosis about a trimmed mean instead.
         The interval is wider upward: values that miss a tail make s² and its error too small.
         If the tail index is above 0.05, the upper end is at least the quantile for values u^−k.
         Here k is one standard error above the index.
@@ -376,7 +381,7 @@ class Moments:
         First, one or two values may have most of the variance.
         Second, the tail index of the squared values may exceed 0.64 while the kurtosis exceeds 4.
         Above 0.64 the mean is far from normal for any feasible number of values [Vehtari2024]_.
-        The limit of the kurtosis excludes values that form a few clumps.
+        Values that form a few clumps have a kurtosis of at most 4, so they do not count as a tail.
         Third, each value may be a mean over points, and g at these points may follow a power law.
         Values of g larger than all sampled values may then cause much of the variance.
         """
@@ -421,7 +426,8 @@ class Moments:
         far = np.where(above[-1] >= below[-1], above, below)
         excess = far[1:] - far[0]
 
-        # Values on a grid, such as shares of hits, represent cells of the grid.
+        # Some values lie on a grid, for example the fraction of points that hit a light.
+        # Such a value represents the grid cell around it.
         # Therefore the tail begins half a grid step below the smallest of the far values
         step = np.where(excess > 0, excess, np.inf).min(axis=0)
         grid = (excess[0] == 0) & (far[0] > 0) & np.isfinite(step)
@@ -463,7 +469,8 @@ def _tail_end(index: Array, count: int) -> Array:
     k = np.clip(index + _INDEX_ERROR, _TAIL_INDICES[0], _TAIL_INDICES[-1])
     columns = np.arange(len(_TAIL_INDICES))
     place, rows = np.interp(k, _TAIL_INDICES, columns), np.log(_TAIL_COUNTS)
-    # Between rows, the end is a power of the count. Outside the table, the nearest power is used
+    # Between two rows, the upper end is interpolated as a power of the count.
+    # For counts outside the table, the power between the two nearest rows is used
     x = math.log(count)
     row = int(np.clip(np.searchsorted(rows, x) - 1, 0, len(rows) - 2))
     part = (x - rows[row]) / (rows[row + 1] - rows[row])

@@ -55,7 +55,10 @@ MOST_EVALUATIONS = 2.0**26
 """Maximum number of evaluations of an integrand in a quadrature; above it an error is raised."""
 
 DIVERGES = 0.4995
-"""Exponent of g above which ∫g² counts as infinite: ½ minus the error of measured slopes."""
+"""If g grows with an exponent above this limit, ∫g² counts as infinite.
+
+The exact limit is ½. This limit is smaller by the error of measured exponents.
+"""
 
 _BLOCK = 2**18  # Number of evaluations in one call
 _ORDERS = ((12, 20), (6, 10), (4, 6))
@@ -64,8 +67,8 @@ _ORDERS = ((12, 20), (6, 10), (4, 6))
 _MANY = 400
 # For means over offsets in 1-D, [0, 1] is divided into at least this number of panels
 _LEAST_PANELS = 32
-# Maximum number of cells in a level. It is enough to resolve jumps along curves.
-# It takes an eighth of the time of the default number of cells
+# Maximum number of cells in a level. This number is enough to resolve jumps along curves.
+# With the default number of cells, a quadrature takes eight times as long
 _FEW_CELLS = 2**13
 # If a mean has an error below this fraction of √∫g², the rule resolves g everywhere
 _SAME = 1e-9
@@ -81,14 +84,16 @@ _LOOKED_DIMS = 5
 _HIDDEN = 0.1
 # Number of lines, and the largest difference between two slopes that count as equal
 _GROWTH_LINES, _STEADY = 4, 0.02
-# Binary logarithms of inverse distances: from 0, from 1, and from a break
+# Growth is measured at these distances from 0, from 1, and from a break.
+# The numbers k stand for the distances 2^-k
 _FAR, _NEAR, _INSIDE = (30, 60, 90, 120), (20, 30, 40, 50), (8, 14, 20, 26)
 # Number of the largest values at the points of `probe` that are stored,
 # and the rank above which a power law replaces these values
 _TOP, _RANK = 256, 8
-# Limits for a power law t^-a: a is above the first number.
-# The slope from rank 4 to 32 exceeds the slope from rank 32 to 256, times the second number.
-# To integrate g², a is lowered to the third
+# The largest values follow a power law t^-a under two conditions.
+# First, the exponent a is above the first number.
+# Second, log(g_4/g_32) exceeds log(g_32/g_256) times the second number; g_k has rank k.
+# The third number is the largest exponent a that is used to integrate g²
 _HEAVY, _AS_POWER, _LARGEST_POWER = 0.1, 0.6, 0.47
 # Growth is unbounded if log2 |g| rises by at least this much at each step toward the plane
 _RISES = 0.02
@@ -103,7 +108,11 @@ _GRADED = {
 @final
 @dataclass(frozen=True, eq=False)
 class Pointwise(Derived):
-    """A pointwise function of an integrand, with `width` channels or as many as the integrand."""
+    """A pointwise function of an integrand.
+
+    If `width` is given, it is the number of channels.
+    Otherwise the function has as many channels as the integrand.
+    """
 
     name: ClassVar[str] = "pointwise"
     text = "{0.label}"
@@ -167,7 +176,7 @@ def looked_at(g: Integrand) -> Integrand:
 
 
 def blindness(g: Integrand, means: Array, squares: Array) -> Array:
-    """Return the error of a rule for ∫g and ∫g², in units of a variance, (channels,).
+    """Return the error that a rule for ∫g and ∫g² causes in a variance, (channels,).
 
     Parameters
     ----------
@@ -179,9 +188,10 @@ def blindness(g: Integrand, means: Array, squares: Array) -> Array:
     Returns
     -------
     ndarray
-        Difference between the means and a second rule's integrals, plus these integrals' error.
-        The second rule detects regions between nodes
-        (`mcspectra.integrands._quadrature.adaptive_integral`).
+        Difference between the means and the integrals that a second rule computes.
+        If the second rule does not resolve g, its error is added.
+        The second rule, `mcspectra.integrands._quadrature.adaptive_integral`,
+        also detects regions in which g differs from its values at the nodes of the first rule.
         The result is 0 if the two rules agree and the second rule resolves g.
         It is also 0 if the sums agree with a closed form of ∫g.
     """
@@ -197,15 +207,16 @@ def blindness(g: Integrand, means: Array, squares: Array) -> Array:
     square_off = np.abs(square - 2.0 * middle * mean + middle**2 - second) - error - rounding
     largest = np.abs(means - middle).max(axis=0)
     missed = np.maximum(square_off, 0.0) + 2.0 * largest * np.maximum(off, 0.0)
-    # If the second rule does not resolve ∫g², the first may miss as much as the second's error.
-    # If breaks were detected, g has jumps, so the same applies
+    # If the second rule does not resolve ∫g², add its error: the first rule may err by as much.
+    # Also add this error if breaks of g were detected, because g has jumps there
     hides = (error > _RESOLVED * second) | isinstance(g, _Cut)
     return np.asarray(missed + np.where(hides, error, 0.0))
 
 
 def moments(g: Integrand) -> tuple[Array, Array, Array, Array]:
-    """Return a number a near ∫g, with ∫(g − a), ∫(g − a)² and their error, each (channels or 1,).
+    """Return a number a near ∫g, the integrals ∫(g − a) and ∫(g − a)², and their error.
 
+    All four results are arrays of shape (channels or 1,).
     The integrals have a closed form, or come from the rule that detects regions between nodes.
     They are cached. With a learned density, f is integrated over the domain.
     There, the knots of the density are on planes normal to the axes.
@@ -286,8 +297,8 @@ def beyond_points(g: Integrand) -> Array:
 
     The part is 0 if there are no poles. A pole is assumed in two cases:
     g is `unbounded` on lines, or the largest values of |g| follow a power law.
-    By a power law, values fall from rank 4 to rank 32 by about the same factor as from 32 to 256.
-    Let g_k be the value of rank k. For a smooth peak, log(g_4/g_32) is only log(g_32/g_256)/8.
+    Let g_k be the k-th largest value. By a power law, g_4/g_32 is about as large as g_32/g_256.
+    For a smooth peak, log(g_4/g_32) is only log(g_32/g_256)/8.
     For N points with values t^-a, ranks above k contribute k g_k² / (N (1 − 2a)) to ∫g².
     """
     none = np.zeros(max(1, g.channels))
@@ -480,7 +491,7 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
     If g = f/p, this second quadrature integrates f²/p over the domain:
     in primary space, floating-point numbers are sparse next to 1.
     The integral is infinite if the unresolved part does not shrink.
-    The exception is growth with an exponent below ½ toward a plane normal to an axis (`growth`).
+    If g grows toward a plane normal to an axis with an exponent below ½, the integral is finite.
     Otherwise the result with the smaller error is used.
     In more dims, other poles can at best be recognized by a large error.
     """
@@ -515,7 +526,8 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
         level = positive_integral(of_channel, g.dims, most_cells=_FEW_CELLS)
         if level[1] > _SUSPECT * level[0]:
             level = positive_integral(of_channel, g.dims)
-        # Narrow ridges also grow from level to level, but not above the values at the probe.
+        # On a narrow ridge, the largest value also grows from level to level.
+        # However, it hardly exceeds the values at the points of `probe`, so this is not a pole.
         # If the exponent of a pole is known, use it instead
         largest = max(seen)
         pole = largest > _POLE * float(of_channel(probe(g.dims)).max())
@@ -530,7 +542,8 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
     value = second + 2.0 * middle * first + middle**2
     error = error * (1.0 + 2.0 * np.abs(middle))
     with np.errstate(invalid="ignore"):
-        # The levels can miss thin slabs, and the boxes can miss the tips of poles
+        # Quadrature by levels can miss thin slabs.
+        # The other rule divides the cube into boxes, and can miss the tips of poles
         more = by_levels - value - level_errors - error
         alike = np.abs(by_levels - value) <= level_errors + error
     hidden = unseen(g)  # This error comes from thin slabs that the levels miss

@@ -6,15 +6,15 @@ All probes are the same in each run:
 * points next to faces and corners, at distances 2^-4, 2^-8 and 2^-12;
 * known zeros of the densities (empty cells of tables at any position);
 * landmarks of integrands: both sides of their breaks, and the brightest pixels of an image;
-* gaps of warps in 1-D, and in 1-D parts of products and mixtures.
+* gaps of the warps of 1-D densities, and of the 1-D parts of products and mixtures.
   A warp x = T(u) has a gap if x jumps across an interval in which p = 0.
   In each of 1024 intervals of u, bisection finds the largest jump. Jumps above 2^-30 count.
 
 A density may be 0 at single points, such as a power at 0 or a tent at its ends.
 No probe lies at these points. In 2-D and more, regions that contain no probe are missed.
 The search also misses a gap of the density if the warp has no gap there.
-If a warp is computed from a pdf, it has all gaps wider than 2^-18
-(see `mcspectra.densities.NumericalDensity`).
+`mcspectra.densities.NumericalDensity` computes a warp from a pdf.
+Such a warp has all gaps wider than 2^-18.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ __all__ = ["check_support", "probe_points", "uncovered"]
 
 _PROBES = 4096
 _CELLS = 8192
-_NEAR = (2.0**-4, 2.0**-8, 2.0**-12)  # Steep powers underflow at smaller distances
+# Distances of probes from faces and corners. At smaller distances, steep powers underflow to 0
+_NEAR = (2.0**-4, 2.0**-8, 2.0**-12)
 _FACES = 512
 _MOST_CORNERS = 4  # dims
 _BESIDE = 2.0**-30

@@ -45,7 +45,7 @@ __all__ = [
 ]
 
 _LEAST, _POINTS = 2**12, 2**16
-_LARGE = 0.1  # Least share of ∫f²/p in regions without samples that is reported
+_LARGE = 0.1  # Smallest share of ∫f²/p in regions without samples that causes a note
 
 
 @final
@@ -59,7 +59,8 @@ class TailSettings:
     part: int = 16
     # Least number of points in a fit, which has three parameters
     least: int = 16
-    # Candidates for the exponent κ, from −1 for a smooth function to values above a pole of order 1
+    # Candidates for the exponent κ: the smallest, the largest, and their number.
+    # κ is −1 for smooth functions, and 1 for a pole of order 1
     exponents: tuple[float, float, int] = (-1.0, 1.3, 116)
     # If the exponent exceeds this limit, errors of strata are skewed.
     # The exponent is −1 for smooth bounded functions, −½ for square roots, and 0 for logarithms
@@ -81,14 +82,16 @@ class TailSettings:
     largest: float = 0.46
     surely: float = 0.25
     # Probability that the integral lies beyond the extended end of its interval.
-    # The other end comes from Student's t; the integral hardly ever lies beyond this other end
+    # The other end of the interval comes from Student's t.
+    # The integral hardly ever lies beyond the other end of the interval
     beyond: float = 0.04
     # If fewer values than this hold half of the variance, most sets miss important regions.
     # Of 8,192 values of a smooth function, 700 or more hold half of the variance.
     # For x^−0.3, 60 values hold half of it; for a peak on 1 % of the square, 45 values do.
     # For three narrow peaks in 8 dims, a single value holds half of the variance
     few: int = 4
-    # Number of simulated values of Student's t. The error of its quantile at 4 % is then about 1 %
+    # Number of values of Student's t that are simulated to estimate a quantile of it.
+    # With this number, the quantile for the probability `beyond` has an error of about 1 %
     samples: int = 40_000
 
 
@@ -221,7 +224,8 @@ def tied_error(values: Array) -> float:
     No set has crossed a jump with probability (1 − Σp_i)^R, so that Σp_i < ln(20)/R at 95 %.
     A crossing changes an estimate by at most (max f − min f)/n.
     The result is therefore ln(20) (max f − min f)/(R n), where R n is the number of all values.
-    The result is 0 if most values of f differ, because equal estimates are then exact.
+    If most values of f differ, equal estimates do not occur by chance, so they are exact.
+    In this case, the result is 0.
 
     Parameters
     ----------
@@ -362,7 +366,7 @@ def unsampled_note(estimator: AbstractEstimator, samples: int) -> str | None:
 
 
 def tail_note(moments: Moments) -> str | None:
-    """Return a sentence about tails if the estimates do not resolve them in some channel."""
+    """Return a sentence about tails if the estimates of some channel do not resolve their tails."""
     unresolved = ~np.atleast_1d(moments.resolved)
     if not unresolved.any():
         return None

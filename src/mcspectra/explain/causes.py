@@ -82,15 +82,17 @@ Name: TypeAlias = Literal[
 class CauseSettings:
     """Fractions of a budget of evaluations, and thresholds above which causes are reported.
 
-    "Values from a to b give the same results" refers to ``python -m benchmarks settings``.
-    With the setting itself, profiles find the right first cause in all 152 test cases.
-    Profiles with the values a and b also find it in all cases.
+    Comments on settings refer to the 152 test cases of ``python -m benchmarks settings``.
+    With the settings below, profiles find the right first cause in all 152 cases.
+    "Values from a to b give the same results" means: if a setting is changed to a or b,
+    profiles also find the right first cause in all cases.
     A cause is "wrong" if it is not the right first cause.
     """
 
     # Least number of scrambled nets.
     # A variance of 20 normal estimates has a relative standard error of a third.
-    # With 40 nets of half the size, one of 152 causes is wrong; 10 nets are also enough.
+    # With 40 nets of half the size, one of 152 causes is wrong.
+    # With 10 nets, the results are the same as with 20.
     nets: int = 20
     # Above this number of evaluations, the number of nets grows as the square root of evaluations.
     # Nets then have 512 points or more, so a curve has at least ten counts.
@@ -101,7 +103,7 @@ class CauseSettings:
     lines_share: float = 0.2
     # Fraction of the budget that is left to check a change of the estimator.
     # Values from 0.075 to 0.15 give the same results.
-    # With 0.3 nets have fewer evaluations, and one of 152 causes is wrong.
+    # With the value 0.3, nets have fewer evaluations, and one of 152 causes is wrong.
     check_share: float = 0.15
     # Fraction of the budget for the given sampler, if nets cannot estimate its variance.
     # The nets then get 40 % of the budget.
@@ -113,7 +115,7 @@ class CauseSettings:
     pole_share: float = 0.8
     # Fraction of the lines' evaluations that is spent on the mean dimension.
     # Values from 0.125 to 0.25 give the same results.
-    # With 0.5 fewer evaluations are left for lines, and four of 152 causes are wrong.
+    # With the value 0.5, fewer evaluations are left for lines, and four of 152 causes are wrong.
     dimension_share: float = 0.25
     # Number of points at which values are computed again to detect noise.
     # A function that is random at half of all points is detected with probability 1 − 2^−8 = 0.996.
@@ -139,7 +141,7 @@ class CauseSettings:
     law_at: int = 64
     # Error of a measured exponent of growth. The variance is infinite for exponents above ½.
     # Because of this error, exponents above 0.48 are also reported as infinite variance.
-    # Exponents of poles are right to 0.02 in all of 18 cases.
+    # In all 18 test cases with a pole, the measured exponent has an error of at most 0.02.
     # Values from 0.01 to 0.04 give the same results.
     exponent_error: float = 0.02
     # Error of the order of a pole inside the cube if the pole is found by lines only.
@@ -159,7 +161,7 @@ class CauseSettings:
     heavy_kurtosis: float = 30.0
     # A tail is also heavy if a single value has more than this fraction of the sum of squares.
     # Values from 0.1 to 0.4 give the same results.
-    # The same fraction is used in `measure/blindness.py`.
+    # The setting `large_share` in `measure/blindness.py` has the same value.
     large_share: float = 0.2
     # Two limits of the fraction of values that hold nine tenths of the variance.
     # A tail is heavy below the first limit, and is the main cause below the second limit.
@@ -178,7 +180,8 @@ class CauseSettings:
     # Above this limit, jumps count as parallel to axes.
     # Values from 0.35 to 0.7 give the same results; above 1, no jump is parallel to an axis.
     straight: float = 0.7
-    # g jumps if the lines through jumps are more than this fraction of the lines through cusps.
+    # Limit for the number of lines with a jump, divided by the number of lines with a cusp.
+    # If this ratio is above the limit, g has jumps.
     # One line in 100 through a cusp of order ½ appears to be a jump by chance.
     jumps_of_cusps: float = 0.05
     # The function oscillates if more than this fraction of places along a line are local extremes.
@@ -208,7 +211,7 @@ class CauseSettings:
     # Values from 5e-4 to 2e-3 give the same results.
     opposite: float = 1e-3
     # Number of points that measure the integral of a wrong density.
-    # If 1/p is smooth, a net of 4096 points is accurate to the four printed digits.
+    # If 1/p is smooth, a net of 4096 points gives four correct digits, as many as are printed.
     # No decision depends on this number.
     pdf_points: int = 4096
     # Least number of sets from which a variance is estimated.
@@ -227,7 +230,8 @@ class CauseSettings:
     rounding: float = 1e-9
     # Rounding matters if floating-point numbers differ by more than this fraction of g's spread.
     # Steps of 1 % of the spread change the variance by 1e-5.
-    # The same fraction is the least variance along a line, relative to the largest of all lines.
+    # This fraction is also a limit for lines on which g may oscillate.
+    # The variance along such a line is above this fraction of the largest variance along a line.
     # Values from 0.005 to 0.02 give the same results.
     coarse: float = 1e-2
     # Two limits of a technique's part of the variance.
@@ -372,7 +376,8 @@ class Evidence:
         sets = Sets.of(estimator, n, nets, stream.child(0))
         calls = nets * n * each
         size = max(float(np.abs(v).max()) for v in sets.values)
-        if not math.isfinite(size):  # f is finite here, so the pdf is wrong
+        # An f that is not finite raises an error earlier, so the pdf causes infinite values
+        if not math.isfinite(size):
             raise ParameterError("The pdf is not finite at some samples; give a finite pdf.")
         if size and not settings.smallest <= size <= settings.largest:
             raise ParameterError(
@@ -429,7 +434,7 @@ class Evidence:
                         pole = pole_of(g, points, values, most, own, settings.poles)
                     except BudgetError:
                         raise
-                    except ParameterError as error:  # The climb left the cube
+                    except ParameterError as error:  # The search for a pole left the cube
                         failed = str(error)
             lines.append(lines_of(g, estimator.dims, allowed - made, own, settings.lines))
             calls += made * estimator.evaluations_per_point
@@ -592,7 +597,7 @@ def _infinite_variance(seen: Evidence) -> Cause | None:
 
 
 def _said(pole: Pole) -> str:
-    """Describe with its tail index how g grows at a pole."""
+    """Describe in words how g grows at a pole, and give the tail index of g there."""
     k, d = pole.codimension, len(pole.place)
     where = "a point" if k == d else f"a set of {d - k} dims"
     side = "of the border" if pole.border else "inside"
@@ -985,7 +990,9 @@ def causes_of(seen: Evidence) -> list[Cause]:
     # A heavy tail follows from unbounded growth, which is already reported
     if names & {"infinite-variance", "border-growth"}:
         found = [c for c in found if c.name != "heavy-tail"]
-    # A tail is explained by many dims, or by a zero region, unless very few values matter
+    # Many dims, or a region in which g is 0, can explain a heavy tail.
+    # The tail is then listed last.
+    # The tail keeps its place if very few values hold most of the variance
     heavy = next((c for c in found if c.name == "heavy-tail"), None)
     if (
         heavy is not None

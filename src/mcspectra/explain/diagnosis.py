@@ -29,7 +29,7 @@ class DiagnosisSettings:
     # With fewer evaluations, `python -m benchmarks battery` does not detect all causes.
     evaluations: int = 8192
     # Two limits of the odd part of g, as fractions of the variance of g.
-    # Above the first limit, the odd part is the reason for a gain: other variance is below 10 %.
+    # Above the first limit, the odd part is the reason for a gain: it is over 90 % of the variance.
     # Above the second limit, the odd part is one of several reasons: it explains at least a tenth.
     mostly: float = 0.9
     partly: float = 0.1

@@ -37,7 +37,7 @@ class PictureSettings:
     # Distances from a face at which g is evaluated.
     # 2^−26 is the square root of float64's spacing below 1.
     # It is a compromise between the rounding of u and the change of a smooth g.
-    # 2^−40 is 2^14 times closer, and still exact next to 1.
+    # The distance 2^−40 is 2^14 times smaller. The number 1 − 2^−40 is exact in float64.
     near: float = 2.0**-26
     nearer: float = 2.0**-40
     # Fraction of a difference between opposite faces that remains at the smaller distance.

@@ -4,7 +4,8 @@ g is evaluated in equal steps along a line, and close to its ends.
 The step is halved repeatedly around the largest second difference.
 Each halving takes two evaluations of g.
 The second difference shrinks with the square of the step where the function is smooth.
-At a kink the second difference shrinks with the step, and at a cusp |t|^a with its power a.
+At a kink, the second difference is proportional to the step.
+At a cusp |t|^a, it is proportional to the power a of the step.
 The second difference stays constant at a jump, and it grows at a pole.
 Steps shrink faster toward the ends of lines along the axes.
 There the slope of log |g| is the exponent with which g grows at the border.
@@ -19,7 +20,7 @@ A function that grows as r^−a toward a set of codimension k leads the climb to
 On rays from the top, the differences g(r) − g(4r) are ∝ r^−a.
 These differences determine a, whatever constant is added to g.
 |g|^(−2/a) is a quadratic form of the distance, and its rank is the codimension k.
-Each face of the cube that contains the top adds one to the rank.
+If the top is on faces of the cube, each of these faces adds one to the codimension.
 
 The volume in which |g| > λ is ∝ λ^(−k/a).
 Therefore ∫g² is infinite for a/k ≥ ½, and the integral does not exist for a/k ≥ 1.
@@ -63,15 +64,15 @@ class LineSettings:
 
     # Number of equal steps of a line before steps are halved.
     # Values from 8 to 16 give the same results.
-    # With 32 steps there are half as many lines, and two of 152 causes are wrong.
+    # With 32 steps, there are half as many lines, and two of 152 causes are wrong.
     steps: int = 16
     # Number of halvings of the step around the roughest place.
-    # The last step is 2^−12 of a step, or 1.5e-5 of the line. This is far above rounding.
-    # Features that 16 steps can find are much farther apart than the last step.
-    # With 6 halvings 29 of 152 causes are wrong; values from 12 to 24 give the same results.
+    # After 12 halvings, the step is 1.5e-5 of the length of the line, which is far above rounding.
+    # The step is also much smaller than the distance between features that 16 steps can find.
+    # With 6 halvings, 29 of 152 causes are wrong; values from 12 to 24 give the same results.
     halvings: int = 12
     # Number of the last halvings. The exponent is computed from their second differences.
-    # Values from 3 to 6 give the same results; with 12 two of 152 causes are wrong.
+    # Values from 3 to 6 give the same results; with 12, two of 152 causes are wrong.
     late: int = 6
     # Exponent below which the roughest place is a pole.
     # A jump has the exponent 0, and a pole r^−a has the exponent −a.
@@ -113,14 +114,14 @@ class LineSettings:
     # g grows up to the end of a line if the last gain, divided by the gain before, is above this.
     # The ratio is 2^−10 for a bounded function, 1 for ln t, and 2^(10a) for t^−a.
     # Values from 0.33 to 0.65 give the same results.
-    # With 1.3 logarithmic growth is missed, and six of 152 causes are wrong.
+    # With the value 1.3, logarithmic growth is missed, and six of 152 causes are wrong.
     goes_on: float = 0.65
     # Largest distance of the parallel line that tests whether a jump is normal to the axis.
     # If the edge has a slope of 1, its place on the parallel line differs by at least 0.0025.
     # This distance is a hundred times the last step of the halvings.
     # Values from 0.0025 to 0.01 give the same results.
     aside: float = 0.005
-    # Number of groups of axes. A displacement of a chord is along the axes of one group.
+    # Number of groups of axes. An oblique line (chord) is displaced along one group at a time.
     # If an edge is normal to an axis, only the group with this axis moves a chord off the edge.
     # An edge that is oblique to two axes seems normal to an axis with probability 1/3.
     # With more axes this probability is smaller.
@@ -161,8 +162,8 @@ class PoleSettings:
 
     # Maximum number of halvings of the step of a climb.
     # The first step is the distance between neighboring points.
-    # After all halvings, the largest of the `radii` is 1/16 of the first step.
-    # With 8 halvings 30 of 152 causes and 10 of 18 poles are wrong.
+    # After 16 halvings, the largest radius in `radii` is 1/16 of the first step.
+    # With 8 halvings, 30 of 152 causes and 10 of 18 poles are wrong.
     # Values from 16 to 32 give the same results.
     halvings: int = 16
     # Largest number of moves with one step before the step is halved.
@@ -171,7 +172,8 @@ class PoleSettings:
     # Number of halvings in a group. The climb is judged by the medians of its last three groups.
     # With 2, one of 18 poles is wrong; values from 3 to 6 give the same results.
     group: int = 3
-    # Ratio of the last gain to the gain before. Below this value g is bounded, and the climb ends.
+    # Limit for the last gain in height, divided by the gain before it.
+    # If this ratio is below the limit, g counts as bounded, and the climb ends.
     # Near a smooth top, three halvings multiply the gain in height by 4^−3.
     # Near a pole where g grows like ln r, all gains are equal.
     # Values from 0.15 to 0.6 give the same results.
@@ -180,7 +182,7 @@ class PoleSettings:
     # Values from 3 to 12 give the same results.
     rays: int = 6
     # Weight of each new move when it changes the ellipsoid of directions, from 0 to 1.
-    # Values from 0.2 to 0.4 give the same results; with 0.8 one of 18 poles is wrong.
+    # Values from 0.2 to 0.4 give the same results; with 0.8, one of 18 poles is wrong.
     learning_rate: float = 0.4
     # Radii along the rays, in units of the last step; each is 4 times the previous radius.
     # The smallest radius is 16: if the top is off by one step, the distance changes by 6 % at most.
@@ -195,14 +197,14 @@ class PoleSettings:
     rising: float = 0.25
     # Distance from all other faces at which growth toward one face is measured.
     # The distance is in units of the last step.
-    # It equals half of the first step, and 2^7 times the third of the radii.
+    # It is half of the first step, and 2^7 times the third radius in `radii`.
     # Values from 2^14 to 2^16 give the same results.
     away: float = 2.0**15
     # If the exponent is above this value, the function grows toward one face alone.
     # Values from 0.025 to 0.1 give the same results.
     alone: float = 0.05
-    # Fraction of the largest eigenvalue of the quadratic form.
-    # The codimension is the number of eigenvalues above this fraction.
+    # Limit for eigenvalues of the quadratic form |g|^(−2/a), divided by its largest eigenvalue.
+    # The codimension is the number of eigenvalues above this limit.
     # Values from 0.002 to 0.008 give the same results.
     rank: float = 0.004
     # A move is accepted if the height grows by more than this factor.
@@ -218,8 +220,7 @@ class PoleSettings:
     stands_out: float = 0.1
     # Growth with an exponent below this value counts as logarithmic.
     # If the exponent is below minus this value, there is no pole.
-    # Measured exponents have errors up to 0.02
-    # (`test_exponents_and_codimensions_of_poles_are_measured`).
+    # In `test_exponents_and_codimensions_of_poles_are_measured`, exponents have errors up to 0.02.
     # Values from 0.01 to 0.04 give the same results.
     least_exponent: float = 0.02
 
@@ -322,7 +323,10 @@ class Lines:
 
 
 def grain(values: Array) -> float:
-    """Return the spacing of floats at the largest value; float32 if it represents all values."""
+    """Return the spacing of floating-point numbers at the largest value.
+
+    The numbers are float32 if float32 represents all values exactly, otherwise float64.
+    """
     size = np.abs(values).max(initial=0.0)
     with np.errstate(over="ignore"):
         single = (values.astype(np.float32) == values).all()
@@ -685,7 +689,8 @@ def _measured(
         if alone > settings.alone:
             together = Pole(top, exponent, len(faces), True)
             return together if together.tail > alone else Pole(top, alone, 1, True)
-    # Subtract the additive constant. Values on sums of two axes determine the quadratic form
+    # Subtract the additive constant of g. Then determine the quadratic form from values of g:
+    # move from the top along each axis, and along both axes of each pair
     factor = 4.0**exponent
     rest = float(np.median((factor * values[-1] - values[-2]) / (factor - 1.0)))
     first, second = np.triu_indices(d)

@@ -54,7 +54,8 @@ NETS = "sobol | owen"
 class CurveSettings:
     """Settings of curves of variance from nets, and of fits of rates to these curves.
 
-    "The same results" refers to ``python -m benchmarks settings``, as in `CauseSettings`.
+    Statements about the same results refer to ``python -m benchmarks settings``.
+    `CauseSettings` explains these statements.
     Numbers for rates come from ``python -m benchmarks settings --rates``.
     This benchmark repeats each of five functions with known rates 50 times.
     """
@@ -69,13 +70,13 @@ class CurveSettings:
     # 8,192 evaluations allow nets of at most 256 points, which have 4 cells along each of 4 axes.
     # The curve in 4 dims has only three counts.
     jittered_dims: int = 3
-    # Number of last octaves over which the rate is assumed to be constant.
+    # Number of octaves at the end of a curve over which the rate is assumed to be constant.
     # With 2 octaves, intervals of rates are 1.4 times as wide and contain the rate equally often.
     # With 6 octaves, intervals contain the true rate in 63 % instead of 93 % of cases.
     octaves: int = 3
     # Candidate standard deviations of the drift of the rate in an octave, weighted by likelihood.
     # The value 0.05 is for straight curves.
-    # With the value 0.4, a rate changes by 1 to 3 in a few octaves, the usual range.
+    # The value 0.4 is for curves with the usual bends: the rate changes by 1 to 3 in a few octaves.
     # If all values are halved, intervals contain the true rate in 94 % of cases.
     # If all values are doubled, or with 0.2 alone, intervals contain it in 92 % of cases.
     drifts: tuple[float, ...] = (0.05, 0.1, 0.2, 0.4)
@@ -83,7 +84,8 @@ class CurveSettings:
     # Rates from −2 to 0 are within two standard errors.
     unknown: float = 0.5
     # Least standard error of a logarithm of the variance.
-    # Real curves deviate from lines by 2 % or more. With 0.01 and 0.04, rates are the same to 0.01.
+    # Real curves deviate from straight lines by 2 % or more.
+    # With the value 0.01 or 0.04, rates change by at most 0.01.
     floor: float = 0.02
     # A measured rate agrees with a theoretical rate if it is within this number of standard errors.
     # The value corresponds to 95 % of a normal law.
@@ -358,8 +360,10 @@ def _fitted(
     """Return the curve of variances `found`, (N,), with errors from a jackknife.
 
     `left` contains the variances without each realization, (R, N).
-    If `rate` is None, the rate is fitted. If `exact` is true, a variance of zero is a result.
-    Otherwise variances are differences, and zero means that the variance is below its error.
+    If `rate` is None, the rate is fitted.
+    If `exact` is true, a variance of zero means that the true variance is zero.
+    If `exact` is false, each variance is a difference of two estimates.
+    A variance of zero then means that the true variance is below the error of the difference.
     """
     degrees = len(left) - 1
     floor = rounding_floor(np.array(size))

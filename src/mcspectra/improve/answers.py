@@ -50,7 +50,7 @@ class AnswerSettings:
 _SETTINGS = AnswerSettings()
 
 Verdict = Literal["given", "better", "worse", "undecided"]
-"""Result of a comparison with the given set-up, by the interval of the gain."""
+"""How a candidate compares with the given set-up. The interval of the gain decides."""
 
 
 @final
@@ -77,7 +77,7 @@ class Candidate:
     ratio
         Expected variance divided by that of the given estimator at equal cost, NaN if unknown.
     finite_below
-        If g grows as t^−a at the border, the largest exponent a for which the variance is finite.
+        Limit of the exponent a if g grows as t^−a at the border. Below it, the variance is finite.
     note
         A sentence that is appended to the reason in the report.
     """

@@ -102,7 +102,8 @@ class Errors:
         error = np.array([error for error, _ in parts])
         bias = np.stack([values.mean(axis=0) - integral for values in estimates])
         noise = np.array([rounding_floor(np.abs(v).mean(axis=0)).sum() for v in estimates])
-        miss = ~(np.abs(bias).max(axis=1) <= tolerance * np.abs(integral).max())  # or NaN
+        # If the integral is unknown, the bias is NaN; it counts as larger than the tolerance
+        miss = ~(np.abs(bias).max(axis=1) <= tolerance * np.abs(integral).max())
         alike = np.array(
             [
                 np.ptp(v, axis=0).max() <= 4 * math.sqrt(f)
@@ -164,8 +165,8 @@ class Errors:
     def at(self, budget: float, *, carry: bool = True) -> tuple[float, Array]:
         """Return log v at the cost `budget`, extrapolated along the rate, and influences (R,).
 
-        After a pilot the last error is not extrapolated.
-        Nets often have only half of the points that the budget allows.
+        If the set-up needs a pilot, the error at the last cost is returned without extrapolation.
+        After a pilot, nets often have only half of the points that the budget allows.
         """
         last = len(self.cost) - 1
         if not self.used[last]:
@@ -204,7 +205,7 @@ def compare(errors: Errors, reference: Errors, budget: float, pilot: int = 0) ->
     other, other_influence = reference.at(budget + pilot, carry=carry)
     rate, slope = errors.rate()
     other_rate, other_slope = reference.rate()
-    # Increase the error of the slope if the curves deviate from a line by more than their scatter
+    # Increase the error of the slope if a curve deviates from a line by more than its noise
     points = ((e, int(e.used.sum()) - 2) for e in (errors, reference))
     bend = max(widening(free, e.fit().chi2) if free > 0 else 1.0 for e, free in points)
     return Comparison(
@@ -232,7 +233,10 @@ def estimates_of(
 
 
 def _standard_error(influence: Array, prior: int = _SETTINGS.prior) -> float:
-    """Return the standard error of a mean of R influences; their prior variance is 2."""
+    """Return the standard error of a mean of R influences.
+
+    The number `prior` is the weight of a prior, in which influences have the variance 2.
+    """
     count = len(influence)
     square = (np.square(influence).sum() + 2.0 * prior) / (count + prior)
     return math.sqrt(square / count)

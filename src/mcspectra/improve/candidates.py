@@ -61,7 +61,7 @@ __all__ = [
 
 LATTICE = "rank1-lattice | shift"
 """Shifted lattices, the points for a periodic g."""
-# Random stream label of pilots; searches for widths and for offsets have the labels 0 and 1
+# Label of the random stream of pilots. Searches for widths and offsets use the labels 0 and 1
 _PILOTS = 2
 # Kinds of change that also apply to a mirrored estimator: its inner estimator is changed
 _INSIDE = frozenset(
@@ -106,7 +106,7 @@ class CandidateSettings:
     # In more dims, means take too many evaluations; smoothing by the distance takes only one.
     most_boxed_dims: int = 2
     # A pilot takes the budget B divided by this number.
-    # After a pilot of B/8, evaluations remain at the two largest budgets of `mcspectra.remedies`.
+    # The two largest budgets of `mcspectra.remedies` exceed a pilot of B/8 evaluations.
     # These two budgets, B/4 and B, give a rate.
     pilot_divisor: int = 8
     # Least number of points of a pilot. Each half of the pilot has 32 points.
@@ -114,15 +114,15 @@ class CandidateSettings:
     least_pilot: int = 64
     # Maximum number of points of a pilot.
     # Regressions of an Asian option in 16-D were tested with 2048, 4096 and 8192 points.
-    # The variance that remains is 1.08, 0.93 and 0.89 %.
+    # After these regressions, 1.08, 0.93 and 0.89 % of the variance remain.
     # The variances of fitted densities differ by 3 % (`benchmarks improvements`).
     most_pilot: int = 4096
     # Widths of smoothed edges that are scanned, in units of the domain: octaves from 2^-10 to 1/4.
     # A wider edge covers most of the domain; a narrower edge is a jump at the budgets in use.
     widths: tuple[float, ...] = tuple(2.0**-k for k in range(10, 1, -1))
     # Maximum number of realizations for each variance in a scan over widths or over offsets.
-    # The relative standard error of √(2/300) = 8 % is small.
-    # The difference between neighboring widths is a factor of two.
+    # With 300 realizations, the relative standard error of a variance is √(2/300) = 8 %.
+    # This error is small enough, because neighboring widths differ by a factor of two.
     scan_realizations: int = 300
 
 

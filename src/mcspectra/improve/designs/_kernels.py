@@ -78,7 +78,9 @@ def flip_tree(table: Array, codes: Array, axes: int, bits: int) -> bool:
     for axis in range(axes):
         low = (axes - 1 - axis) * bits
         for level in range(bits):
-            node = low + bits - level  # Position of the lowest bit of a node's prefix
+            # All codes in a node of the tree start with the same bits.
+            # Compute the position of the lowest of these bits
+            node = low + bits - level
             flip = 1 << (node - 1)
             done = np.zeros(n, np.bool_)
             for first in range(n):

@@ -85,7 +85,8 @@ class DesignSettings:
     check_members: int = 2000
     check_realizations: int = 32
     check_evaluations: int = 2**24
-    # Number of groups of members of a certificate. Each group has its own realizations.
+    # A certificate divides the integrands of a class into this number of groups.
+    # Each group has its own realizations.
     # Errors have 19 degrees of freedom. Student's t makes intervals 7 % wider than a normal law.
     groups: int = 20
 
@@ -141,12 +142,12 @@ def design(
     Parameters
     ----------
     kind
-        Kind of the result. For each kind, this list gives the quantities that are searched.
+        Kind of the result. The following list states what is optimized for each kind.
         ``"lattice"``: the generating vector. In 2-D all vectors are tried.
         In more dims the vector is built axis by axis.
         ``"polynomial-lattice"`` and ``"digital-net"``: generator matrices.
         ``"owen"``: 64 Owen scramblings of Sobol' points, which keep the quality parameter t.
-        ``"strata"``: the shape of strata, and combinations of points of different strata.
+        ``"strata"``: the shape of strata, and how points of different strata form a set.
         ``"points"``: sets that share the cells of a grid, or one set optimized on the torus.
         ``"density"``: an importance density, see `learned_density`.
     objective
