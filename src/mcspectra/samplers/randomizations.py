@@ -419,8 +419,7 @@ class Decorrelate(Randomization):
     Variances over the pixels are variances within an image.
     Variances over the pixels do not converge to variances over seeds.
 
-    A mask has one number per dim. Two randomizations need no more: shift, and digital-shift
-    in base 2.
+    A mask has one number per dim. This is enough for shift, and for digital-shift in base 2.
     In one pixel every point is uniform with any mask.
     In each dim, the shifts of the width² pixels of a blue-noise mask are stratified:
     each of width² equal intervals of [0,1) contains one shift.

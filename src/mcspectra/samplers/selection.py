@@ -205,7 +205,7 @@ class Skip(Randomization):
 class Shuffle(Randomization):
     """Shuffle: the same points in random order, every order with the same probability.
 
-    Several shuffled sets can be combined to points in more dims. The sets are uncorrelated.
+    Several shuffled sets can be combined into points with more dims. The sets are uncorrelated.
     The first points are a random subset.
 
     References

@@ -613,9 +613,9 @@ def _moved_centers(sides: tuple[int, ...], displacements: Array) -> Array:
 @final
 @dataclass(frozen=True, kw_only=True)
 class SharedCells(Sampler):
-    """Points in the n cells of one of W sets of cells; the set of cells is chosen at random.
+    """Points in n cells of a grid; the n cells are a set chosen at random from W sets of cells.
 
-    A grid has W n cells, and each of its cells is in one of the W sets.
+    The grid has W n cells, and each of these cells is in exactly one of the W sets.
     A realization draws one offset, a uniform point of a cell.
     In each cell of the set, the point is at this offset, possibly reflected along some axes.
     Every point is uniform on [0,1)^d for any sets, so estimates are unbiased.
