@@ -95,7 +95,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def _pixel(edge: float) -> Any:
-    """Return BSDF sampling of point P in the scene of Figure 1.
+    """Return the pixel of point P in the scene of Figure 1, with BSDF sampling.
 
     The light's soft border has the width `edge` times half the side of the light.
     """

@@ -85,7 +85,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     ends = (g(np.stack([np.full_like(y, u), y], axis=-1)) for u in (0.0, BELOW_ONE))
     mirrored = np.subtract(*ends)
 
-    # Draw the samples, and variances against N with the slopes of the expected rates
+    # Plot the samples, and plot the variances against N with the slopes of the expected rates
     own = mcs.sampler("jittered", 2).draw(16, rng=seed)[0]
     panels = []
     for mirroring, side in (("original", 8), ("random", 8), ("uniform", 4)):

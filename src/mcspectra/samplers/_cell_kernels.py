@@ -96,8 +96,8 @@ def _cut(
             count += 1
         if (u <= 0.0) != (v <= 0.0):
             # The border of the cell crosses the line x·d = level between these two corners.
-            # The new edge lies on this line: from the crossing that leaves the kept side,
-            # to the crossing that returns to the kept side
+            # The new edge on this line starts where the border leaves the half-plane x·d ≤ level,
+            # and ends where the border returns to this half-plane
             t = u / (u - v)
             cell[count, 0] = spare[k, 0] + t * (spare[after, 0] - spare[k, 0])
             cell[count, 1] = spare[k, 1] + t * (spare[after, 1] - spare[k, 1])

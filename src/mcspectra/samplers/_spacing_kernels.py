@@ -40,6 +40,7 @@ _AXES = 3  # largest number of axes of buckets and grids; with more, cells are m
 # Each cell has an upper bound of the distance from its places to the nearest point.
 # A new point lowers the bounds of the cells up to 7 steps away, and of no others.
 # The side of a cell is a quarter of the spacing of the points.
+# Therefore the point nearest to a place is usually less than 7 cells away.
 _REACH = 7
 _ROUNDING = 1e-9  # fraction of a cell added to bounds, because of rounding
 _FAR = 16.0  # larger than any squared distance in the domain, in up to 4 dims

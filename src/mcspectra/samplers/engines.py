@@ -255,7 +255,7 @@ class QmcpySampler(OneByOne):
 
     The generator's attributes ``d_limit`` and ``n_limit`` limit dims and counts.
     Counts are powers of two if the order of the generator is the radical inverse.
-    Errors that a generator raises for other reasons occur only when points are drawn.
+    All other restrictions of a generator cause an error only when points are drawn.
 
     Attributes
     ----------

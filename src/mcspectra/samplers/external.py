@@ -407,7 +407,7 @@ def _by_count(sets: Iterable[tuple[str, object]]) -> dict[int, Array]:
             )
         found.setdefault(len(points), []).append(points)
     if not found:
-        # Without any points, `_as_sets` raises the usual error
+        # There are no points. The function `_as_sets` raises an error that says so
         return {0: _as_sets([])}
     return {n: _as_sets(np.stack(found[n])) for n in sorted(found)}
 

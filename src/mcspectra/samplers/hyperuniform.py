@@ -322,7 +322,7 @@ class Determinantal(Sampler):
     def _power(self, n: int, m: Array) -> Array:
         """Return ⟨|S_m|²⟩ at integer frequencies m (..., d): (1 − s)/n, and 1 at m = 0.
 
-        The kernel has n frequencies k; the sum k + m is also one of them for a share s.
+        Here s is the share of the kernel's n frequencies k for which k + m is also one of the n.
         """
         waves = self.frequencies(n)
         flat = np.rint(m).reshape(-1, self.dims).astype(np.int64)
@@ -416,7 +416,7 @@ def _draw(k0: np.uint64, k1: np.uint64, m: Array, basis: tuple[Array, Array], ou
                     within[p] += _add_block(re[p], im[p], vr, vi, cr[p, block], ci[p, block])
 
         # Accept the remaining proposals in order. Each accepted point adds a vector to the basis.
-        # Each later proposal is then projected onto this new vector too.
+        # Each later proposal is also projected onto the new vector.
         for p in range(_BATCH):
             if i == n or within[p] >= most[p]:
                 continue

@@ -511,8 +511,8 @@ class DigitalNet(_AnyBaseNet):
     Files have one of two formats. LatNet Builder, the Magic Point Shop and QMCPy use the first:
     each of the first four lines has a number (base, dims, largest n, digits).
     After that, each line has the columns of one matrix, as whole numbers.
-    In the first four lines, text after the number is ignored. Lines that start with ``#`` are
-    ignored everywhere.
+    In the first four lines, text after the number is ignored.
+    All lines that start with ``#`` are ignored.
     MatBuilder uses the second format: square matrices of digits, one below the other.
     Each line has one row of a matrix. Such files do not state the base, so give it as `base`.
 

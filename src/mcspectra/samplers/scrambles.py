@@ -215,7 +215,7 @@ class Owen(_OfDigits):
     Digits are scrambled down to 2^-32 (32 bits in base 2).
     Lower digits become independent and uniform.
     Scrambling preserves the balance of nets in the same base.
-    In other sets, it mainly preserves the number of points in each elementary interval of an axis.
+    In other sets, scrambling mainly preserves the counts in elementary intervals of single axes.
 
     Attributes
     ----------

@@ -556,7 +556,7 @@ def _place_pairs(net: Fixed, bases: Sequence[int], shifted: bool, m: Array, othe
     total = np.zeros(len(flat), complex)
     # Find the digits of each axis, with the highest first.
     # Rounding may have moved a coordinate from a multiple of b^-places to just below it.
-    # To undo this, a small number, the nudge, is added to all coordinates.
+    # A small number, `nudge`, is therefore added to all coordinates before digits are read.
     digits = []
     for axis, b in enumerate(bases):
         nudge = 0.0 if b & (b - 1) == 0 else 2.0**-52
@@ -672,7 +672,7 @@ def _weighted_covariance(law: Law, name: str, m: Array, other: Array, density: D
 @final
 @dataclass(frozen=True)
 class _StrataAxis:
-    """Strata of one axis, or grids with all offsets on one axis; and the density of this axis.
+    """One axis with its density: an axis that has strata, or grids with several offsets.
 
     A start t is the lower end of a stratum, or the offset of a grid.
     Each start has a weight in means over the starts.

@@ -15,7 +15,7 @@ Engines
 ``nufft``
     FINUFFT's type 3 [Barnett2019]_ in one to three dims, with a relative l2 error of about `eps`.
     The cost is O(n + F) with a large constant.
-    To this is added the cost of an FFT on a grid that covers all frequencies.
+    An FFT on a grid that covers all frequencies adds to the cost.
 ``auto``
     The engine that is expected to be faster. The expected times are based on measurements.
     In three or more dims ``direct`` is used, because type 3 is not faster there.

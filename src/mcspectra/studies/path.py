@@ -462,9 +462,9 @@ def path_remedies(
                 f"{ratio:.3g} ({bounds})"
             )
             if high < 0.0 and rate < 0.0:
-                # With the change, n paths and a pilot of P paths take as long as n + P paths.
-                # The two have equal errors if the ratio of variances is ((n + P)/n)^rate.
-                # Solve this equation for n
+                # With the change, an estimate takes n paths and P paths for the pilot.
+                # Its error equals the error of n + P unchanged paths if the ratio of variances
+                # is ((n + P)/n)^rate. Solve this equation for n
                 pays = candidate.pilot / math.expm1(found.log_ratio / rate)
                 note += f": it pays above about {float(f'{pays:.2g}'):.0f} paths."
             else:
