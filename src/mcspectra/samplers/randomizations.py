@@ -38,7 +38,7 @@ __all__ = ["Decorrelate", "Mirror", "RandomRotation", "Shift", "StrataShift", "f
 _MOST_IMAGED = 30  # largest number of dims of the uniform mode, which makes 2^d images
 _MASK_KEY = 0x3A5C  # arbitrary seed of the dither mask; realizations shift the same mask at random
 # Half the side of the first window that is searched for the n points of a rotated set.
-# Its area is 1.44, so on average it contains 1.44 n of the repeated points.
+# Its area is 1.44, so it nearly always contains more than n of the repeated points.
 _FIRST_REACH = 0.6
 # Half the side of a window that always contains more than n points.
 # A disk of radius √5/2 < 1.12 contains two copies of the domain, side by side.
