@@ -35,7 +35,7 @@ SAMPLERS = {
 }
 RATES = {"f": -2.0, "g": -3.0}
 _SHOWN = 64  # number of points that the figure shows at first
-# Number of frequencies in a sum. Frequencies of f(x) = x above 2^16 would add to the sum
+# Number of frequencies in a sum. Higher frequencies of f(x) = x would add little to the sum:
 # a share of 12 N / (4π² 2^16), which is 0.5 % at N = 1024.
 _HIGHEST = 2**16
 
