@@ -384,7 +384,7 @@ def _counted(findings: Sequence[Finding]) -> str:
 
 
 def tally(entries: Sequence[Entry]) -> str:
-    """Say how many slides there are, and how many findings have each verdict."""
+    """Describe in words how many slides there are, and how many findings have each verdict."""
     made = [entry for entry in entries if not entry.problem]
     count = sum(len(entry.slides) for entry in made)
     text = f"{count} slide{'' if count == 1 else 's'}; findings: "

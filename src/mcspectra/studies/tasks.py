@@ -294,7 +294,7 @@ def compute_elsewhere(
         return compute(text, task), False
     with Path(os.devnull).open("w") as nowhere:
         # The function `within` cannot stop code that holds the interpreter lock.
-        # In this case, end the whole process
+        # If code holds the lock for too long, the whole process is ended
         faulthandler.dump_traceback_later(limit + _HELD, exit=True, file=nowhere)
         try:
             return within(limit, functools.partial(compute, text, task)), False
