@@ -357,7 +357,7 @@ def _entry(name: str, quick: bool, seed: int) -> Entry:
 
 
 def _findings_of(slide: Slide, entry: Entry) -> tuple[Finding, ...]:
-    """Return the findings about a slide. The first slide also gets those about no other slide."""
+    """Return the findings about a slide. Findings about no slide go to the first slide."""
     if entry.exhibit is None:
         return entry.findings
     figures = {each.figure for each in entry.slides}
@@ -384,7 +384,7 @@ def _counted(findings: Sequence[Finding]) -> str:
 
 
 def tally(entries: Sequence[Entry]) -> str:
-    """Return in words the numbers of slides, and of findings by verdict."""
+    """Describe in words how many slides there are, and how many findings have each verdict."""
     made = [entry for entry in entries if not entry.problem]
     count = sum(len(entry.slides) for entry in made)
     text = f"{count} slide{'' if count == 1 else 's'}; findings: "

@@ -40,10 +40,11 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     variances = {name: float(mcs.exact_variance(by_density, name, N)) for name in weighted}
     integral = float(np.squeeze(mcs.integrand(BELL, 1).integral))
 
-    # Compute the exact second and third terms of jittered points for f(x) = x, to the half width
+    # Compute the exact second and third variance terms for f(x) = x and jittered points.
+    # The terms are sums over all frequencies up to the half width
     _, *exact = split(exact_matrix(mcs.integrand(LINE, 1), "jittered", None, HALF_WIDTH))
 
-    # Extrapolate the terms to all frequencies. The remainders are proportional to 1/K
+    # Extrapolate both terms to all frequencies. A sum up to frequency K has an error of order 1/K
     near, far = (
         np.array(split(exact_matrix(mcs.integrand(LINE, 1), "jittered", None, k)))
         for k in (256, 512)
@@ -53,7 +54,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         "third term is 1/(6N³) − 1/(6N²)": 1 / (6 * N**3) - 1 / (6 * N**2),
     }
 
-    # Compute the third term with either factor S conjugated, for random importance samples
+    # Sum the terms with ⟨S_m conj(S_l)⟩ and with ⟨conj(S_m) S_l⟩, for random importance samples
     f = mcs.integrand(BELL, 1)
     mirrored = mcs.Integrand.from_function(lambda x: f(1.0 - x), dims=1, integral=f.integral)
     matrix = exact_matrix(f, "random", DENSITY, 128)
@@ -69,7 +70,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     )
     values = (float(matrix.sum().real), as_printed)
 
-    # Compute the errors of all cases: of the sum of the terms, and of off-diagonal entries
+    # Compare the sum of the terms with the truncated variance in each case.
+    # Also take the off-diagonal entries of each matrix, whose sum is the third term
     errors = [float(d["predicted_variance"] / d["truncated_variance"][-1]) - 1.0 for d in every]
     off = [
         each[~np.eye(len(each), dtype=bool)]

@@ -20,8 +20,9 @@ __all__ = ["exhibit"]
 
 N = 64
 SAMPLERS = ("jittered", "latin-hypercube", "poisson-disk", "sobol | owen")
-# Each difference m − l is a multiple of the frequency of the strata (8 for 64 points).
-# At these pairs of frequencies, jittered points have correlated coefficients.
+# Pairs of frequencies m, l at which the Fourier coefficients of jittered points are correlated.
+# The components of m − l are multiples of 8, the number of strata per axis for 64 points.
+# In the last pair, m − l = (1, −1) is not a multiple of 8, and the coefficients are uncorrelated.
 PAIRS = (
     ((3, 0), (-5, 0)),
     ((0, 3), (0, -5)),
@@ -52,7 +53,10 @@ class Coefficients:
         return np.asarray(self.products.sum(axis=0) / (len(self.values) - 1))
 
     def farthest(self) -> tuple[float, float]:
-        """Return the largest covariance in standard errors, and its limit for normal errors."""
+        """Return the largest covariance in standard errors, and a limit of this maximum.
+
+        If all covariances are zero, the maximum of normal errors rarely exceeds the limit.
+        """
         products, value = self.products, self.covariance
         parts = [
             np.abs(value.real) / mean_and_error(products.real)[1],

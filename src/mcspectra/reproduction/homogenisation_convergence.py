@@ -27,7 +27,8 @@ __all__ = ["exhibit"]
 COUNTS = (16, 64, 256, 1024)
 SAMPLERS = ("jittered", "jittered | shift")
 _NETS = ("sobol | owen", "sobol | owen | shift")
-_HALF_WIDTH = 384  # higher frequencies of the disk would add 2e-7 to N · variance = 1e-2
+# N times the variance for the disk is 1e-2. Frequencies above the half width would add 2e-7.
+_HALF_WIDTH = 384
 
 
 @final

@@ -121,7 +121,10 @@ def terms(name: str, realizations: int, seed: int) -> xr.Dataset:
 
 
 def share(data: xr.Dataset) -> Measured:
-    """Return the power term divided by the measured variance. The interval includes both errors."""
+    """Return the power term divided by the measured variance.
+
+    The interval includes the error of the power term and the error of the variance.
+    """
     variance = Measured.of(data, "measured_variance")
     power = Measured.of(data, "power_term") / variance.value
     half = math.hypot(
@@ -141,7 +144,8 @@ def _closed_sum(n: int) -> Claim:
         f"f(x) = x and {n} jittered points, shifted: the sum is 1/(6N²) − 1/(12N³): relative "
         "difference.",
         total / expected - 1.0,
-        # Bound the rest relative to the sum: the power is at most 1/n, and Σ 1/m² < 1/2^16
+        # Bound the sum over frequencies m > 2^16, relative to the whole sum.
+        # The power of the points is at most 1/n there, and Σ 1/m² < 1/2^16
         at_most=float(2 / (4 * np.pi**2 * n * m[-1]) / expected),
         note=f"Limit: bound of the sum over frequencies beyond {int(m[-1])}.",
     )
@@ -149,7 +153,10 @@ def _closed_sum(n: int) -> Claim:
 
 @cache
 def beyond() -> float:
-    """Return ∫f² − Σ |f_m|² up to the half width. f² is a Gaussian that is narrower by √2."""
+    """Return ∫f² minus the sum of |f_m|² over frequencies up to the half width.
+
+    The square f² is a Gaussian whose width is that of f divided by √2.
+    """
     square = BELL.replace("width=0.2", f"width={0.2 / math.sqrt(2)}")
     power = np.abs(mcs.integrand(BELL, 2).fourier_grid(HALF_WIDTH)) ** 2
     return float(np.squeeze(mcs.integrand(square, 2).integral)) - float(power.sum())

@@ -20,7 +20,8 @@ from mcspectra.reproduction.panels import plot_of, term_panel
 __all__ = ["exhibit"]
 
 N = 16
-_FEW, _MANY = 4, 64  # half widths; an integrand with a single frequency needs only 1
+# Half widths of the sums. For an integrand with a single frequency, a half width of 1 is enough.
+_FEW, _MANY = 4, 64
 
 
 @final
@@ -160,7 +161,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                     "For constant PDF the third term is negative on f(x) = x, jittered points.",
                     of[LINE],
                 ),
-                # The first two terms are together 2 · ¼/N², or 2 · 1/(6N²) with a shift
+                # The variance is 2 · ¼/N², because each of the two edges halves a stratum.
+                # The second term is the variance after a random shift: 2 · 1/(6N²)
                 correction(
                     Claim(
                         "Counterexample: for constant PDF and a bar whose edges halve strata, "

@@ -95,7 +95,10 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def _pixel(edge: float) -> Any:
-    """Return BSDF sampling at P in Figure 1, where the light falls off over `edge` half sides."""
+    """Return the pixel of point P in the scene of Figure 1, with BSDF sampling.
+
+    The light's soft border has the width `edge` times half the side of the light.
+    """
     scene = f"smooth-light(edge={edge})"
     x, y = mcs.rendering.named_pixels(scene)["P"]
     return mcs.rendering.Pixel(scene=scene, x=x, y=y, strategy="bsdf")
@@ -111,7 +114,7 @@ def _ramp(width: float) -> Claim:
     """Compare the exact variance with 1/(12 δ n³), a sum over the strata on a ramp of slope 1/δ."""
     n = 1024
     smoothed = mcs.smoothed(mcs.integrand("step(at=0.47)", dims=1), width)
-    # The ramp covers only a part of the strata at its ends, so at most two of δn strata differ
+    # The ramp covers δn strata. At each of its two ends, it may cover only a part of a stratum
     bound = 2 / (width * n)
     return Claim(
         f"In one dim a step smoothed over δ = {width} has the variance 1/(12 δ N³) with jittered "

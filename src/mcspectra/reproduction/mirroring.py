@@ -1,6 +1,6 @@
 """Mirroring of integrands or samples. With it, homogenization does not reduce the rate.
 
-Mirror-uniform evaluates f at n/4 points and at their mirror images, four per point.
+Mirror-uniform draws n/4 points, and evaluates f at all four mirror images of each point.
 Therefore it samples h, the mean of f over the four images, at n/4 points.
 Mirror-random chooses one image at random. This adds 1/n of the variance of f between images.
 
@@ -85,7 +85,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     ends = (g(np.stack([np.full_like(y, u), y], axis=-1)) for u in (0.0, BELOW_ONE))
     mirrored = np.subtract(*ends)
 
-    # Draw the samples, and the curves with their slopes
+    # Plot the samples, and plot the variances against N with the slopes of the expected rates
     own = mcs.sampler("jittered", 2).draw(16, rng=seed)[0]
     panels = []
     for mirroring, side in (("original", 8), ("random", 8), ("uniform", 4)):

@@ -150,7 +150,7 @@ def _pixel(where: str, sides: Sequence[int], realizations: int, seed: int) -> xr
 
 
 def _follows(where: str, found: xr.Dataset) -> Claim:
-    """Compare the rates of MIS and BSDF sampling, as independent estimates."""
+    """Compare the rate of MIS with the rate of BSDF sampling. The two estimates are independent."""
     bsdf, mis = (Measured.of(found.isel(estimator=i), "rate") for i in (1, 2))
     return Claim(
         f"Veach's scene, {_WHERE[where]}: rate of MIS minus rate of BSDF sampling.",

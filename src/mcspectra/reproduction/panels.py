@@ -57,7 +57,8 @@ AXES: tuple[Literal["x", "y"], ...] = ("x", "y")
 
 _TERMS = {"dc_term": "1st", "power_term": "2nd", "cross_term": "3rd"}
 _RESOLUTION = 256
-_ROUNDING = 1e-12  # relative to the largest term, smaller terms are rounding errors
+# A variance term counts as a rounding error if it is smaller than this share of the largest term.
+_ROUNDING = 1e-12
 
 
 # Ends of the color scale for matrices of f(x) = x with 16 points: four decades
@@ -204,7 +205,7 @@ def in_columns(plot: Plot, first: int = 0) -> Plot:
 def interval_panel(
     rows: Mapping[str, Sequence[Measured]], labels: Sequence[str], x: str, at: float | None = None
 ) -> Panel:
-    """Return horizontal intervals, one row per name. `labels` name the intervals in a row."""
+    """Return horizontal intervals in one row per name. Each interval of a row has one label."""
     marks: list[Mark] = (
         [] if at is None else [ReferenceLine(at=at, axis="x", color=INK, dashes="--")]
     )

@@ -49,7 +49,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     bar = mcs.integrand(BAR, 1).fourier(m)
     turned = bar * np.exp(2j * np.pi * m[:, 0] * 0.3 / N)
 
-    # Average over 64 offsets, which is exact unless m − l is a multiple of 64 · (number of strata)
+    # Average the third term over 64 offsets of the strata.
+    # The average is exact if no two frequencies differ by a multiple of 64 · (number of strata)
     values = [_third(bar, _matrix(displaced(k / 64))[1]) for k in range(64)]
 
     # Predict the variances of two functions with equal power spectra, and compare with quadrature
@@ -168,7 +169,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def _displaced(offset: float, terms: Panel) -> Plot:
-    """Plot f and the borders of moved strata, and mark this offset in a plot of the terms."""
+    """Plot f and the strata moved by an offset, and mark the offset in a plot of the terms."""
     places = ((np.arange(N) + offset) / N).tolist()
     side = 1 / N
     cut = [(e - (e - offset * side) % side) for e in (0.25, 0.75)] if offset else []

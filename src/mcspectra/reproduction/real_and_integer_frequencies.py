@@ -35,7 +35,9 @@ SAMPLERS = {
 }
 RATES = {"f": -2.0, "g": -3.0}
 _SHOWN = 64  # number of points that the figure shows at first
-_HIGHEST = 2**16  # the remaining part of f is 12 N / (4π² 2^16) = 0.5 % at N = 1024
+# Number of frequencies in a sum. Higher frequencies of f(x) = x would add little to the sum:
+# a share of 12 N / (4π² 2^16), which is 0.5 % at N = 1024.
+_HIGHEST = 2**16
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
@@ -66,7 +68,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         high = 2 * float(frequency_sums(name, "random", 0.5).max())
         x, y_axis = count_axis("number of points N", COUNTS), log_axis("variance", low, high)
         panels.append(Panel(marks=tuple(marks), x=x, y=y_axis, title=title, grid=True))
-    nu, whole = np.arange(10, 801) / 200, np.arange(1.0, 5.0)  # the integers are included
+    # Draw curves over real frequencies ν, which include the integers, and dots at the integers
+    nu, whole = np.arange(10, 801) / 200, np.arange(1.0, 5.0)
 
     # Draw the power of jittered points also between integer frequencies
     power: list[Mark] = []
@@ -128,7 +131,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def _comb(n: int) -> Plot:
-    """Return ⟨P_S⟩ × P_f along the axis of real frequencies, and at integers as a comb."""
+    """Plot ⟨P_S⟩ × P_f as a curve over real frequencies, and as a comb of lines at integers."""
     nu, whole = np.arange(20, 1640) / 400, np.arange(1.0, 5.0)
     panels = []
     for sampler in SAMPLERS:

@@ -147,8 +147,9 @@ def exact(a: float) -> Array:
 
 
 def homogenised() -> Array:
-    """Return variances after a random shift, which averages s(1 − s) to 1/6 at edge and border.
+    """Return variances after a random shift. The mean of s(1 − s) over all shifts is 1/6.
 
+    The position s in its stratum is uniform for the edge, and also for the domain's border.
     The edge and the border are more than a stratum apart, so they cut different strata.
     The position of the edge therefore does not matter.
     The ramp adds N^(−3/2)/6 − N^(−2)/12 because it jumps at the border.
@@ -163,7 +164,7 @@ def measured(f: mcs.Integrand | str, sampler: str, realizations: int, seed: int)
 
 
 def _cut(s: float) -> Plot:
-    """Plot strata, in one of which an edge is at position s, and plot the variance against s."""
+    """Plot strata and an edge at position s within a stratum; plot the variance against s."""
     side, n = 8, 64
     a = (4 + s) / side
     middle = (np.arange(side) + 0.5) / side
@@ -214,7 +215,8 @@ def _strata() -> Plot:
         ((1 / 3, 1 / 3), "not aligned: x = 1/3"),
         ((0.7, 0.082), "oblique"),
     ):
-        # In the row `row` of strata, the edge goes from x = ends[row] to ends[row + 1]
+        # The edge crosses the bottom of row k of the strata at x = ends[k],
+        # and the top of the row at x = ends[k + 1]
         ends = low + (high - low) * ticks
         left, right = (reach(ends[:-1], ends[1:]) for reach in (np.minimum, np.maximum))
         cut = (ticks[:-1] < right[:, None] - 1e-9) & (left[:, None] + 1e-9 < ticks[1:])

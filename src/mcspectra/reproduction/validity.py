@@ -31,7 +31,7 @@ FORMULAS = ("∫ over real ν", "Σ over integer m", "three terms")
 @final
 @dataclass(frozen=True)
 class ValidityCase:
-    """Points and their density, for a row in the checklists of the slides."""
+    """A case in the checklists of the slides: a sampler, with or without importance sampling."""
 
     title: str
     sampler: str
@@ -149,7 +149,7 @@ def _predicted(row: int, case: ValidityCase) -> float:
     if row == 1:
         power = np.diag(c).real * np.abs(f) ** 2
         return float(power[_FREQUENCIES != 0].sum())
-    # Sum over half-integers. Between integers, the power also contains |⟨S⟩|² of the domain
+    # Sum over half-integers. Between integers the mean ⟨S⟩ is not zero, so the power has bias
     nu = 0.5 * np.arange(1.0, 4001.0)
     return float(np.abs(coefficients(nu)) ** 2 @ _power(case, nu))
 

@@ -40,7 +40,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     missed = float(weighted["power_term"]) / float(weighted["measured_variance"])
     lost = Measured.of(weighted, "power_term") / exact_weighted()
 
-    # Increase N. Power ∝ ν² gives the rate −1 − 2/d = −2, because the bell vanishes at the border
+    # Increase N. Sampling power ∝ ν² gives the rate −1 − 2/d = −2.
+    # The rate holds because the integrand, a Gaussian bell, vanishes at the border
     counts = [64, 256, 1024] if quick else [64, 256, 1024, 4096]
     sampler, realizations = "jittered | shift", 1000 if quick else 4000
     curve = mcs.convergence(BELL, sampler, counts, realizations=realizations, rng=seed)
@@ -164,7 +165,8 @@ def _closed_sum(name: str) -> Claim:
         f"Σ |f_m|² ⟨|S_m|²⟩ with the closed form of {name} points agrees with quadrature up to the "
         "truncation: relative difference.",
         total / exact(name) - 1.0,
-        # Jumps at the border cause |f_m|² beyond the half width: exp(−(0.4/0.1)²/2) = 3e-4
+        # On the torus, the integrand jumps by exp(−(0.4/0.1)²/2) = 3e-4 at the border.
+        # The jump causes |f_m|² at frequencies above the half width
         at_most=1e-5,
     )
 

@@ -200,7 +200,7 @@ def _who_wins(renders: Renders) -> Plot:
         ends = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
         marks += [Segments(ends=ends, color="#FFFFFF", width=3.2), Segments(ends=ends, color=INK)]
         marks.append(
-            # Place the label above the mirror image, where the picture is dark
+            # Place the label above the reflection of the lights, where the picture is dark
             TextMark(x=(left + right) / 2, y=2.0 * high - low, text=label, side="above")
         )
     axis = Axis(ticks={})

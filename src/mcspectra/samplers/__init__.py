@@ -1,4 +1,4 @@
-"""Point sets: samplers, randomizations that wrap them, and sets from outside."""
+"""Samplers of point sets, randomizations of these sets, and point sets of other programs."""
 
 import lazy_loader
 

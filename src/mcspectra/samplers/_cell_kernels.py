@@ -51,7 +51,9 @@ __all__ = [
 _CORNERS = 64  # largest number of corners of a Voronoi cell; six on average
 _LOAD = 2.0  # number of sites per cell of the grid; 1 to 3 take the same time
 _SOLVED = 1e-3  # relative residual of the linear equations; enough for Newton steps
-_LONGER = 4.0  # largest ratio of successive step lengths, because short steps come in series
+# Largest ratio of the lengths of two successive Newton steps.
+# A long trial step after a short one is usually rejected, because short steps come in series.
+_LONGER = 4.0
 _HALVINGS = 40
 _UNLIMITED = 2**62
 _PRODUCTS = 4  # cost of a product in the linear solver; visiting a site has cost 1
@@ -93,7 +95,9 @@ def _cut(
                 cell[count, c] = spare[k, c]
             count += 1
         if (u <= 0.0) != (v <= 0.0):
-            # The new edge starts where the border leaves the half-plane, and ends where it returns
+            # The border of the cell crosses the line x·d = level between these two corners.
+            # The new edge on this line starts where the border leaves the half-plane x·d ≤ level,
+            # and ends where the border returns to this half-plane
             t = u / (u - v)
             cell[count, 0] = spare[k, 0] + t * (spare[after, 0] - spare[k, 0])
             cell[count, 1] = spare[k, 1] + t * (spare[after, 1] - spare[k, 1])
@@ -475,7 +479,8 @@ def _add_cell_pair(
 def near_energy(points: Array, cells: Array, offsets: Array, sigma: float, force: Array) -> float:
     """Return the energy of pairs of points (n, 3) up to 6 σ apart; unused dims are zeros.
 
-    `offsets` (K, 3) are the steps to neighboring cells: zero, then one step of each opposite pair.
+    `offsets` (K, 3) are steps from a cell to its neighbors. The first step is zero.
+    Of two opposite steps, only one is listed, so each pair of cells is visited once.
     Steps may go around the torus several times, so that all images count.
     """
     n = points.shape[0]

@@ -72,7 +72,7 @@ def fill_base(columns: Array, base: int, out: Array) -> None:
     """Fill `out` with points 0 … n − 1 of a digital net; columns int64 (d, m, rows).
 
     The kernel counts like an odometer. A column is added whenever its digit increases by one.
-    A return from base − 1 to 0 also counts, because it is an increase by one modulo the base.
+    A column is also added when its digit returns from base − 1 to 0, which is +1 modulo the base.
     Requires base^rows ≤ 2^53, so that all numbers are exact.
     """
     n, dims = out.shape
@@ -108,7 +108,8 @@ def leading_digits(x: Array, base: int, places: int) -> Array:
 
 @kernel
 def _next_parts(parts: Array) -> bool:
-    # Advance to the next composition in place; return False after the last, (0, …, 0, level).
+    # Replace `parts` by the next tuple of whole numbers ≥ 0 that have the same sum.
+    # Return False after the last tuple, which is (0, …, 0, sum).
     h = 0
     while parts[h] == 0:
         h += 1

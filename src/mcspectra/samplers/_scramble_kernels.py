@@ -10,8 +10,8 @@ In any base b, a coordinate x is read as the whole number v = ⌊x b^m⌋.
 The number of digits m is the smallest with b^m ≥ 2^32.
 First, x is increased by 2^-52, because the float for k/b^p may have been rounded down.
 
-Let v' be the scrambled number, and t a random number with t < 2^k and b^m 2^k ≤ 2^50.
-The result is (v' + (t + ½) 2^-k)/b^m.
+Let v' be the scrambled number v, and let t be a random whole number of k bits.
+Here k is the largest number with b^m 2^k ≤ 2^50. The result is (v' + (t + ½) 2^-k)/b^m.
 This result is uniform to 50 bits, and far from every multiple of b^-p.
 Therefore neither rounding nor ⌊x b^p⌋ in floating point moves the result to another interval.
 
@@ -46,7 +46,9 @@ __all__ = [
 
 _ONE, _TREE, _TAIL = np.uint64(1), np.uint64(1 << 62), np.uint64(1 << 63)
 _S11, _S21, _S32, _S43 = np.uint64(11), np.uint64(21), np.uint64(32), np.uint64(43)
-_S34 = np.uint64(34)  # node numbers are below 2^33: b^level + v with v < 2^32 on each level
+# Number of bits for the number of a node in a digit tree. Node numbers are below 2^33:
+# on each level of the tree they are b^level + v with v < 2^32.
+_S34 = np.uint64(34)
 _LOW32 = np.uint64(0xFFFFFFFF)
 _TO_53, _UNIT_53, _TO_32 = 2.0**53, 2.0**-53, 2.0**32
 _WORDS = 512  # number of words per block: 4 kB
@@ -72,7 +74,7 @@ def xor_digits(keys: Array, points: Array, out: Array) -> None:
 
 @kernel
 def _with_tail(k0: np.uint64, k1: np.uint64, number: int, word: Any) -> Any:
-    # Return the point of a 32-bit word, with independent uniform bits below.
+    # Return a number in [0,1) with the given 32 leading bits; the lower bits are random.
     address: Any = _TAIL | np.uint64(number)
     tail = mix_bits(k0, k1, address) >> _S43
     return np.float64(np.int64((np.uint64(word) << _S21) | tail)) * _UNIT_53
@@ -170,7 +172,7 @@ def _hash_keys(k0: np.uint64, k1: np.uint64, out: Array) -> None:
 
 @kernel
 def scramble_hashed(keys: Array, points: Array, out: Array) -> None:
-    """Hash-based Owen scrambling of 32 bits, with independent uniform digits below."""
+    """Hash-based Owen scrambling of the first 32 bits; all lower bits are random and uniform."""
     count, n, dims = out.shape
     hash_keys, block = np.empty((dims, 4), np.uint32), np.empty(_WORDS, np.uint32)
     for r in range(count):
@@ -270,7 +272,7 @@ def _read(x: float, scale: float, nudge: float) -> Any:
 
 @kernel
 def _middle(tail: float, unit: float) -> Any:
-    # Middle of the interval of length 2^-k that contains the uniform number
+    # Return the middle of an interval of length `unit` = 2^-k: the one that contains `tail`.
     return (np.floor(tail / unit) + 0.5) * unit
 
 
@@ -281,7 +283,8 @@ def _write(v: int, tail: float, scale: float, unit: float) -> Any:
 
 @kernel
 def _quotient(v: int, inverse: float) -> Any:
-    # Compute ⌊v/b⌋ with the float 1/b. For v < 2^45 the error is below 2^-7/b, and ½/b is allowed.
+    # Compute ⌊v/b⌋ as ⌊(v + ½)/b⌋ with the float 1/b.
+    # The result is exact, because for v < 2^45 the rounding error is below 2^-7/b < ½/b.
     return np.int64((np.float64(v) + 0.5) * inverse)
 
 
@@ -365,7 +368,8 @@ def _invert_digits(images: Array, start: int, scale: float, tail: float, out: Ar
     table = np.zeros(size)
     width, weight = 1, base ** (places - 1)
     for k in range(low):
-        # Digit 0 comes last, because the other digits read the table entries of digit 0
+        # The first `width` entries belong to digit 0, and the entries of all digits are sums
+        # with them. Digit 0 therefore comes last, because it overwrites these entries
         for digit in range(base - 1, -1, -1):
             image = np.float64(images[places - 1 - k, digit] * weight)
             for v in range(width):
@@ -410,8 +414,9 @@ def fill_permuted(keys: Array, bases: Array, shift: bool, start: int, out: Array
 
 @kernel
 def fill_nested(keys: Array, bases: Array, out: Array) -> None:
-    """Fill radical inverses of 0, 1, … (or any run) after Owen's nested uniform scrambling.
+    """Fill `out` with radical inverses of 0, 1, … after Owen's nested uniform scrambling.
 
+    Any other run of whole numbers would give points with the same distribution.
     Point v + c b^l, with v < b^l and 0 < c < b, shares its first l digits with point v.
     No two of these b points share the next digit, and lower digits are uniform.
     Each point is derived from an earlier point only, so the first points do not depend on n.
@@ -438,7 +443,7 @@ def fill_nested(keys: Array, bases: Array, out: Array) -> None:
                         order[c], order[picks[c]] = order[picks[c]], order[c]
                         other = prefix - digit + (digit + order[c]) % base
                         row[i] = (other + mix_uniform(k0, k1, number)) * span
-                    for c in range(count, 0, -1):  # restore the order
+                    for c in range(count, 0, -1):  # undo the swaps, so that order[c] is c again
                         order[c], order[picks[c]] = order[picks[c]], order[c]
                 width, span = width * base, span // base
             for i in range(n):
@@ -473,8 +478,8 @@ def _image(k0: np.uint64, k1: np.uint64, node: Any, digit: int, base: int) -> in
 @kernel
 def _climb(k0: np.uint64, k1: np.uint64, dim: int, base: int, places: int, v: int) -> int:
     # Apply the nested uniform scramble to the number v, from its last digit to its first.
-    # The node above a digit gives its permutation.
-    # Nodes of a level are numbered from b^level, so all numbers are different.
+    # Each node of the digit tree stands for the digits before a digit, and permutes this digit.
+    # The nodes of a level are numbered from b^level, so all nodes have different numbers.
     scrambled, weight, inverse = 0, 1, 1.0 / base
     width = base ** (places - 1)
     for _ in range(places):

@@ -37,8 +37,10 @@ __all__ = [
 _FINEST = 2**40
 _NOWHERE = 9.0  # coordinate that marks an empty cell, farther away than any radius
 _AXES = 3  # largest number of axes of buckets and grids; with more, cells are mostly empty
-# A new point lowers bounds up to 7 cells away. The width of a cell is a quarter of the spacing.
-# The nearest point is therefore usually less than 7 cells away.
+# Each cell has an upper bound of the distance from its places to the nearest point.
+# A new point lowers the bounds of the cells up to 7 steps away, and of no others.
+# The side of a cell is a quarter of the spacing of the points.
+# Therefore the point nearest to a place is usually less than 7 cells away.
 _REACH = 7
 _ROUNDING = 1e-9  # fraction of a cell added to bounds, because of rounding
 _FAR = 16.0  # larger than any squared distance in the domain, in up to 4 dims
@@ -65,8 +67,9 @@ def add_to_buckets(i: int, x: Array, buckets: Any) -> None:
 
 @kernel
 def _shell_cell(x: Array, code: int, ring: int, buckets: Any, wrap: bool) -> int:
-    # Return one cell, given by its number (code), of the cube of cells around x.
-    # Return −1 for cells outside the domain, and for cells of smaller shells, visited before.
+    # The cells up to `ring` steps from the cell of x form a cube. Return cell number `code` of it.
+    # Return −1 if the cell is outside the domain, or less than `ring` steps from the cell of x:
+    # such cells are in a smaller shell, which has been visited before.
     side, axes = buckets[0], buckets[1]
     cell, reach = 0, 0
     for j in range(axes):
@@ -248,7 +251,8 @@ def throw_darts(
 
 @kernel
 def _lower_ceilings(x: Array, side: int, ceilings: Array) -> None:
-    # Lower the bounds of the cells around a new point at x.
+    # Update the cells around a new point at x.
+    # The bound of a cell limits the squared distance from its places to the nearest point.
     # Every place in a cell is at most half a diagonal farther from x than the cell's center is.
     # Cells more than `reach` cells away from x keep their bounds.
     dims = x.size

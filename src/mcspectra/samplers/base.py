@@ -84,7 +84,8 @@ class Sampler(Component, ABC):
     min_dims, max_dims, max_count
         Smallest and largest number of dims, and largest number of points.
         Larger sets would take too much time or memory.
-        Error messages contain the advice `other_dims` and the reason `cost_of_more`.
+        In error messages, the text `other_dims` advises what to use for other dims.
+        The text `cost_of_more` gives the reason why larger sets are not allowed.
     scrambles
         Number of built-in randomizations, such as owen in ``halton(scramble='owen')``.
     """
@@ -139,7 +140,8 @@ class Sampler(Component, ABC):
         realizations
             Number of realizations.
         rng
-            Seed in the sense of SPEC 7. Realization r of a seed is the same in every call.
+            Seed, generator or None, as in SPEC 7 of Scientific Python.
+            Realization r of a seed is the same in every call.
         first
             Number of the first realization.
 
@@ -205,7 +207,7 @@ class Sampler(Component, ABC):
         return ()
 
     def as_chain(self, n: int) -> Sampler:  # noqa: ARG002
-        """Return an equivalent chain of samplers for n points; without one, return this sampler."""
+        """Return a chain that is equivalent for n points, or this sampler if there is no chain."""
         return self
 
     @property
@@ -455,7 +457,11 @@ class Randomized(Sampler):
 
     @property
     def powers_only(self) -> bool:
-        """The inner sampler's value if strata or elementary intervals remain, else False."""
+        """Whether randomizations of digits keep the structure only if n is a power of the base.
+
+        The value is False if neither strata nor elementary intervals of the inner sampler remain.
+        Otherwise the inner sampler gives the value.
+        """
         return self.base.powers_only and self.structure in (Structure.STRATA, Structure.DIGITS)
 
     def digit_strata(self, n: int, base: int) -> bool:

@@ -56,9 +56,11 @@ _MOST_SIDE = 2048
 _MOST_FRAMES, _MOST_CELLS = 256, 2**22  # the largest masks take about a minute
 _ONES = 0.1  # fraction of ones in the first pattern of a mask, Ulichney (1993)
 _SIGMA = 1.5  # width of the Gaussian in cells, Ulichney (1993)
-_SIGMA_PER_SPACING = 0.47  # width of the Gaussian per spacing of the ones; 1.5 cells at 10 % ones
+# Width of the Gaussian, relative to the mean spacing of the cells that contain a one.
+# If 10 % of the cells contain a one, the width is 1.5 cells.
+_SIGMA_PER_SPACING = 0.47
 # Width of the Gaussian in time, in frames, as in the authors' program [Wolfe2022]_.
-# A width that grows with the distance of the ones in time gives peaks at single frequencies
+# A width in proportion to the spacing of the ones in time would cause peaks in the spectrum.
 _SIGMA_TIME = 1.9
 _WIDTHS = 6.0  # cutoff radius of the Gaussian, in widths; its value there is 1.5e-8
 _CLEAR = 1e-9  # smallest gain of energy, above rounding errors, so that relaxation ends
@@ -255,7 +257,7 @@ def _flip(cell: int, grid: Any, weights: Any) -> None:
     for k in range(weights[0].size):
         _find_heads(i // side * side + (i + k - reach) % side, pattern, energy, heads)
 
-    # In other frames, only the cell at this place has a new energy
+    # In the other frames of the mask, only the cell at the same place has a new energy
     for other in range(i + side, i + rows, side):
         row = other % rows
         kind = _CLUSTER if pattern[row, j] else _VOID
@@ -367,11 +369,13 @@ class LowDiscrepancyBlueNoise(PlaneSampler, OptimisedSampler):
     The set has one point in each cell, and one in each of n equal intervals of either axis.
     For all 2^j ≥ chunk, it also has one point in each interval of 2^j by 2^−j cells.
     With chunk = 2 the set is a (0,2)-net.
-    The points are uniform over cells and along each axis, but slightly less so within cells.
+    The points are exactly uniform over the cells and along each axis.
+    Within a cell, their density is not quite constant.
     Add shift for unbiased means.
 
     The blue-noise set is a jittered set, with points relaxed within their cells.
-    Relaxation makes Gaussians of half a cell's width around the points overlap least.
+    Relaxation minimizes the overlap of Gaussians around the points.
+    The width of each Gaussian is half the side of a cell.
     A blue-noise set is computed for every realization.
     Ahmed et al. instead keep a table of one blue-noise set.
 
@@ -445,10 +449,11 @@ def _relax_in_cells(k0: np.uint64, k1: np.uint64, number: int, step: float, poin
 
 @kernel
 def _snap_line(low: int, chunk: int, line: int, positions: Array, out: Array) -> None:
-    # Divide the width of a line of s cells into s intervals, and assign one interval to each cell.
+    # A line of s cells is one cell wide. Divide this width into s intervals, one for each cell.
     # `positions` (s,) has one number per cell: its point's coordinate perpendicular to the line.
     # `out` (s,) gets, for each cell, the index of the interval that is assigned to it.
-    # The digits of `low` shift the digits of a van der Corput sequence.
+    # The intervals of the chunks follow a van der Corput sequence with shifted digits.
+    # The number `low` contains the digits of this shift.
     side, digits = positions.size, 0
     while chunk << digits < side:
         digits += 1

@@ -255,7 +255,7 @@ class QmcpySampler(OneByOne):
 
     The generator's attributes ``d_limit`` and ``n_limit`` limit dims and counts.
     Counts are powers of two if the order of the generator is the radical inverse.
-    Other errors of a generator are raised only when points are drawn.
+    All other restrictions of a generator cause an error only when points are drawn.
 
     Attributes
     ----------
@@ -348,7 +348,7 @@ class QmcpySampler(OneByOne):
 
     @property
     def spec(self) -> str:
-        """Spec string; an instance, or a class outside QMCPy, is described by its own text."""
+        """Spec string. If `generator` is not a name, the spec shows its class and parameters."""
         if isinstance(self.generator, str):
             return format_call(self)
         made = self._pattern
@@ -371,7 +371,8 @@ class QmcpySampler(OneByOne):
                     "alone."
                 )
             try:
-                return source._spawn(seed, source.d)  # QMCPy's own ``spawn`` also calls this
+                # QMCPy's public method ``spawn`` also calls this private method
+                return source._spawn(seed, source.d)
             except Exception as error:
                 raise ParameterError(
                     f"This {name} cannot be copied: {reason_of(error, 200)}."

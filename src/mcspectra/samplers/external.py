@@ -74,9 +74,13 @@ SEED_BITS = 31
 
 # Recognition of nets and lattices among given sets
 _NET_BASES = (2, 3, 5)
-_LEAST_CELLS, _LEAST_CELLS_OF_FEW = 8, 16  # least number of balanced elementary intervals
-_FEW = 64  # sets with fewer points than this need more intervals
-_MOST_WORK = 2**26  # largest number of points times interval shapes; about a second
+# Least number of balanced elementary intervals in a set that counts as a net.
+# The second number is for sets with fewer than `_FEW` points, which are easily balanced by chance.
+_LEAST_CELLS, _LEAST_CELLS_OF_FEW = 8, 16
+_FEW = 64
+# Largest product of the number of points and the number of interval shapes in a test for nets.
+# A test with this product takes about a second.
+_MOST_WORK = 2**26
 _WORD = 53  # number of bits of a coordinate
 _OFF_LATTICE = 0.01  # rounding tolerance of coordinates of a lattice, in units of 1/n
 
@@ -85,7 +89,7 @@ _own: set[str] = set()
 
 
 def as_label(name: str, given: object) -> str:
-    """Check that the text of a field is short and printable, and return it."""
+    """Return the given text of a field, after checking that the text is short and printable."""
     if isinstance(given, str) and len(given) <= 80 and given.isprintable():
         return given
     raise ParameterError(
@@ -100,7 +104,8 @@ class PointSets(dict[int, Array]):
     def laws(self) -> dict[int, Law]:
         """The recognized law of the sets of each count.
 
-        A smaller set counts as a net if its quality t is no worse than the t of the largest set.
+        The largest set must pass a strict test to count as a net with some quality t.
+        Smaller sets count as nets if their t is not larger.
         """
         found: dict[int, Law] = {}
         largest: tuple[int, int] | None = None
@@ -276,8 +281,10 @@ def net_quality(points: Array, like: tuple[int, int] | None = None) -> tuple[int
     A (t, m, d)-net has b^m points: b^t points in each elementary interval of volume b^(t − m).
     Every set is a net for t = m, so a set counts as a net only if m − t is large enough.
     The least m − t is 3 in base 2, and 2 in bases 3 and 5.
-    Below 64 points, the least m − t is 4 in base 2 and 3 in base 3 (or m if m is smaller).
-    If the same file has a larger net `like` in this base, a t no larger than the net's t suffices.
+    For sets of fewer than 64 points, the least m − t is 4 in base 2 and 3 in base 3.
+    If m is smaller than the least m − t, the set counts as a net only for t = 0.
+    If the same file has a larger net, `like` is its base and quality t.
+    Then the set counts as a net in this base if its own t is not larger.
     Blue noise of 16 points or more is rarely taken for a net: in tests, at most 1 of 200 sets was.
     """
     n, dims = points.shape
@@ -325,7 +332,7 @@ def recognized(points: Array, bases: tuple[int, ...] | None) -> Fixed:
             lambda a, b: (a + b) % np.uint64(n),
             lambda row, count: np.arange(count, dtype=np.uint64)[:, None] * row % np.uint64(n),
         )
-        # Find a row that generates all others, if the origin is a point
+        # If the origin is a point of the lattice, find a row whose multiples are all rows
         orders = n // np.gcd(n, np.gcd.reduce(rows.astype(np.int64), axis=1))
         if even and orders.max() == n and (points == 0.0).all(axis=1).any():
             vector = tuple(rows[int(np.argmax(orders))].tolist())
@@ -400,7 +407,8 @@ def _by_count(sets: Iterable[tuple[str, object]]) -> dict[int, Array]:
             )
         found.setdefault(len(points), []).append(points)
     if not found:
-        return {0: _as_sets([])}  # this call raises the error that there are no points
+        # There are no points. The function `_as_sets` raises an error that says so
+        return {0: _as_sets([])}
     return {n: _as_sets(np.stack(found[n])) for n in sorted(found)}
 
 

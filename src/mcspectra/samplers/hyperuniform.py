@@ -320,7 +320,10 @@ class Determinantal(Sampler):
         return Stationary(n=n, dims=self.dims, power=lambda m: self._power(n, m))
 
     def _power(self, n: int, m: Array) -> Array:
-        """Return ⟨|S_m|²⟩ at integer m (..., d): (1 − share of waves k with k + m a wave)/n."""
+        """Return ⟨|S_m|²⟩ at integer frequencies m (..., d): (1 − s)/n, and 1 at m = 0.
+
+        Here s is the share of the kernel's n frequencies k for which k + m is also one of the n.
+        """
         waves = self.frequencies(n)
         flat = np.rint(m).reshape(-1, self.dims).astype(np.int64)
         rows, back = np.unique(flat, axis=0, return_inverse=True)
@@ -403,7 +406,8 @@ def _draw(k0: np.uint64, k1: np.uint64, m: Array, basis: tuple[Array, Array], ou
                 re[p, k] = cos(2.0 * pi * phase)
                 im[p, k] = sin(2.0 * pi * phase)
 
-        # Project the proposals onto the basis, and drop proposals that exceed their limits
+        # Project the feature vectors of the proposals onto the basis.
+        # Reject a proposal if the squared norm of its projection reaches the proposal's limit
         within[:] = 0.0
         for block in range((i + _BLOCK - 1) // _BLOCK):
             vr, vi = basis[0][block], basis[1][block]
@@ -412,7 +416,7 @@ def _draw(k0: np.uint64, k1: np.uint64, m: Array, basis: tuple[Array, Array], ou
                     within[p] += _add_block(re[p], im[p], vr, vi, cr[p, block], ci[p, block])
 
         # Accept the remaining proposals in order. Each accepted point adds a vector to the basis.
-        # The projections of later proposals then have one more coefficient.
+        # Each later proposal is also projected onto the new vector.
         for p in range(_BATCH):
             if i == n or within[p] >= most[p]:
                 continue

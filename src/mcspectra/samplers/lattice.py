@@ -164,7 +164,10 @@ def nested_lattices(sampler: Sampler, n: int, parts: int, *, at_once: bool = Fal
 
 @lru_cache(maxsize=256)
 def _extended_vector(inner: tuple[int, ...], n: int, parts: int) -> tuple[int, ...]:
-    """Return the vector of least P_2 for n points, among those equal to `inner` modulo n/parts."""
+    """Return the generating vector of n points with the least error P_2.
+
+    Only vectors that are equal to `inner` modulo n/parts are compared.
+    """
     k, bernoulli, factors = np.arange(n), _bernoulli(n), np.arange(parts) * (n // parts)
     product, vector = np.ones(n), []
     for j, z in enumerate(inner, 1):

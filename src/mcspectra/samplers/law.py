@@ -6,8 +6,9 @@ The variance of an estimator combines the spectrum of its integrand with the sam
 
 The covariance C_ml is a property of the sampler's law.
 A sampler states its law once, in `Sampler.law`. All else is computed by functions of the law.
-Examples are closed forms, exact variances, predictions, rates, and the fitting basis.
-The functions dispatch on the class at the root of a law, and recurse.
+Examples are closed forms, exact variances, predictions and rates.
+Another example is the choice of an orthonormal basis that fits the sampler.
+Each function chooses a formula by the class at the root of a law, and calls itself on subtrees.
 No function tests a sampler's name.
 
 A law is a small tree of frozen classes. Leaves describe how points are drawn:
@@ -89,7 +90,9 @@ __all__ = [
 _MOST_TERMS = 2**32
 """Largest number of terms of a sum over points and frequencies: about half a minute."""
 _MOST_COUNTS = 2**28
-"""Largest number of points, times levels of digits, in comparisons of digits: about a minute."""
+"""Largest number of comparisons of digits: the number of points times levels of digits.
+
+This many comparisons take about a minute."""
 _TERMS_AT_ONCE = 2**22
 """Number of terms held in memory at a time: 64 MB of complex numbers."""
 
@@ -145,7 +148,7 @@ class Law(ABC):
         return replace(self, source=source)
 
 
-# Leaves
+# Leaves of the tree of laws: how points are drawn before any randomization
 
 
 @final
@@ -437,7 +440,8 @@ class Fixed(Law):
         """Return how many points, on average, share the first digits of a point (itself included).
 
         Entry (l_1, …, l_d) of the array (levels + 1, …) is the mean of a count over all points:
-        the number of points that share the first l_j digits of coordinate j in base j, for all j.
+        the number of points that share with this point the first l_j digits of each coordinate j.
+        The digits of coordinate j are in base `bases[j]`.
 
         Raises
         ------
@@ -587,7 +591,7 @@ class Unknown(Law):
         return self.is_uniform
 
 
-# Operators
+# Operators in the tree of laws: how a set of points is randomized
 
 
 @final
@@ -607,7 +611,10 @@ class Shifted(Law):
 
 @dataclass(frozen=True, kw_only=True)
 class _Image(Law):
-    """The law of a mapped set; it is fixed or uniform if the original set is."""
+    """The law of a set that is mapped point by point, such as a translated set.
+
+    The mapped set is fixed if the original set is fixed, and uniform if the original is uniform.
+    """
 
     inner: Law
 
@@ -741,8 +748,9 @@ def moved(law: Law, by: Sequence[float]) -> Law:
 def scrambled(law: Law, kind: Scramble, bases: Sequence[int], *, shifts: bool = True) -> Law:
     """Return the law after the digits in the given bases are randomized.
 
-    If the sides of strata (also of single axes) are powers of the base, the law does not change:
-    cells map to cells, in which points are already uniform.
+    The law of strata does not change if the sides of the strata are powers of the base.
+    This holds for strata of the domain and of single axes:
+    scrambling maps strata to strata, and points are already uniform within a stratum.
     Samplers refuse scrambles that break their strata.
     """
     digits = tuple(map(int, bases))
@@ -760,7 +768,7 @@ def as_scrambled(law: Law) -> Law:
     """Convert the law of an orthogonal array with s parts per stratum to a scrambled net's law.
 
     The second digits are permuted within each first digit [Tang1993]_.
-    The digits of one realization therefore describe all realizations.
+    Nested scrambling of one realization therefore has the same law as the sampler.
     The laws of other sets are returned unchanged.
     """
     if not isinstance(law, PairedAxes) or law.base is None or law.source is None:
@@ -790,12 +798,13 @@ def leaf_of(law: Law) -> Law:
 
 
 def bases_to_scramble(laws: Sequence[Law]) -> tuple[int, ...] | None:
-    """Return bases in which all given sets are nets, so that scrambling is the best randomization.
+    """Return the bases of the digits in which all given sets are nets, or None.
 
+    The best randomization of nets is scrambling of these digits.
     The result is None for lattices, which scrambling breaks, and for sets that are not nets.
     For lattices and for sets that are not nets, a shift is the better randomization.
     A set of a few points can be both a net and a lattice.
-    For such a set, the other sets decide between scrambling and a shift.
+    Such a set counts as a lattice if all other sets are lattices too, and else as a net.
     """
     found = {law.bases if isinstance(law, Fixed | Unknown) else None for law in laws}
     if len(found) > 1 or all(isinstance(law, Fixed) and law.even for law in laws):
@@ -820,7 +829,8 @@ def mean_of_terms(n: int, nu: Array, terms: Callable[[Array], Array]) -> Array:
     NoClosedForm
         If there are too many terms.
     """
-    # At few frequencies the points need the most memory, so count at least 64 frequencies
+    # The points also need memory, even at a single frequency.
+    # Therefore the limit treats fewer than 64 frequencies as 64
     if float(n) * max(64, nu[..., 0].size) > _MOST_TERMS:
         raise NoClosedForm(
             f"The exact transform of {n} points at {nu[..., 0].size} frequencies would take more "

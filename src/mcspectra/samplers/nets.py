@@ -95,9 +95,10 @@ class Sobol(_BinaryNet):
 
     A file has one line per dim: number of the dim, degree s, polynomial a, numbers m_1 … m_s.
     Headings and text after ``#`` are ignored.
-    In base 2, a contains the inner coefficients (as in Joe and Kuo's table).
+    In base 2, the number a encodes the inner coefficients of the polynomial, as in [JoeKuo2008]_.
     Degree 0 is van der Corput's sequence; it is inserted if the numbers of the dims begin at 2.
-    In base 3, the digits of a are all coefficients, and p_i is the coefficient of x^i.
+    In base 3, the number a encodes all coefficients of the polynomial: its digits p_i.
+    Digit p_i is the coefficient of x^i.
     The recurrence m_k = m_(k−s) − Σ_j 3^j p_(s−j) m_(k−j) holds digit by digit, modulo 3.
 
     References
@@ -166,7 +167,7 @@ def _directions_of_file(path: str, base: int) -> Array:
     try:
         stamp = Path(path).stat().st_mtime_ns
     except (OSError, ValueError, TypeError):
-        stamp = 0  # reading the file below raises the error
+        stamp = 0  # the file cannot be read; `_read_directions` raises an error with the reason
     return _read_directions(path, base, stamp)
 
 
@@ -510,7 +511,8 @@ class DigitalNet(_AnyBaseNet):
     Files have one of two formats. LatNet Builder, the Magic Point Shop and QMCPy use the first:
     each of the first four lines has a number (base, dims, largest n, digits).
     After that, each line has the columns of one matrix, as whole numbers.
-    Text after the four numbers and lines that start with ``#`` are ignored.
+    In the first four lines, text after the number is ignored.
+    All lines that start with ``#`` are ignored.
     MatBuilder uses the second format: square matrices of digits, one below the other.
     Each line has one row of a matrix. Such files do not state the base, so give it as `base`.
 

@@ -41,7 +41,9 @@ Report: TypeAlias = Callable[[float], None]
 """Function that is called at intervals with the fraction of the work done."""
 
 _CHILD = 1  # label of the random stream for the translations of reused sets
-_MEMORY = 10  # number of stored steps, each with its change of the gradient; 5 to 20 are usual
+# Number of earlier steps in the memory of limited-memory BFGS; 5 to 20 are usual.
+# Each stored step comes with the change of the gradient during the step.
+_MEMORY = 10
 _DECREASE = 1e-4  # least decrease of an accepted step, relative to the slope
 _HALVINGS = 20
 _REPORTS = 50
@@ -195,7 +197,8 @@ def minimize(
             length /= 2
         else:
             if not memory:
-                break  # because of rounding, even a gradient step gains nothing
+                # Not even a step along the gradient lowers the value: rounding errors prevent it
+                break
             memory.clear()
             continue
 

@@ -115,8 +115,8 @@ class OrthogonalArray(Sampler):
         ``"jittered"``: uniform in the stratum.
         ``"multi-jittered"``: the points of each stratum are shuffled over its sub-strata.
         Each of n intervals of the axis then contains one point [Tang1993]_.
-        ``"correlated-multi-jittered"``: sub-strata are chosen by the levels on the next t − 1 axes.
-        All strata share one shuffle.
+        ``"correlated-multi-jittered"``: levels on the next t − 1 axes determine the sub-stratum.
+        A shuffle of sub-strata is drawn for each axis, and all strata of the axis use it.
 
     Notes
     -----
@@ -178,7 +178,8 @@ def _orthogonal(n: int, dims: int, strength: int, jitter: str, keys: Array) -> A
     return out
 
 
-@lru_cache(maxsize=4)  # analyses use few n; a cached int32 array is half as large as points
+# An analysis needs arrays for few n. An array of int32 is half as large as a set of points.
+@lru_cache(maxsize=4)
 def _slots(s: int, dims: int, strength: int, jitter: str) -> Array:
     """Return the stratum of each point on each axis before shuffles: int32 (s^t, dims), read-only.
 
@@ -232,7 +233,8 @@ def _fill_orthogonal(
 ) -> None:
     # Place point i at random in stratum slots[i, j] of axis j, after a shuffle.
     # A level is a run of strata; all runs have the same length.
-    # Levels are shuffled, and so are the strata in each level (equally in all levels if `shared`).
+    # The levels are shuffled, and the strata within each level are shuffled.
+    # If `shared`, the strata of all levels are shuffled in the same way.
     # slots int32 (n, d); `side` is the side of a stratum; out (R, n, d).
     count, n, dims = out.shape
     strata = slots[:, 0].max() + 1

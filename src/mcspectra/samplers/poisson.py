@@ -63,9 +63,11 @@ _DEFAULT_RADIUS = (0.7, 0.75, 0.75, 0.75)
 """Slightly below the radius at which darts jam: 0.748, 0.777, 0.803, 0.806 [Torquato2006]_."""
 
 _FIRST_RADIUS = (0.755, 0.785, 0.81, 0.815)  # first radius tried for maximal sets
-_NEXT_RADIUS = 1.01  # ratio of successive radii; each has 2 % fewer points in 2-D
+# Ratio of successive radii. In 2-D, each larger radius has room for 2 % fewer points.
+_NEXT_RADIUS = 1.01
 _MOST_MAXIMAL = 3  # largest number of dims: 1000 points take 0.8 s in 3-D, a minute in 4-D
-_LEAST_RADIUS = 0.25  # smallest radius; points at a smaller distance are like random points
+# Smallest allowed radius. Points with a smaller minimum distance are hardly better than random.
+_LEAST_RADIUS = 0.25
 _OFFSETS = 1  # label of the stream that translates maximal sets
 _TRIALS = 100_000  # number of misses in a row after which less than 1/10,000 is uncovered
 
@@ -146,7 +148,8 @@ class PoissonDisk(Sampler):
         keys = stream.keys(first, count)
         if self.mode == "maximal":
             points = np.stack([self._maximal_set(n, each) for each in keys])
-            # With few points, some holes have equal size, and the choice depends on their positions
+            # In sets of few points, some holes have equal size.
+            # The kernel chooses among equal holes by position, so a random translation is needed
             own = stream.child(_OFFSETS).uniforms(first, count, self.dims)
             return points if self.boundary == "bounded" else translated(points, own)
         attempts = 3 + 3000 // n  # a small set often jams at the default radius

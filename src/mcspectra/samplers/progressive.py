@@ -3,7 +3,7 @@
 Each pass of a sequence doubles the number of points.
 Before pass k, each of 2^k equal intervals of an axis has one point, in one half of the interval.
 Pass k puts one point into the other half of each interval.
-The assignment of new points to intervals determines the further stratification.
+The rule that assigns new points to intervals determines in which boxes points are stratified.
 The position of a point within its half is random.
 Random positions make the sequence Owen-scrambled without permutations of digits [Helmer2021]_.
 
@@ -35,7 +35,9 @@ _PASSES = 31
 _SETS = 16  # number of random sets that represent the distribution of pmj
 _ONE, _S11 = np.uint64(1), np.uint64(11)
 _EVEN_BITS = np.uint64(0x5555555555555555)
-_BITS = 5  # number of optimized bits below the bits of the cell; finer bits matter little
+# The leading bits of a coordinate give the cell of a point. The next 5 bits are optimized.
+# Optimizing finer bits would change little.
+_BITS = 5
 _UNIT_53 = 2.0**-53
 _CHOICES, _SHUFFLES = 1 << 40, 1 << 41  # indices of random numbers for choices and shuffles
 
@@ -81,7 +83,8 @@ class PMJ(_PlaneSequence):
     sequence: ClassVar[bool] = True
 
     def _law(self, n: int) -> Law:
-        # Sets are Owen-scrambled by construction, but it is random which digits of points agree.
+        # Each set is Owen-scrambled by construction.
+        # The numbers of leading digits that pairs of points share differ between sets.
         # The mean over a few random sets represents all sets.
         sets = (Fixed(n=n, dims=2, bases=(2, 2), seed=k).of(self) for k in range(_SETS))
         return Choice(n=n, dims=2, laws=tuple(scrambled(each, "nested", (2, 2)) for each in sets))
@@ -342,7 +345,8 @@ def _fill_pmj02(keys: Array, xors: Array, sweeps: int, out: Array) -> None:
             if not sweeps:
                 continue
 
-            # Flip bits below the bits that number the cells, where each cell has one point
+            # Find the cell of each point. Each cell has one point, numbered by its leading bits.
+            # Then try to flip lower bits, which move a point within its cell
             down = (level + 1) // 2
             across = level + 1 - down
             columns, rows = 1 << across, 1 << down

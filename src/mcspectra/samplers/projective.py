@@ -35,7 +35,8 @@ from mcspectra.samplers.poisson import densest_distance, thrown
 __all__ = ["ProjectiveBlueNoise"]
 
 _DEFAULT_RADIUS = (0.65, 0.6, 0.5, 0.4, 0.33, 0.25)
-_LEAST_RADIUS = 0.01  # smallest radius; also the size of the cells of an axis
+# Smallest allowed radius. The kernel divides each axis into cells about as wide as the radius.
+_LEAST_RADIUS = 0.01
 _TRIALS = 10_000  # largest number of rejected darts in a row
 _DRAWS = 500  # largest number of draws of a coordinate before a dart is rejected
 

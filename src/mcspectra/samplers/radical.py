@@ -22,7 +22,7 @@ __all__ = ["Halton", "Hammersley", "RadicalInverses", "VanDerCorput"]
 
 
 class RadicalInverses(FixedSet):
-    """Abstract sampler of radical inverses, which a parameter may scramble.
+    """Abstract sampler of radical inverses, plain or scrambled.
 
     Attributes
     ----------
@@ -181,7 +181,10 @@ class Hammersley(RadicalInverses):
 
     @property
     def powers_only(self) -> bool:
-        """True, because multiples of 1/n have binary digits for n = 2^m only."""
+        """Whether digits can be scrambled only for n = 2^m: always True.
+
+        The first coordinates i/n are multiples of 1/n, which have binary digits only for n = 2^m.
+        """
         return True
 
     def _set(self, n: int) -> Array:

@@ -37,8 +37,12 @@ __all__ = ["Decorrelate", "Mirror", "RandomRotation", "Shift", "StrataShift", "f
 
 _MOST_IMAGED = 30  # largest number of dims of the uniform mode, which makes 2^d images
 _MASK_KEY = 0x3A5C  # arbitrary seed of the dither mask; realizations shift the same mask at random
-_FIRST_REACH = 0.6  # half-side of a window of area 1.44, which nearly always has n + 1 points
-_REACH = 1.12  # half-side that always suffices: a disk of radius √5/2 contains two domains
+# Half the side of the first window that is searched for the n points of a rotated set.
+# Its area is 1.44, so it nearly always contains more than n of the repeated points.
+_FIRST_REACH = 0.6
+# Half the side of a window that always contains more than n points.
+# A disk of radius √5/2 < 1.12 contains two copies of the domain, side by side.
+_REACH = 1.12
 
 # Structures that remain after a randomization.
 # A translation of the torus moves strata and elementary intervals away from the origin.
@@ -216,7 +220,8 @@ def _turn(keys: Array, points: Array, out: Array) -> None:
 
 @kernel
 def _seen(points: Array, center: Array, turn: Array, reach: float, found: Array) -> int:
-    # Write x, y and norm of the rotated points with max(|x|, |y|) ≤ reach to found (25n, 3)
+    # Find rotated points in a window, max(|x|, |y|) ≤ reach, and return their number.
+    # Write x, y and max(|x|, |y|) of each point to a row of `found` (25n, 3).
     size = 0
     for i in range(points.shape[0]):
         x0, y0 = points[i, 0] - center[0], points[i, 1] - center[1]
@@ -248,7 +253,8 @@ def _clip_all(keys: Array, points: Array, out: Array) -> None:
             size = _seen(points[r], numbers[:2], turn, _REACH, found)
         edge = np.partition(found[:size, 2].copy(), n)[n]
         inside = np.count_nonzero(found[:size, 2] < edge)
-        taken, ties = 0, n - inside  # if several points lie on the edge, the first of them count
+        # If too many points lie on the edge of the window, take only the first of them
+        taken, ties = 0, n - inside
         for i in range(size):
             on_edge = found[i, 2] == edge
             if found[i, 2] > edge or (on_edge and ties == 0):
@@ -413,7 +419,7 @@ class Decorrelate(Randomization):
     Variances over the pixels are variances within an image.
     Variances over the pixels do not converge to variances over seeds.
 
-    A mask has one number per dim, which suffices for shift, and for digital-shift in base 2.
+    A mask has one number per dim. This is enough for shift, and for digital-shift in base 2.
     In one pixel every point is uniform with any mask.
     In each dim, the shifts of the width² pixels of a blue-noise mask are stratified:
     each of width² equal intervals of [0,1) contains one shift.
@@ -483,7 +489,8 @@ class Decorrelate(Randomization):
         self, sampler: Sampler, n: int, stream: Stream, own: Stream, first: int, count: int
     ) -> Array:
         if self.advance:
-            # Draw a power of two times n points, because the counts of some sequences are limited
+            # Draw the points of all frames at once, n points for each frame.
+            # Increase the number of frames to a power of two, because some sequences need it
             frames = (first + count - 1) // self.width**2 + 1
             most = sampler.check_count(n << (frames - 1).bit_length())
             points = sampler.draw_stream(most, stream, 0, 1)[0].reshape(-1, n, sampler.dims)

@@ -46,7 +46,7 @@ SAMPLERS = Registry(
 )
 
 RUN_CODE = tuple(CODE)
-"""Samplers that run the user's code, which must be allowed before a spec may name it."""
+"""Samplers that run the user's code. A spec may name only code that the user has allowed."""
 
 RANDOMIZATIONS = Registry(
     "randomization",

@@ -51,7 +51,7 @@ _CLOSE = 1e-4
 _MOST_WORK = 2**32
 _REPORTS = 50
 _CHUNK = 4096  # number of moves between reports of progress
-_CUTOFF = 6.0  # cutoff distance in σ: exp(−18) = 1.5e-8, as for the spectrum
+_CUTOFF = 6.0  # cutoff distance of the Gaussian, in σ; its value there is exp(−18) = 1.5e-8
 _SERIES_END = 6.0  # cutoff of the Fourier series in many dims: terms below e^(−½ 6²) are dropped
 _CELLS = 4  # number of cells along a cutoff distance
 
@@ -65,7 +65,7 @@ class _CentroidSampler(PlaneSampler, OptimisedSampler):
 
     @abstractmethod
     def _offsets(self, n: int) -> Callable[[Array], Array]:
-        """Return a function that returns the offsets of `n` points to the centroids of cells."""
+        """Return a function of `n` points: the vectors from points to centroids of their cells."""
 
     def _optimize(self, n: int, keys: Array, report: Report) -> Array:
         start, offsets = random_points(keys, n, 2), self._offsets(n)
@@ -218,8 +218,9 @@ def transport_cost(points: object) -> float:
             f"The transport cost was not found in {_NEWTON} Newton steps or some seconds: the "
             "points are too far from uniform; transform them to be nearly uniform, or give fewer."
         )
-    # Missing areas are counted with their weights (dual value of the transport problem).
-    # The error of the cost is then of second order in the missing areas.
+    # Add the missing area of each cell times the weight of the cell.
+    # The sum is the dual value of the transport problem.
+    # Its error is of second order in the missing areas.
     return float(np.sum(diagram.moments) + np.sum(weights * lacking))
 
 
@@ -280,7 +281,10 @@ def near_energy(sigma: float, points: Array) -> tuple[float, Array]:
 
 @lru_cache(maxsize=4)
 def _neighbor_cells(sigma: float, dims: int) -> tuple[Array, Array]:
-    """Return the number of cells along 3 axes, and the steps to half of the neighbors, 0 first."""
+    """Return the number of cells along 3 axes, and the steps from a cell to neighboring cells.
+
+    The first step is 0. Of two opposite steps, only one is returned.
+    """
     reach = _CUTOFF * sigma
     side = max(1, min(int(_CELLS / reach), 1024))
     steps = math.ceil(reach * side)

@@ -109,7 +109,10 @@ class _OfDigits(Randomization):
         """Randomize the digits of points (R or 1, n, d) in the given bases."""
 
     def _fill(self, keys: Array, sampler: Sampler, n: int, out: Array) -> bool:  # noqa: ARG002
-        """Make the randomized points of `sampler` directly; return False if no kernel can."""
+        """Make the randomized points of `sampler` directly, if there is a kernel for this.
+
+        Return whether the points were made.
+        """
         return False
 
     def _bases(self, dims: int) -> tuple[int, ...]:
@@ -212,7 +215,7 @@ class Owen(_OfDigits):
     Digits are scrambled down to 2^-32 (32 bits in base 2).
     Lower digits become independent and uniform.
     Scrambling preserves the balance of nets in the same base.
-    Other sets keep little more than their counts in the elementary intervals of each axis.
+    In other sets, scrambling mainly preserves the counts in elementary intervals of single axes.
 
     Attributes
     ----------
@@ -246,7 +249,10 @@ class Owen(_OfDigits):
     base: Base = checked(_as_base, None)
 
     def law_of(self, law: Law, n: int) -> Law:  # noqa: ARG002
-        """Return the law after nested scrambling; hashing has the same law of pairs."""
+        """Return the law after nested scrambling.
+
+        Scrambling by hashes gives the same joint distribution of two points.
+        """
         return scrambled(law, "nested", self._bases(law.dims))
 
     def _check(self) -> None:

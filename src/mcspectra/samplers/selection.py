@@ -94,7 +94,10 @@ class Subset(Randomization):
         return _picked(sampler, size, pick, stream, first, np.empty((count, n, sampler.dims)))
 
     def counts_near(self, sampler: Sampler, n: int) -> tuple[int | None, int]:
-        """Return (n, n) if the whole set has at least n points: every such n is possible."""
+        """Return the nearest allowed counts: (n, n) if n itself is allowed.
+
+        Every n is allowed that is at most the size of the whole set.
+        """
         below, above = sampler._counts_near(n) if self.of is None else (self.of, self.of)
         if n <= above <= MAX_COUNT:
             return n, n
@@ -121,10 +124,10 @@ class Skip(Randomization):
 
     Notes
     -----
-    The sampler must be a sequence (sobol, halton, kronecker, random, …) or points from outside.
+    The sampler must be a sequence (sobol, halton, kronecker, random, …), or sets of given points.
     Other sets are refused, because without their first points they cover only a part of the domain.
     If only the origin is omitted, the balance of a net is lost.
-    In base b, a run of b^m points has this balance only if `count` is a multiple of b^m.
+    In base b, a run of b^m points is a balanced net only if `count` is a multiple of b^m.
     Skipped points are computed and discarded.
 
     References
@@ -202,7 +205,7 @@ class Skip(Randomization):
 class Shuffle(Randomization):
     """Shuffle: the same points in random order, every order with the same probability.
 
-    Shuffled sets can be combined, each for some of the dims, and are uncorrelated.
+    Several shuffled sets can be combined into points with more dims. The sets are uncorrelated.
     The first points are a random subset.
 
     References

@@ -35,7 +35,9 @@ Profile: TypeAlias = Callable[[Array], Array]
 """Function with limit 1 at infinity: power as a function of ν, or pair correlation of r."""
 
 _REACH = 2.0  # largest |m|/√n at which power is matched
-_PCF_REACH = 4.0  # largest |m|/√n for pair correlations; resolves 1/8 of the mean distance
+# Largest |m|/√n at which power is matched if the target is a pair correlation.
+# These frequencies resolve details of the pair correlation down to 1/8 of the mean distance.
+_PCF_REACH = 4.0
 _TRIED = np.linspace(0.0, 6.0, 601)  # places at which transforms of targets are checked
 _LINE = np.linspace(0.0, 2 * _PCF_REACH, 1601)  # tabulated values of |m|/√n
 _NEGATIVE = -1e-6  # values below this count as negative; quadrature errors are 1e-9
@@ -204,7 +206,9 @@ class TargetPcf(_MatchedSampler):
 
 
 def _least_transform(sampler: Any, places: str, values: str) -> tuple[float, float]:
-    """Convert both fields to tuples of floats; check increasing places and nonnegative values.
+    """Convert two fields of a sampler to tuples of floats: places, and values at these places.
+
+    Check that the places increase and that the values are not negative.
 
     Return the smallest value of the transformed target, and its place.
     Power and pair correlation are transforms of each other.
@@ -227,7 +231,8 @@ def _least_transform(sampler: Any, places: str, values: str) -> tuple[float, flo
     return float(transform.min()), float(_TRIED[transform.argmin()])
 
 
-@lru_cache(maxsize=8)  # one target serves many small sets
+# The result is cached, because many small sets are often made for the same pair correlation.
+@lru_cache(maxsize=8)
 def _power_of_pcf(distances: tuple[float, ...], pcf: tuple[float, ...]) -> Array:
     """Return the power that belongs to a pair correlation, at the frequencies `_LINE`."""
     return np.maximum(hankel(piecewise_linear(distances, pcf), np.array(distances), _LINE), 0.0)
@@ -269,7 +274,8 @@ class RingLoss:
     The loss is Σ (mean power − target)² over rings.
     The target is averaged over the same frequencies.
     Rings have equal weights, because the lowest rings matter most.
-    With weights by number of frequencies, errors of the lowest rings would be ten times as large.
+    If a ring's weight were its number of frequencies,
+    the errors of the lowest rings would be ten times as large.
 
     Parameters
     ----------
@@ -288,7 +294,8 @@ class RingLoss:
         most = max(2, round(reach * n**0.5))
         self.axis = np.arange(-most, most + 1)
         norm = np.hypot(self.axis[:, None], self.axis)
-        self.ring = np.where(norm < most + 0.5, np.round(norm), 0).astype(np.int64)  # 0: outside
+        # Ring number of each frequency; frequencies outside all rings get the number 0
+        self.ring = np.where(norm < most + 0.5, np.round(norm), 0).astype(np.int64)
         self.sizes = np.maximum(np.bincount(self.ring.ravel()), 1)
         self.target = self._ring_means(target(norm / n**0.5))
         plans = [(1, -1, 1), (2, 1, 2)]  # FINUFFT's type, sign and number of transforms

@@ -516,7 +516,7 @@ class Hexagonal(PlaneSampler, FixedSet):
     -----
     The points form 2b rows of a points; every other row is moved by half a step.
     The set is deterministic.
-    On a square torus no such array is exactly regular, because that needs b = a/√3.
+    On a square torus no hexagonal array is exactly regular, because b = a/√3 would be needed.
     The chosen b differs from a/√3 by at most ½. There are two distances between neighbors.
     The ratio of these distances is 1.41, 1.12, 1.11, 1.12, 1.03 and 1.12 at the first six counts.
     The ratio of the distances is at most 1.06 for n ≥ 56 and 1.02 for n ≥ 780.
@@ -613,8 +613,9 @@ def _moved_centers(sides: tuple[int, ...], displacements: Array) -> Array:
 @final
 @dataclass(frozen=True, kw_only=True)
 class SharedCells(Sampler):
-    """One of W sets of n cells, chosen at random; together they cover a grid of W n cells once.
+    """Points in n cells of a grid; the n cells are a set chosen at random from W sets of cells.
 
+    The grid has W n cells, and each of these cells is in exactly one of the W sets.
     A realization draws one offset, a uniform point of a cell.
     In each cell of the set, the point is at this offset, possibly reflected along some axes.
     Every point is uniform on [0,1)^d for any sets, so estimates are unbiased.

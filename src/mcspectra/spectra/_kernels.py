@@ -22,7 +22,10 @@ UNLABELLED = np.empty(0, np.int64)
 def crop_scaled(
     negative: Array, others: Array, rows: Array, row_factors: Array, factors: Array, out: Array
 ) -> None:
-    """Write rows, multiplied by a factor, at the frequencies −K … −1 and 0 … K: (rows, 2K + 1)."""
+    """Join the values at frequencies −K … −1 and 0 … K in each chosen row: out (rows, 2K + 1).
+
+    Every value is multiplied by a factor of its row and a factor of its column.
+    """
     width = negative.shape[1]
     for r in range(rows.size):
         row, factor = rows[r], row_factors[r]
@@ -53,7 +56,8 @@ def power_sums(
 ) -> None:
     """Add |S|² and |S|⁴ of one set, or of the two sets of a pair, to total and squares (H,).
 
-    Also add |S|² to groups (sets, G), by the label (H,) of a frequency. (0,) means no groups.
+    Also add |S|² to groups of frequencies: `groups` (sets, G).
+    The array `label` (H,) has the number of each frequency's group. Without groups it is empty.
     """
     last, grouped = packed.size - 1, label.size > 0
     for h in range(total.size):

@@ -168,7 +168,10 @@ class _Dyadic(Basis):
         return max(1, 2 * self.half_width)
 
     def directions(self) -> Array:
-        """Number of oscillations along each axis. The index itself also encodes a position."""
+        """Number of oscillations along each axis.
+
+        The index of a basis function is not used as its direction: it also encodes a position.
+        """
         return self.oscillations()
 
     def transform(self, n: int, engine: str, eps: float) -> tuple[Coefficients, str]:
@@ -200,7 +203,8 @@ class _Dyadic(Basis):
         """Transform the weights of N cells along the last axis."""
 
     def _axis_oscillations(self) -> Array:
-        level = np.frexp(self.axis)[1] - 1  # the constant has index 0 and no level
+        # Index 2^j + t belongs to level j. The constant function has index 0 and does not oscillate
+        level = np.frexp(self.axis)[1] - 1
         return np.where(self.axis > 0, 2 ** np.maximum(level, 0), 0)
 
 
@@ -280,9 +284,9 @@ def fitting_basis(law: Law, half_width: int) -> str:
 
     For all other samplers the cosine basis is chosen, as a compromise.
     For smooth functions and jittered sets, the cross term in the cosine basis is small.
-    The sum over m then converges fast, because it has no boundary term.
+    The sum over m converges fast, because differences f(1) − f(0) cause no jump in a cosine series.
     For discontinuous functions, the cross term is as large as in the Fourier basis.
-    For a disk and n = 64, it is −0.40 of the variance.
+    For a disk and n = 64, the cross term is −0.40 times the variance.
     In the Haar and Walsh bases, the cross term vanishes with 2^k strata per side.
     However, their sums over m converge slowly for smooth functions.
     """

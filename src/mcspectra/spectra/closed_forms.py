@@ -10,7 +10,7 @@ There are three kinds of sets. They use two transforms, which are products over 
 The transform of the unit interval is χ(ν) = sinc(πν) exp(−iπν).
 The transform of a grid of s points is A_s(ν) = (1/s) Σ_{j<s} exp(−2πi νj/s).
 
-* Sets of N independent *motifs*, which are small groups of points. Each cell has equally many.
+* Sets of N independent *motifs*, small groups of points. Each cell has the same number of motifs.
   M(ν) is the mean of exp(−2πi ν·ξ) over the points ξ of one motif, in units of cells.
   The mean is ⟨S_ν⟩ = A(ν) ⟨M(ν/s)⟩, and the covariance is
   C_ml = (1/N) A(m − l) [⟨M(m/s) conj M(l/s)⟩ − ⟨M(m/s)⟩ conj⟨M(l/s)⟩].
@@ -32,7 +32,8 @@ The transform of a grid of s points is A_s(ν) = (1/s) Σ_{j<s} exp(−2πi νj/
 Importance-sampled points x = T(u), with weights 1/(n p), are covered for some densities p:
 the density must be a product over the axes, with monotone warps T.
 In this case M_t(m), the transform of the warped stratum that starts at t, replaces χ.
-The products *same* and *apart* are means over the strata. With a shift they are means over all t.
+The products *same* and *apart* are means over the starts t of the strata.
+After a random shift of the points, these products are means over all t from 0 to 1.
 A grid with one random offset δ has C_ml = Π_i ∫ A_δ(m_i) conj A_δ(l_i) dδ − δ_m0 δ_l0.
 Here A_δ(m) is the coefficient S_m of the grid with offset δ on one axis.
 """
@@ -92,9 +93,10 @@ _MOST_PAIR_TERMS = 2**31
 _TERMS_AT_ONCE = 2**22
 """Number of terms held in memory at a time: 64 MB of complex numbers."""
 
-# Constants for closed forms of importance-sampled points
+# The closed forms of importance-sampled points use the following constants.
 _BLOCK = 2**20  # number of values processed at a time
-_MAX_STRATA_WORK = 2**31  # largest number of strata times frequency pairs; takes minutes
+# Largest product of the number of strata and the number of frequency pairs; it takes minutes.
+_MAX_STRATA_WORK = 2**31
 _ORDER = 16
 _CELLS = 64
 _HIGHEST = 2**16
@@ -246,7 +248,7 @@ def points_at(
     sampler: Sampler | str, frequencies: Any, density: Density | str | None = None
 ) -> tuple[Sampler, Density | None, Array]:
     """Convert specs to a sampler and a density with the dims of the frequencies, and check them."""
-    # An empty list has no dims. In that case `as_frequencies` raises the error
+    # An empty list of frequencies has no dims; for such a list, `as_frequencies` raises an error
     dims = np.shape(frequencies)[-1] or None if np.ndim(frequencies) else None
     drawn = getattr(density, "primary_dims", dims)
     source = as_sampler(sampler, None if isinstance(sampler, Sampler) else drawn)
@@ -466,7 +468,8 @@ def _nested_pairs(law: Fixed, bases: Sequence[int], m: Array, other: Array) -> A
     n, levels = law.n, [_levels(law.points[:, j], b) for j, b in enumerate(bases)]
     most = max(levels)
     shares = (law.agreements(bases, most) - 1.0) / n
-    # Convert shares of pairs that agree in at least a digits to shares for exactly a digits
+    # Each share counts the pairs of points that agree in a or more digits.
+    # Convert it to the share of pairs that agree in exactly a digits
     for axis in range(law.dims):
         shares = np.moveaxis(shares, axis, 0)
         shares = np.concatenate([shares[:-1] - shares[1:], shares[-1:]])
@@ -552,7 +555,8 @@ def _place_pairs(net: Fixed, bases: Sequence[int], shifted: bool, m: Array, othe
 
     total = np.zeros(len(flat), complex)
     # Find the digits of each axis, with the highest first.
-    # The nudge corrects coordinates that were rounded to just below a multiple of b^-places.
+    # Rounding may have moved a coordinate from a multiple of b^-places to just below it.
+    # A small number, `nudge`, is therefore added to all coordinates before digits are read.
     digits = []
     for axis, b in enumerate(bases):
         nudge = 0.0 if b & (b - 1) == 0 else 2.0**-52
@@ -668,7 +672,11 @@ def _weighted_covariance(law: Law, name: str, m: Array, other: Array, density: D
 @final
 @dataclass(frozen=True)
 class _StrataAxis:
-    """Strata or grid points of one axis: their starts t, the starts' weights, and the density."""
+    """One axis with its density: an axis that has strata, or grids with several offsets.
+
+    A start t is the lower end of a stratum, or the offset of a grid.
+    Each start has a weight in means over the starts.
+    """
 
     density: Density
     sides: int
@@ -676,7 +684,7 @@ class _StrataAxis:
     weights: Array
 
     def mean_product(self, of: Callable[[Array], Array], m: Array, other: Array) -> Array:
-        """Return the weighted mean over the starts of `of(m)` times conj `of(other)`."""
+        """Return the mean of the products `of(m)` · conj `of(other)` over the weighted starts."""
         known, back = np.unique(np.stack([m, other]), return_inverse=True)
         row, column = back.reshape(2, -1)
         if float(self.starts.size) * max(row.size, known.size * self.sides) > _MAX_STRATA_WORK:

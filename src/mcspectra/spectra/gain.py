@@ -96,8 +96,8 @@ def gain_coefficients(
 def gains_at(net: Fixed, bases: Sequence[int], levels: int) -> Array:
     """Return the gains (levels + 1, …) of a set after scrambling in the given bases.
 
-    Pairs of points whose leading digits agree are counted. Differences of counts along each axis
-    are the gains.
+    The kernel counts pairs of points whose leading digits agree, for each number of digits.
+    The gains are differences of these counts along each axis.
     Exceptions are the same as those of `gain_coefficients`.
     """
     gains = net.agreements(bases, levels)
@@ -125,7 +125,7 @@ def nested_variances(
     -------
     ndarray
         float64 (levels + 1, …), or (channels, levels + 1, …). It is 0 at level 0 of all axes.
-        The sum over all levels is the variance of f, except the parts above `levels`.
+        The sum over all levels is the variance of f without the variance at finer levels.
 
     Raises
     ------

@@ -14,9 +14,10 @@ Engines
     The sums are exact up to rounding.
 ``nufft``
     FINUFFT's type 3 [Barnett2019]_ in one to three dims, with a relative l2 error of about `eps`.
-    The cost is O(n + F) with a large constant, plus that of a grid that covers all frequencies.
+    The cost is O(n + F) with a large constant.
+    An FFT on a grid that covers all frequencies adds to the cost.
 ``auto``
-    The engine that is expected to be faster, by measured constants.
+    The engine that is expected to be faster. The expected times are based on measurements.
     In three or more dims ``direct`` is used, because type 3 is not faster there.
 """
 

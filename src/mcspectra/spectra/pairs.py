@@ -72,7 +72,8 @@ def pair_correlation(
         ``pair_correlation`` and its standard error ``pair_correlation_se``, on dim r (bin centers).
         ``pair_correlation_ci`` is a 95 % interval from Student's t of the logarithm of g.
         The interval is 0 to 0 if a bin has no pairs.
-        If the sampler has fewer sets than realizations, the number of sets determines errors and t.
+        If the sampler has fewer different sets than realizations, only the sets are independent.
+        Then errors and Student's t are computed with the number of sets.
 
     Notes
     -----

@@ -55,7 +55,7 @@ _MOST_COORDINATES = 2**26  # largest number of coordinates of a set: half a GiB
 _EPS = 1e-9  # tolerance of transforms in double precision
 _SINGLE_EPS = 1e-5, 1e-6  # tolerances of transforms in single precision, cheapest first
 _MOST_ERROR = 0.02  # largest error of a ring mean in single precision, in standard errors
-_TRIED_FROM = 16  # least number of realizations for which both precisions are tried
+_TRIED_FROM = 16  # least number of realizations for which single precision is tried
 # Number of cells along each axis of the pictures of f and p, by the number of dims.
 # More cells are not visible in a small figure.
 _PICTURE_CELLS = {1: 256, 2: 64}
@@ -125,7 +125,8 @@ def power_spectrum(
         ``radial_power_ci`` is a 95 % interval from Student's t of the logarithm of power:
         power · exp(±t se/power), where t has realizations − 1 degrees of freedom.
         The attribute ``student_t`` is this t. It applies to ``power_se`` as well.
-        If the sampler has fewer sets than realizations, the number of sets determines errors and t.
+        If the sampler has fewer different sets than realizations, only the sets are independent.
+        Then errors and Student's t are computed with the number of sets.
 
         In two dims there are also ``wedge_power``, its standard error and interval (`wedge_means`).
         With `mean` there are also the complex ``mean_coefficient`` and its error, on m0, m1, …
@@ -246,7 +247,8 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
                 return double, None
             points, weights = weighted_points(source, p, self.n, stream, (0, 2))
             exact = _powers(double, points, weights)
-            # Two exponentially distributed powers differ on average by their standard deviation
+            # Estimate the standard deviation of the power from two realizations: for exponentially
+            # distributed powers, it equals the mean absolute difference of two powers
             spread = polar.rings(np.abs(exact[0] - exact[1])) / self.realizations**0.5
             for single in singles:
                 error = polar.rings(np.abs(_powers(single, points, weights) - exact).mean(axis=0))
@@ -343,7 +345,7 @@ class Points(_OfPointSets, frozen=True, kw_only=True):
     provenance = ("sampler", "n")
 
     def need(self, subject: Subject) -> Need:
-        """Return the cost of one set of points, and of the grid."""
+        """Return the cost of one set of points, and of a grid for pictures of f and p."""
         source, _ = _warped(subject)
         source.check_count(self.n)
         grid = 0 if subject.estimator is None else math.prod(_picture_shape(source.dims))
@@ -379,7 +381,7 @@ def _picture_shape(dims: int) -> tuple[int, ...]:
 def _pictures(estimator: Any, density: Density | None) -> dict[str, tuple[tuple[str, ...], Array]]:
     """Return values of f and p on a grid of axes 0 and 1; all other coordinates are 1/2.
 
-    If no single density warps the points, the values are g of the first technique.
+    If no single density warps the points, g = f/p of the first technique is returned instead of f.
     There is no picture of integrands that are costly or fail on the grid.
     """
     f = estimator.primary_integrand() if density is None else estimator.domain_integrand

@@ -3,7 +3,7 @@
 All functions take the dataset that `power_spectrum` returns.
 The standard errors of means over rings and wedges come from the scatter of realizations.
 
-Exponents may depend on the direction. The direction with the largest power decides.
+Exponents may depend on the direction. The exponent of the direction with the largest power is used.
 A Latin hypercube has power ∝ m² along its axes, and the power of random points elsewhere.
 If the power at one length depends on the direction, each class of directions is fitted separately.
 A class contains the frequencies with the same nonzero axes and, in 2-D, in the same wedge.
@@ -47,11 +47,13 @@ __all__ = [
 
 _MAX_SLICE_DIMS = 4
 _LEVEL = 0.95
-# Up to this variance over directions beyond noise, divided by mean², the power is isotropic.
-# It is 0.001 for jittered points
+# The power counts as isotropic if its variance over directions, beyond noise,
+# is at most this fraction of the squared mean. For jittered points the fraction is 0.001.
 _ISOTROPIC = 0.1
 _CLASS_WEDGES = 8
-_SUSPECT = 3.0  # χ² per degree of freedom above which directions are compared
+# Misfit of one line for all directions, as χ² per degree of freedom.
+# If the misfit is larger than this, each class of directions is fitted separately.
+_SUSPECT = 3.0
 _SAME = 1e-7  # relative standard errors of power that come from rounding alone
 _UNRESOLVED = 0.5  # half-width of the exponent's interval; wider intervals are unresolved
 _MISFIT = 10.0  # χ² per degree of freedom above which there is no power law
@@ -132,7 +134,8 @@ def radial_statistics(spectrum: xr.Dataset) -> xr.Dataset:
         All variables are on the dim radius, for rings of one frequency step.
         Anisotropies are NaN if a ring has only one direction, or has no power.
         ``radial_power`` is the mean, and ``radial_power_se`` is its standard error.
-        This error comes from the spectrum. Without it, frequencies count as uncorrelated.
+        The standard error is copied from the spectrum.
+        If the spectrum has no such error, it is computed as if frequencies were uncorrelated.
         ``anisotropy`` is the variance over directions, divided by the mean² [Ulichney1988]_.
         ``anisotropy_db`` is 10 log10 of the anisotropy.
         ``anisotropy_noise_db`` is the anisotropy (dB) that noise causes in an isotropic spectrum.
@@ -232,8 +235,9 @@ def wedge_means(spectrum: xr.Dataset, wedges: int = 12) -> xr.Dataset:
         ``wedge_power`` and its standard error ``wedge_power_se``, on the dim angle.
         Angles are in degrees, at the centers of the wedges.
         Values are NaN for wedges without frequencies.
-        If the spectrum has another number of wedges and a density, errors are NaN.
-        In a spectrum without density, errors then treat frequencies as uncorrelated.
+        The spectrum has standard errors for its own number of wedges only.
+        For any other number of wedges, errors are NaN if the spectrum has a density.
+        Without a density, errors are computed as if frequencies were uncorrelated.
     """
     half = _HalfSpectrum.of(spectrum)
     wedges = as_integer("wedges", wedges, least=1, most=MAX_WEDGES)
@@ -265,14 +269,15 @@ def low_frequency_exponent(
     ----------
     spectrum
         Result of `power_spectrum` with at least two realizations.
-        Between the integers ⟨S_ν⟩ is not 0, and the fit is to ⟨|S_ν|²⟩ − |⟨S_ν⟩|².
+        Between the integers ⟨S_ν⟩ is not 0, so the variance ⟨|S_ν|²⟩ − |⟨S_ν⟩|² is fitted.
         In this case the spectrum must contain the means of S (``mean=True``).
     up_to
         Largest |ν| that is fitted. The default is a quarter of the points' mean frequency n^(1/d).
-        It includes at least three lengths |ν|, and is at most the half width.
+        The fitted range has at least three lengths |ν|, and does not exceed the half width.
     axis
         Axis along which to fit. By default all directions are fitted together.
-        If directions differ, those with the largest power at the lowest frequency are fitted.
+        If the power depends on the direction, each class of directions is fitted separately.
+        The result is the fit with the largest power at the lowest frequency.
 
     Returns
     -------
@@ -476,9 +481,9 @@ def variance_from_spectrum(spectrum: xr.Dataset, coefficients: Any) -> float:
     -------
     float
         The variance of randomly shifted sets, at *integer* frequencies (``frequency_step=1``).
-        There it is exact up to the truncation of the grid.
+        At integer frequencies, the result is exact up to the truncation of the grid.
         Between the integers, where ⟨S_ν⟩ is not 0, the sum includes the bias of a finite window.
-        The sum is never smaller than this bias [Singh2019]_.
+        The sum is never smaller than the bias of the window [Singh2019]_.
 
     Raises
     ------

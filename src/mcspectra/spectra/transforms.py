@@ -6,7 +6,7 @@ Engines
     Type-1 non-uniform FFT. FINUFFT [Barnett2019]_ spreads points onto a fine grid.
     SciPy transforms this grid. Each Python thread reuses one plan of FINUFFT.
     Along each axis, the grid is 1.25 times as fine as the frequencies.
-    If there are many points per frequency, it is twice as fine.
+    If there are many points per frequency, the grid is twice as fine as the frequencies.
     The relative l2 error is 1e-9. For ``eps=1e-12`` the grid is twice as fine.
     On a grid twice as fine, the transform of 512² frequencies takes 2.3 times as long.
 
@@ -62,7 +62,8 @@ _DIRECT_BELOW = 4000
 _DIRECT_NUMBERS = 2**22  # number of phases in memory at a time: 64 MiB
 _SPARSE = 1 / 16  # if there are fewer points per frequency, points are spread in groups
 _SPREAD_POINTS = 1024
-_CELL_COST = 50.0  # measured ratio: time to transform a cell / time to spread to a cell
+# Time of the FFT per cell of the grid, divided by the time to add a point to one cell; measured.
+_CELL_COST = 50.0
 _LEAST_FINE = 32  # least number of cells of the fine grid per axis, more than the width of a kernel
 
 MAX_FREQUENCIES = 2**27
@@ -250,8 +251,9 @@ class Transform:
         self._sparse = density < _SPARSE
         self._packs = engine == "nufft" and grid.dims <= 3
         self.single = single and self._packs
-        # A finer grid is more accurate. Its transform takes longer, but spreading takes less time:
-        # in double precision, a point is spread to 11 cells per side instead of 15
+        # A finer grid is more accurate. Its transform takes longer, but spreading takes less time.
+        # In double precision, a point is spread to 11 cells per axis of the finer grid,
+        # but to 15 cells per axis of the coarser grid
         spreading = 0.0 if self.single else density * (15.0**dims - 11.0**dims)
         finer = self.eps < 1e-9 or spreading > _CELL_COST * (2.0**dims - 1.25**dims)
         coarse = 1.12 if self.single and self.eps >= 1e-5 else 1.25
@@ -367,7 +369,8 @@ class Transform:
     def _execute(self, strengths: Array, out: Array) -> Array:
         """Transform the current points to `out`, a grid of frequencies, and return it flat.
 
-        FINUFFT only spreads the points. Its own FFT is FFTW, whose fast plans vary with timings.
+        FINUFFT only spreads the points. Its own FFT is FFTW, which would not be reproducible:
+        FFTW chooses fast plans by measured times, which vary from run to run.
         SciPy's FFT computes only the frequencies that are needed.
         On a grid of 648², it takes half the time of reproducible FFTW plans.
         """
@@ -397,8 +400,10 @@ class Transform:
     def _unspread(self) -> tuple[Array, Array, Array]:
         """Rows of the fine grid that hold the frequencies, and factors that undo spreading."""
         dims, side = len(self._fine), self._fine[0]
-        # The kernel along the last axis also depends on the number of axes.
-        # The plan makes all other axes as short as possible, and odd if the last axis is odd.
+        # The spreading kernel along an axis also depends on the number of axes.
+        # Therefore make a plan with the same number of axes.
+        # To save time, all axes but the last are as short as possible.
+        # The length of these axes is odd if the last axis has odd length.
         # Transforms are divided by products of the coefficients of this kernel
         plan = self._new_plan((_LEAST_FINE + side % 2,) * (dims - 1) + (side,))
         origin = np.zeros((dims, 1), np.zeros(0, self._number).real.dtype)

@@ -380,7 +380,10 @@ class Dask:
         return bool(self._client.status == "running")
 
     def _fill(self) -> None:
-        """Submit tasks up to the limit, but a suspected task only while no other task runs."""
+        """Submit tasks up to the limit.
+
+        A task that may have killed its worker is submitted only while no other task runs.
+        """
         most = _AHEAD * self.workers
         while len(self._sent) < most and self._ready:
             if self._suspects:
@@ -393,7 +396,8 @@ class Dask:
 
     def _send(self, pending: _Pending) -> None:
         serial = next(self._serials)
-        # Dask keeps statistics for each first entry of task keys, so all tasks share this entry
+        # Dask groups tasks by the first entry of their keys, and keeps statistics of each group.
+        # The first entry is the same for all tasks of a study, so there is only one group
         key = (self._name, pending.task.key, str(serial))
         arguments = (self._compute, self._text, pending.task, self._options.time_limit)
         future = self._client.submit(compute_elsewhere, *arguments, key=key, pure=False, retries=0)
@@ -598,7 +602,8 @@ def deaf() -> Iterator[None]:
     if not hasattr(signal, "pthread_sigmask"):  # Windows lacks this function
         yield
         return
-    # Starting the tracker unblocks Ctrl-C in its thread, so start it before blocking Ctrl-C
+    # Starting Python's resource tracker unblocks Ctrl-C in the current thread.
+    # Start the tracker first, so that it does not undo the blocking of Ctrl-C
     resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:

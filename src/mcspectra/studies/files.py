@@ -97,7 +97,7 @@ _SAMPLERS = Meta(description="Samplers; by default those of the study.")
 class _StudyTable(
     msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True
 ):
-    """Base of the structs for all tables of a study file; its flags are inherited."""
+    """Base of the structs for all tables of a study file. It sets options of msgspec for them."""
 
 
 class EstimatorConfig(_StudyTable, frozen=True, kw_only=True, omit_defaults=True):
@@ -237,7 +237,10 @@ def analysis_tables() -> dict[str, type[Analysis]]:
 
 
 def _names() -> frozenset[str]:
-    """Return the names of analyses that can be keys of a study; other keys' names cannot."""
+    """Return the names of analyses that can be keys of a study.
+
+    The names of all other keys of studies and estimators are excluded.
+    """
     own = {*StudyConfig.__struct_fields__, *EstimatorConfig.__struct_fields__}
     return frozenset(n for n in ANALYSES if _TABLE_NAME.fullmatch(n) and n not in own)
 
@@ -435,7 +438,8 @@ def planned_groups(study: Mapping[str, Any]) -> dict[str, tuple[Names, Names]]:
     -------
     dict
         A path is estimator/sampler/analysis. The keys are the names of estimators or scenes.
-        Each value has the names of the samplers, and the names of the analyses with companions.
+        Each value has the names of the samplers, and the names of the analyses.
+        Companions, which are analyses that always run with another analysis, are included.
     """
     found, slugs = dict[str, tuple[Names, Names]](), Slugs()
     known: dict[tuple[str, ...], Names] = {}
@@ -556,7 +560,7 @@ def _struct(table: Any, kind: type[Struct], place: str, beside: tuple[str, ...] 
             raise ConfigError(f"{where}the key {shown(name)} is missing.")
     try:
         return msgspec.convert(clean, kind)
-    except msgspec.ValidationError as error:  # For types that options do not check
+    except msgspec.ValidationError as error:  # `Option.check` does not check all types
         raise ConfigError(f"{where}{error}.") from None
 
 
@@ -696,7 +700,8 @@ def expand_grids(table: dict[str, Any], source: str = "study") -> dict[str, Any]
         The study as read from TOML.
         A table ``grid`` at the top applies to the whole study.
         A table ``grid`` in an estimator applies to that estimator and takes precedence.
-        An analysis table at the top with placeholders is copied into each estimator without one.
+        The table of an analysis at the top may have placeholders.
+        Such a table is copied into each estimator that has no table of the analysis.
     source
         Name of the study in messages.
 
@@ -725,7 +730,10 @@ def _expanded(table: Mapping[str, Any]) -> dict[str, Any]:
     def repeated(
         given: Any, more: Mapping[str, Any], key: str, place: str
     ) -> Iterator[dict[str, Any]]:
-        """Repeat an estimator or map over the placeholders outside its list of samplers."""
+        """Repeat an estimator or map for all values of its placeholders.
+
+        Placeholders that occur only in a list of samplers do not repeat the whole entry.
+        """
         if not isinstance(given, dict):
             yield given  # The type check reports a wrong type
             return

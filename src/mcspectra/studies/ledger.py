@@ -5,8 +5,8 @@ The file also holds error sentences of failed cells, and task states of unfinish
 SQLite provides atomic commits and recovery after a crash.
 This module adds the schema, the commit interval and the digests.
 Each row has a SHA-256 of its contents, which is checked on every read.
-The row ``tally`` has the number of finished cells and the exclusive or of their digests.
-With this number and these digests, a missing row is also detected.
+The row ``tally`` has the number of finished cells and the bitwise XOR of all their digests.
+A missing row is detected because the number or the XOR is then wrong.
 If the file is damaged, a resumed run keeps all sound rows on readable pages.
 The run reports damaged rows and computes them again. `Ledger.verify` finds the same damaged rows.
 
@@ -99,8 +99,8 @@ _SCHEMA = (
     "CREATE TABLE results (place INTEGER PRIMARY KEY, payload BLOB)",
     """CREATE TABLE tasks (path TEXT, run TEXT, first INTEGER, blocks INTEGER, digest BLOB,
     payload BLOB, PRIMARY KEY (path, run, first, blocks))""",
-    # Second copy of the notes, the study's description and tally, on another page of the file.
-    # Nothing can be recovered from a damaged ledger without its notes
+    # The notes are the study's description and its tally. This table has a second copy of both.
+    # The copy is on another page of the file, because recovery is impossible without the notes
     "CREATE TABLE notes (kind TEXT, name TEXT, text TEXT, digest BLOB, PRIMARY KEY (kind, name))",
 )
 # Rows from pages of a damaged file, where contradicting pages can give several rows per key
@@ -236,7 +236,7 @@ class StudyTally(msgspec.Struct, frozen=True, kw_only=True):
     Attributes
     ----------
     done, size, digest
-        Number of finished cells, bytes of their results, and exclusive or of their digests.
+        Number of finished cells, size of their results in bytes, and bitwise XOR of their digests.
     started, finished
         Time when the study began and when its last cell finished: UTC, ISO 8601.
     hosts
@@ -452,7 +452,10 @@ class Ledger:
         return {path: found[path] for path in self.paths if path in found} if found else {}
 
     def tasks(self, path: str) -> list[tuple[str, Chunk]]:
-        """Return the keys of a cell's committed task states: run keys and blocks."""
+        """Return which tasks of a cell have a committed state.
+
+        Each task is given by the key of its sum over blocks, and by its range of blocks.
+        """
         with self._guard:
             rows = self._rows("SELECT run, first, blocks FROM tasks WHERE path = ?", (path,))
         return [(run, (first, blocks)) for run, first, blocks in rows]
@@ -529,7 +532,7 @@ class Ledger:
         Parameters
         ----------
         run, chunk
-            Key of the sum over blocks that the task belongs to, and the blocks of the task.
+            The task computes a part of a sum over blocks: key of the sum, and range of blocks.
         host
             Host that computed the task.
 
@@ -937,7 +940,8 @@ class Ledger:
                 failed[change.path] = change.failure
             else:
                 recorded += 1
-        # A reader has already checked the list, but a commit may have changed the tally since then
+        # Compare the tally with the finished cells that were found. A reader skips this test:
+        # it has checked the list of cells before, and a writer may have changed the tally since
         still = self._lock is not None or self._salvaged
         if still and len(self.damaged) == before and tally.digest != self.tally.digest:
             self.damaged["list of cells"] = "finished cells are missing in it"
@@ -965,8 +969,8 @@ class Ledger:
                 if not any(text for _, text in self._texts("note", name, table)):
                     self.damaged[f"note of the {name}"] = _DAMAGE
 
-        # Yield results with right digests. A result may also be sound if its digest was lost:
-        # the tally's digest of all finished cells decides whether such a result is right
+        # Yield results with right digests. Results whose digests were lost may also be right.
+        # To test these results, use the tally: it has the XOR of the digests of all results
         left, unproven = int(self.tally.digest, 16), list[tuple[str, int, bytes]]()
         made = 0
         for place, path in enumerate(paths):
@@ -1280,7 +1284,7 @@ def _writing(
     kind: type[StoreError] = StorageError,
     remedy: str = "",
 ) -> Iterator[None]:
-    """Turn a write error into one sentence; by default, its advice is for a ledger."""
+    """Turn a write error into one sentence with advice. The default advice is for a ledger."""
     try:
         yield
     except (OSError, sqlite3.Error, MemoryError) as error:

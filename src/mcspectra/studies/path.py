@@ -64,7 +64,8 @@ PATH_SAMPLERS = ("random", "latin-hypercube", "rank1-lattice | shift", "sobol | 
 """Samplers that are compared by default; they support any count in any number of dims."""
 
 _EFFORTS = {
-    # Counts n, realizations, ANOVA realizations, paths for shares of lights, whether to predict
+    # Each effort has five values: counts n, number of realizations, realizations for ANOVA,
+    # number of paths for the shares of lights, and whether variances are predicted
     "quick": ((16, 64, 256, 1024), 200, 10_000, 2**14, False),
     "full": ((16, 64, 256, 1024, 4096), 1000, 100_000, 2**17, True),
 }
@@ -80,7 +81,7 @@ _FEWEST = 100  # Minimum number of realizations to compare two changes
 _LIGHTS = 1  # Label of the random stream
 _MOST_LIGHTS = 64
 _PILOT = 2**10  # Number of pilot paths for the selection of lights
-_LEAST = 0.05  # Part of the selection probability that is uniform over all lights
+_LEAST = 0.05  # Fraction of the selection probability that is divided equally among all lights
 _COUNTS = 5  # Maximum number of counts to measure; the largest counts are kept
 _DEPTHS = (1, 2, 3, 5)  # Depths at which roulette may start; "no roulette" is also tried
 _ENDLESS = 2**16  # Largest max_depth without roulette, so that paths end
@@ -126,8 +127,8 @@ def analyse_path(
     remedies
         Whether to search for remedies that lower the noise.
     joint_dims
-        Number of first coordinates of a path that form one point of the sampler.
-        Later requests take separate point sets (padding).
+        Number of coordinates at the start of a path that come from a single point set.
+        All later coordinates of the path come from separate point sets (padding).
         See `mcspectra.rendering.variance_map`.
     effort
         ``"quick"``; or ``"full"``, which measures more, predicts variances and takes minutes.
@@ -141,7 +142,8 @@ def analyse_path(
     xarray.DataTree
         ``convergence``: measured variances by `mcspectra.convergence` on (sampler, n).
         ``anova/KIND``: result of `mcspectra.anova_variances` for random paths, up to 64 groups.
-        KIND is ``bounce``, ``decision``, ``request`` (both) or ``coordinate`` (not grouped).
+        KIND is ``bounce``, ``decision``, ``request`` or ``coordinate``: how axes are grouped.
+        A request is one decision at one bounce. Coordinates are not grouped.
         ``lights``: shares of the variance by `shares_by_light`, for 2 to 64 lights.
         ``remedies``: result of `path_remedies` for the last sampler at the largest n.
         ``predict``, with full effort: predicted variances by `mcspectra.predict` on (sampler, n).
@@ -360,7 +362,8 @@ def path_remedies(
     xarray.Dataset
         Same as in `mcspectra.remedies`.
         A ``kind`` is ``sampler``, ``joint``, ``padding``, ``order``, ``roulette`` or ``selection``.
-        ``error`` is the error at the budget without a pilot's cost; ``error_ratio`` includes it.
+        ``error`` is the error at the given budget. It ignores the cost of pilot paths.
+        ``error_ratio`` includes the cost of pilot paths.
     """
     ns, budget = list(counts)[-_COUNTS:], int(counts[-1])
     tried: list[MeasuredCandidate] = []
@@ -459,8 +462,9 @@ def path_remedies(
                 f"{ratio:.3g} ({bounds})"
             )
             if high < 0.0 and rate < 0.0:
-                # The change with n paths and a pilot of P paths equals n + P unchanged paths
-                # if the ratio of variances is ((n + P)/n)^rate; solve for n
+                # With the change, an estimate takes n paths and P paths for the pilot.
+                # Its error equals the error of n + P unchanged paths if the ratio of variances
+                # is ((n + P)/n)^rate. Solve this equation for n
                 pays = candidate.pilot / math.expm1(found.log_ratio / rate)
                 note += f": it pays above about {float(f'{pays:.2g}'):.0f} paths."
             else:

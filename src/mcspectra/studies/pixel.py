@@ -73,7 +73,7 @@ _BASES = ("auto", "fourier")
 _QUICK_REMEDIES = ("unshifted", "mirrored", "sampler", "heuristic", "techniques")
 _ROUNDING = 1e-5  # Largest rounding step of float32, relative to the largest |g|
 _MOST_SAMPLES = 2**22
-_LEAST_BUDGET = 8  # Smallest budget in evaluations of two techniques
+_LEAST_BUDGET = 8  # Smallest budget: the total number of evaluations of both techniques
 _FEWEST = 100  # Smallest number of realizations for remedies
 
 Parts: TypeAlias = "dict[str, xr.Dataset]"
@@ -164,7 +164,7 @@ def analyse_pixel(
     remedies
         Whether to search for remedies that lower the noise.
     effort
-        ``"quick"`` or ``"full"``: amounts of measurement, which `EFFORTS` lists.
+        How much is measured: ``"quick"`` or ``"full"``. The dict `EFFORTS` lists the numbers.
     rng
         Seed of all analyses; each analysis returns the same result as when called alone.
     workers
@@ -249,7 +249,8 @@ def analyse_pixel(
             parts[f"predict/{strategy}"] = predict(estimator, sources, ns, **shared)
         report("pixel: terms", 0.4)
         terms = {"half_width": chosen.half_width[dims], "space": "primary", **options}
-        # Use the middle count: a truncated spectrum captures more of the variance with few strata
+        # Use the middle count n instead of the largest n.
+        # For smaller n, a truncated spectrum captures a larger share of the variance
         middle = ns[(len(ns) - 1) // 2]
         for strategy, estimator in strategies.items():
             for basis in _BASES:

@@ -70,7 +70,8 @@ MOST_EVALUATIONS = 10**15
 """Maximum number of evaluations of a study without --force: half a year on a hundred cores."""
 
 # Planning time in seconds: per spec, per estimator with densities, per density in several dims.
-# The fourth value is the time per density in one dim, because its warp is searched for gaps
+# The fourth value is the time per density in one dim.
+# It is larger, because the warp of such a density is searched for gaps
 _SPEC, _WEIGHTED, _DENSITY, _WARP = 1e-4, 6e-4, 5e-4, 2e-3
 # Planning time in seconds per pair of estimator and sampler, and per cell.
 # The third value is the time per item of a list in an analysis, such as a count
@@ -305,13 +306,17 @@ class _Planner:
                 )
 
     def _asked(self, entry: EstimatorConfig | SceneConfig) -> Iterator[_Asked]:
-        """Yield the analyses of an entry: from its own tables, from the study's, and companions."""
+        """Yield the analyses of an entry, from its own tables and from tables of the whole study.
+
+        After each analysis, yield its companions, which are analyses that run with it.
+        """
         if isinstance(entry, SceneConfig):
             tables = {entry.kind: entry.analysis}
         else:
             tables = {**self._config.analyses, **entry.analyses}
         for name, table in tables.items():
-            if id(table) not in self._vetted:  # Tables live as long as the study, so ids are unique
+            # A table's id identifies it, because no table is deleted during the life of the study
+            if id(table) not in self._vetted:
                 analysis, inputs = self.vetting.options(table)
                 vetted = [(name, analysis, inputs)]
                 for other in analysis.companions:  # Plan its companion analyses as well

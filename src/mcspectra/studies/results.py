@@ -293,7 +293,8 @@ def study_status(folder: str | Path, *, verify: bool = False) -> StudyStatus:
     with ledger:
         if verify:  # The checks are the same as for --resume
             study: Any = {}
-            with contextlib.suppress(StoreError, ValueError, RecursionError):  # Reported below
+            # If the stored text of the study is damaged, `ledger.verify` reports this
+            with contextlib.suppress(StoreError, ValueError, RecursionError):
                 study = json.loads(ledger.config)
             parts = _planned(study).items()
             paths = [f"{e}/{s}/{a}" for e, (own, asked) in parts for s in own for a in asked]
@@ -510,7 +511,11 @@ def _selected(ledger: Ledger, select: str | None) -> Iterable[str]:
 
 
 def _planned(study: Any) -> dict[str, tuple[Names, Names]]:
-    """Return the parts of the paths of a study's cells; empty if `study` is not a study."""
+    """Return the names of samplers and analyses for each estimator of a study.
+
+    The cells of the study have paths estimator/sampler/analysis with these names.
+    The result is empty if `study` is not a study.
+    """
     try:
         return planned_groups(study)
     except _MALFORMED:
@@ -697,7 +702,8 @@ def _read_store(
             kind, shape = np.dtype(document["data_type"]), document["shape"]
             content = files.get("/".join([path, "c", *("0" for _ in shape)]), b"")
             size = math.prod(shape) * kind.itemsize
-            plain = kind.kind in "biufc" and document["codecs"] == _codecs(kind)  # No objects
+            # Accept arrays of numbers or Booleans only, not arrays of Python objects
+            plain = kind.kind in "biufc" and document["codecs"] == _codecs(kind)
             chunk = [max(1, length) for length in shape]
             whole = document["chunk_grid"]["configuration"]["chunk_shape"] == chunk
             if not (plain and whole and len(content) == size):

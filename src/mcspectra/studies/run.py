@@ -222,7 +222,8 @@ def _outdated(plan: StudyPlan, out: Path) -> frozenset[str]:
         return frozenset()
     with Ledger.read(out) as begun:
         changed = set(changed_inputs(begun.study.inputs, plan.inputs))
-    gone = changed - plan.inputs.keys()  # Files that were inputs before but no longer are
+    # Files that were inputs of the stored run, but are not inputs of the study any more
+    gone = changed - plan.inputs.keys()
     return frozenset(
         cell.path
         for cell in plan.cells

@@ -15,7 +15,9 @@ from typing import Any, TypeAlias, final
 __all__ = ["Leaves", "Row"]
 
 Row: TypeAlias = tuple[bool, int, tuple[Any, ...]]
-"""Whether the row's page is in use, rowid, column values (None for a column with the rowid)."""
+"""A row of a table: whether its page is in use, its number (rowid), and its column values.
+
+The value is None for a column that stores the rowid."""
 
 _INNER, _LEAF = 5, 13  # Type bytes of inner and leaf pages of tables
 _LARGEST = 2**20  # Maximum number of trunk pages read from the free list: 8 GB

@@ -76,7 +76,7 @@ class PartialRun(Generic[State]):
         """Reuse stored chunks that do not overlap, and skip a chunk if `load` returns None."""
         self._gaps.clear()
         position = 0
-        # Aligned chunks are nested or disjoint, so take the largest chunk of each nest
+        # Of two aligned chunks that overlap, one contains the other. Take the largest chunks
         for first, count in sorted(found, key=lambda chunk: (chunk[0], -chunk[1])):
             if first < position or not self._aligned(first, count):
                 continue
@@ -180,7 +180,8 @@ class _Active:
     def next_work(self, size: Callable[[float], int]) -> Work | None:
         """Return the next chunk of this cell as a task, or None if all chunks are handed out.
 
-        Costly sums come first. The function `size` maps the cost of a block to a number of blocks.
+        The chunks of costly sums are handed out first.
+        The function `size` returns the number of blocks in a chunk, given the cost of a block.
         """
         path = self.cell.path
         if self._whole:
@@ -219,7 +220,10 @@ class _Active:
             self._unrecorded = 0.0
 
     def advance(self, states: list[Any] | None) -> None:
-        """Pass the sums of a finished step to the analysis, up to a step that needs computation."""
+        """Pass the sums of a finished step to the analysis, and start its next step.
+
+        Steps whose sums are already stored are also passed on, until a step needs computation.
+        """
         try:
             while True:
                 found = next(self._steps) if states is None else self._steps.send(states)
@@ -290,7 +294,7 @@ class Schedule:
         """Return the next task; None if all are handed out, or results must arrive first.
 
         If an earlier run recorded all of a cell, the cell is restored, and None is returned.
-        Take its result from `settled` before the next call, to keep one result in memory.
+        Take the cell's result from `settled` before the next call, so that memory holds one only.
         """
         while True:
             for active in self._active.values():

@@ -29,7 +29,7 @@ class SummaryRow(msgspec.Struct, frozen=True, kw_only=True):
     ``ratio`` is predicted variance divided by measured variance.
     For a result of ``predict``, ``method`` is the method of the prediction, one of `METHODS`.
     Without such a result, ``method`` is the basis in which ``terms`` were added up.
-    The ratio of ``terms`` is always ``captured``.
+    If the ratio comes from a result of ``terms``, it is the value ``captured`` of this result.
     """
 
     estimator: str
@@ -205,7 +205,7 @@ def _ratio(found: dict[str, xr.Dataset], row: dict[str, Any]) -> dict[str, Any]:
 
 
 def _by_method(data: xr.Dataset) -> Iterator[tuple[Array, xr.Dataset]]:
-    """Yield predictions, each with the names of the methods that gave its values along n."""
+    """Yield predictions along n, each with an array that names the method used for each n."""
     names = np.asarray(
         data["method"].values if "method" in data.coords else data.attrs["labels_method"]
     )

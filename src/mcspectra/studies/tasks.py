@@ -293,7 +293,8 @@ def compute_elsewhere(
     if limit is None:
         return compute(text, task), False
     with Path(os.devnull).open("w") as nowhere:
-        # End the process if code holds the interpreter lock, because that blocks the check below
+        # The function `within` cannot stop code that holds the interpreter lock.
+        # If code holds the lock for too long, the whole process is ended
         faulthandler.dump_traceback_later(limit + _HELD, exit=True, file=nowhere)
         try:
             return within(limit, functools.partial(compute, text, task)), False

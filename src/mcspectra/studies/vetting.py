@@ -165,7 +165,8 @@ class Vetting:
             return {k: self._argument(str(k), item, files) for k, item in value.items()}
         if not isinstance(value, str):
             return value
-        name = value.partition("(")[0]  # Name of a scene without its parameters, or of a file
+        # The text before any parameters is the name of a scene, or the name of a file
+        name = value.partition("(")[0]
         is_file = value.lower().endswith(".xml") or "/" in name or "\\" in name
         if key in FILE_KEYS or (key == "scene" and is_file):
             file = self._file(value, files, scene=key == "scene")

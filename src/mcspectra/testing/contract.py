@@ -46,7 +46,9 @@ __all__ = [
 ]
 
 _FALSE_ALARM = 1e-6
-_SPREADS = 7.0  # allowed number of standard errors; false alarms: 7e-8 (Student's t)
+# Largest allowed deviation in standard errors.
+# A correct component exceeds it with probability 7e-8 (Student's t).
+_SPREADS = 7.0
 _SAME = 1e-9  # largest relative difference of values and integrals that counts as rounding
 _REALIZATIONS, _CELLS = 640, 35  # numbers of realizations and of cells for the uniformity test
 _SAMPLES = 20_000
@@ -56,7 +58,9 @@ _RECIPROCAL = 1e-3
 _ROUNDING = 1e-12
 _REMAINDER = 3.5  # limit for the error of a quadrature, as a multiple of its estimate
 _QUADRATURE_DIMS = 3
-_MISSED = 20.0  # expected points in a region, which is empty with probability e^-20
+# A region that contains no point is assumed to have at most this expected number of points.
+# A region with 20 expected points is empty with probability e^-20.
+_MISSED = 20.0
 _FREQUENCIES = ((1,), (-3,), (0, 2), (1, -1), (4, 7), (2, 1, 0), (0, -1, 3))
 _SEED = 7
 _NEED_SECONDS = 0.1  # time limit for `need`, which studies call for each cell
@@ -118,11 +122,12 @@ def check_sampler(sampler: Sampler | str, *, counts: tuple[int, ...] = (16, 64))
             continue
 
         # Compare the mean number of points per cell with n / (number of cells).
-        # The cells have sizes that few strata have:
+        # Few samplers have strata of the same size as these cells:
         # 35 cells per axis, and 5 × 7 cells per pair of neighboring axes.
         # The error of each mean comes from the spread over realizations,
         # which includes the dependence of the points in a set.
-        # If a count is constant, its error is at least that of one point in one realization
+        # The error is at least as large as if the count were random in one realization only,
+        # even if the count is the same in all realizations
         from scipy.stats import norm
 
         points = source.draw(n, realizations=_REALIZATIONS, rng=20)
@@ -491,7 +496,8 @@ def demand(holds: bool, who: str, sentence: str) -> None:
 def called(who: str, what: str, function: Callable[..., Any], *arguments: Any) -> Any:
     """Call a function. An exception is converted to a BrokenContract that names `what`."""
     try:
-        with np.errstate(all="ignore"):  # later checks find values that are not finite
+        # Floating-point warnings are ignored, because later checks find values that are not finite
+        with np.errstate(all="ignore"):
             return function(*arguments)
     except BrokenContract:
         raise
