@@ -26,7 +26,8 @@ __all__ = [
     "GenzProductPeak",
 ]
 
-# Range of log s. The right end is added to log d. Beyond it, e^−s is negligible
+# Range of the variable log s of an integral, where log(d + 1) is added to the right end.
+# To the right of this range, e^−s is negligible
 _LEFT, _RIGHT = -40.0, 5.0
 
 
