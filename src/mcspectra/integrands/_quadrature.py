@@ -510,9 +510,9 @@ def _after(left: list[Array]) -> Array:
     """Return the sum of all later differences as a multiple of the last difference.
 
     The differences are taken to form a geometric series.
-        If each difference is half of the difference before, the sum is 1.
-        Next to a pole, the differences between levels shrink slowly, and their ratio still rises.
-        Therefore, if the ratio exceeds 0.55, the sum is increased by half.
+    If each difference is half of the difference before, the sum is 1.
+    Next to a pole, the differences between levels shrink slowly, and their ratio still rises.
+    Therefore, if the ratio exceeds 0.55, the sum is increased by half.
     """
     first, last = np.maximum(left[0], 1e-300), left[-1]
     ratio = np.minimum((last / first) ** (1.0 / max(1, len(left) - 1)), _SLOW)
@@ -691,7 +691,7 @@ def product_coefficients(
     for start, values in slabs(f, rules):
         weighted = [rule.weights[:, None] * phi for rule, phi in zip(rules, functions, strict=True)]
         weighted[0] = weighted[0][start : start + values.shape[1]]
-        # Sum the values (C, P_0, …) over nodes, axis by axis. Each sum appends an axis: functions
+        # Sum the values (C, P_0, …) over nodes, axis by axis. Each sum appends an axis
         for phi in weighted:
             values = np.tensordot(values, phi, axes=([1], [0]))
         total = total + values

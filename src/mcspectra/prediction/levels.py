@@ -69,7 +69,7 @@ class LevelsSettings:
     more
         Number of digits beyond the digits of n for which gains are computed.
         Beyond the digits of n all coordinates usually differ.
-        Values from 1 to 6 give the same results.
+        Results are the same for values from 1 to 6.
     orders
         Orders of the coarse and the fine Gauss-Legendre rule in each cell, by number of dims.
         The error is the difference of the two rules.

@@ -198,7 +198,7 @@ class TableSettings:
         Number of random points at which the table is compared with g.
         For usual g, the mean square difference has a relative standard error of about 1/256.
         Heavy-tailed differences have larger errors.
-        Values from 2^15 to 2^17 give the same results.
+        Results are the same for values from 2^15 to 2^17.
     block
         Number of points per call, 1 MB in 2-D. It has no effect on the result.
     points
@@ -238,7 +238,7 @@ class ExtrapolationSettings:
     near
         Inverse of the largest distance between counts close to n, as a fraction of n.
         These counts lie within an eighth of n, and the line hardly extrapolates.
-        Values from 8 to 32 give the same results.
+        Results are the same for values from 8 to 32.
     fitted
         Number of counts closest to n that the line is fitted to.
         Three counts leave one degree of freedom, for which Student's t is 12.7.
@@ -253,7 +253,7 @@ class ExtrapolationSettings:
         These changes are well within the intervals of 14 to 60 %.
     most_factor
         Largest factor of the reported error of an extrapolation, so that exponentials stay finite.
-        Values from 15 to 60 give the same results.
+        Results are the same for values from 15 to 60.
     """
 
     small: tuple[int, ...] = tuple(2**k for k in range(3, 9))
