@@ -598,7 +598,10 @@ def _frozen(dims: int, order: int) -> list[tuple[int, ...]]:
 
 
 def _least(shares: Array) -> Array:
-    """Return how many axes are needed for a large enough share, else NaN. Axis 0 is this number."""
+    """Return the least number of axes with a large enough share. NaN if no number is enough.
+
+    The entry s − 1 along axis 0 of `shares` is for s axes.
+    """
     enough = shares >= EFFECTIVE_SHARE
     return np.where(enough.any(axis=0), enough.argmax(axis=0) + 1.0, np.nan)
 

@@ -42,7 +42,7 @@ class BlindnessSettings:
     # For normal numbers, these two shares are 1.2 % and 2.4 %.
     large_share: float = 0.2
     # Probability that the largest square of a few normal estimates exceeds its limit.
-    # The limit is larger if there are fewer estimates.
+    # The limit for this square is larger if there are fewer estimates.
     rarely: float = 1e-3
     # Value of κ − 1 above which ∫g² is computed, to test whether the variance is infinite.
     # κ is the kurtosis of the estimates. κ − 1 is 2 for normal and 8 for exponential estimates.

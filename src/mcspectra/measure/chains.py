@@ -71,9 +71,9 @@ class ChainSettings:
     # The values were tested on 200 sets of 4 chains of 1,000 normal draws + 5 exp(−t/100).
     # A burn-in is reported for 153 sets (the other 47 are stuck, without an end of the burn-in).
     # Of the 95 % intervals, 93 % contain the mean.
-    # If the p-value is 0.3 and the factor 1.5, a burn-in is reported for 76 % of the sets.
+    # With the p-value 0.3 and the factor 1.5, a burn-in is reported for 76 % of the sets.
     # With these values, 93 % of the intervals contain the mean.
-    # If they are 0.1 and 1.5, a burn-in is reported for 90 % of the sets.
+    # With the p-value 0.1 and the factor 1.5, a burn-in is reported for 90 % of the sets.
     # Of the intervals, 89 % then contain the mean.
     settled: float = 0.2
     margin: float = 2.0

@@ -555,7 +555,7 @@ class MomentsCell:
     stream: Stream
 
     def run(self, part: int, first: int, realizations: int) -> Reduction[list[Moments]]:
-        """Return moments of each estimator over realizations. The first number is `first`."""
+        """Return moments of each estimator over the realizations `first`, `first` + 1 and so on."""
         evaluations = self.n * sum(self.estimators[0].counts)
         numbers = evaluations * self.estimators[0].dims  # Number of coordinates of a realization
         blocks = realization_blocks(realizations, STAGE_SETTINGS.parts * numbers, first=first)

@@ -188,9 +188,8 @@ class Modes(Counted, frozen=True, kw_only=True):
         blocks = realization_blocks(
             self.realizations, numbers, multiple=2, least=BATCH_SETTINGS.least
         )
-        group = -(
-            -len(blocks) // BATCH_SETTINGS.least
-        )  # A batch consists of this many consecutive blocks
+        # Number of consecutive blocks that form a batch
+        group = -(-len(blocks) // BATCH_SETTINGS.least)
 
         def step(number: int, vectors: Array) -> Reduction[CovarianceProduct]:
             def batch(index: int) -> CovarianceProduct:

@@ -315,7 +315,7 @@ class Batches:
         return spread(terms - weighted_sum(share, terms), share)
 
     def captured_factors(self) -> Array:
-        """Return two factors for predicted/measured: times the ratio, they are its 95 % interval.
+        """Return two factors. Times predicted/measured, they are the 95 % interval of this ratio.
 
         The shape is (C, 2).
         """
@@ -332,7 +332,7 @@ def spread(deviation: Array, share: Array) -> Array:
 
 
 def ratio_factors(above: Array, below: Array, share: Array) -> Array:
-    """Return two factors for a ratio of two means: times the ratio, they are its 95 % interval.
+    """Return two factors. Times a ratio of two means, they are the 95 % interval of this ratio.
 
     The shape is (..., 2).
     Both means are over positive values of blocks (B, ...).

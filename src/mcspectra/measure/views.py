@@ -44,8 +44,7 @@ class FrequencySettings:
     # Largest number of frequencies of a default half width, 2^17.
     # In 2-D a half width of 128 fits, and one spectrum takes 1 MiB in half storage.
     most_frequencies: int = 2**17
-    # The half width is halved if nearly all of Σ|f_m|² lies within its half.
-    # A smaller fraction than this may lie beyond.
+    # The half width is halved if less than this fraction of Σ|f_m|² is lost.
     # The value is about ten roundings of float64.
     rounding: float = 1e-15
     # Number of points that estimate mean squares of weights and of functions.

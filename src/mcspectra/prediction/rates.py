@@ -54,8 +54,9 @@ __all__ = [
 ]
 
 DECAYS = {"jump": 1.0, "kink": 3.0, "smooth": math.inf}
-"""Values of γ − d for a jump of g, for a jump of first derivatives (a kink), and without a jump.
+"""Values of γ − d for three kinds of g: with a jump, with a kink, and without either.
 
+A kink is a jump of first derivatives.
 Here γ is the decay of |f_m|², and d the number of dims. Jumps are across a hypersurface.
 """
 
