@@ -12,7 +12,8 @@ The changes of these kinds keep the integral, whatever the evaluations of g are:
   After the rotation, g varies most along the first coordinates of z ([Liu2023]_).
   This helps because the first coordinates of nets are the best;
 * *regression*: g minus fitted polynomials of mean 0;
-* *preintegrated*: g averaged along the first direction. Along it, g jumps or leaves 0 at a point.
+* *preintegrated*: g is averaged along lines in the first direction.
+  At one point of each line, g jumps or becomes nonzero.
   The mean has three parts: one on each side of this point, and one over a bracket around it.
     Each part of the mean is sampled at one or two points.
   The bracket depends on the other coordinates only.
@@ -439,7 +440,7 @@ class Cubic(_Changed):
 
     @staticmethod
     def of(estimator: AbstractEstimator, order: int) -> Cubic:
-        """Return this change of g. The estimator must have a single technique."""
+        """Return this change for the integrand g of an estimator with a single technique."""
         return Cubic(integrand=_single(estimator), order=order)
 
     @property
@@ -520,7 +521,7 @@ class Periodized(_Changed):
 
     @staticmethod
     def of(estimator: AbstractEstimator, order: int, seen: Evaluations | None = None) -> Periodized:
-        """Return this change of g. The estimator must have a single technique.
+        """Return this change for the integrand g of an estimator with a single technique.
 
         The constant c is the mean of evaluations at uniform points.
         Without evaluations, it is the value of g at the center of the cube.

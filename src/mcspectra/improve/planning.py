@@ -794,7 +794,7 @@ def _can(estimator: AbstractEstimator, sampler: Sampler, n: int) -> bool:
 
 
 def _is_measured(estimator: AbstractEstimator) -> bool:
-    """Return whether an evaluation is too costly for predictions (they take millions of them)."""
+    """Return whether evaluations are too slow for predictions, which need millions of them."""
     techniques = range(len(estimator.counts))
     return estimator.is_black_box or any(estimator.primary_integrand(t).costly for t in techniques)
 

@@ -59,7 +59,7 @@ class RemedySettings:
     # If all estimates of a set-up are equal, they must agree with the exact integral.
     # This is the largest allowed relative difference.
     # Means are rounded to about 1e-15.
-    # The limit is larger, because a sum can cancel to 1e-6 of the size of its terms.
+    # The limit is much larger, because a sum can cancel to 1e-6 of the size of its terms.
     exact_tolerance: float = 1e-9
     # Largest allowed difference from an integral that was computed by quadrature or by many points.
     # This limit is larger, because the estimated error of such an integral can be too small.

@@ -74,17 +74,17 @@ _LEAST_INSET = 2.0**-51  # Least distance to a corner, as a fraction of its coor
 # Near a corner, f may differ from its polynomial by this multiple of the last coefficients.
 # A larger difference indicates a jump
 _SMOOTH = 100.0
-# Least number of nonzero residuals for which their standard error replaces the error of boxes
+# If at least this many residuals are not 0, their standard error replaces the error of boxes
 _LEAST_SEEN = 30
 _LOOKS = 2  # Number of points of the second probe, as a multiple of the first
 # Smallest size of a box as a fraction of its coordinates, and smallest size next to 0
 _SMALLEST, _TINIEST = 2.0**-44, 2.0**-500
-# Number of levels from which the ratio of successive differences is computed, and its upper limit
+# Upper limit of the ratio of successive differences, and number of levels that give the ratio
 _SLOW, _LEVELS = 0.99, 4
 _HALVES, _UNSETTLED = 0.55, 1.5
 
 _LINE, _END = 2**14, 2.0**-40  # Number of steps along a line, and position of its first point
-_CANDIDATES = 16  # Number of steps of a line, the largest ones, in which a jump is searched for
+_CANDIDATES = 16  # Jumps are searched for in this many of the largest steps of a line
 # Number of times that a step is cut in two, which reduces its width to 2^-46.
 # Cuts are not at the middle, to avoid dyadic fractions
 _CUTS, _CUT = 34, 0.4871
@@ -420,7 +420,7 @@ def search_breaks(
     spread = np.where(seen.std(axis=0) > 0.0, seen.std(axis=0), np.inf)
     lines = points[np.unique([0, 1, *seen.argmin(axis=0), *seen.argmax(axis=0)])]
     rows, steps = np.arange(len(lines))[:, None], (np.arange(_LINE) + math.sqrt(0.5)) / _LINE
-    # Each tuple describes a break: is it a peak (else a jump), its negative height, axis, position
+    # Each break is a tuple: whether it is a peak, its height times −1, its axis and its position
     found: list[tuple[bool, float, int, float]] = []
     for axis in range(dims):
 

@@ -26,7 +26,7 @@ __all__ = [
     "GenzProductPeak",
 ]
 
-# Range of the variable log s of an integral, where log(d + 1) is added to the right end.
+# Range of log s in an integral over s. The right end is increased by log(d + 1).
 # To the right of this range, e^−s is negligible
 _LEFT, _RIGHT = -40.0, 5.0
 

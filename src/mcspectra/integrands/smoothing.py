@@ -30,7 +30,7 @@ from mcspectra.integrands.registry import as_integrand
 __all__ = ["BoxSmoothed", "EdgeSmoothed", "smoothed"]
 
 _METHODS = ("auto", "distance", "box")
-# The mean over edges is an integral over τ. For each 8 cycles of a wave it has 32 Gauss nodes.
+# The mean over edges is an integral over τ. It has 32 Gauss nodes for each 8 cycles of a wave.
 # Its error is then at the level of rounding
 _CYCLES, _ORDER = 8, 32
 _MOST_NODES = 4096

@@ -2,8 +2,8 @@
 
 docs/theory.md, "Analysis by axes", derives both methods of this module.
 `anova_variances` uses pick-freeze estimates [Sobol2001]_ with whole point sets.
-The true covariance of the whole set of axes with the empty set of axes is 0.
-Its estimate is subtracted from the estimates for all other subsets.
+For the empty set of axes, the true covariance is 0.
+The estimate of this covariance is subtracted from the estimates for all other sets.
 These estimates have nearly equal errors, which cancel. Shares near 1 are therefore precise.
 
 `anova_spectrum` draws frequencies with the probability q(m) = Π_{i∈u} q_1(m_i).
@@ -199,7 +199,7 @@ class Anova(Counted, frozen=True, kw_only=True):
         """Return the dataset for estimates (S, R, channels), one for each kept subset of axes.
 
         The first subset has all axes.
-        Its covariance with the estimates of another subset gives the share of that other subset.
+        The covariance of the first estimates with those of a subset gives the share of the subset.
         """
         moments, count = Moments.of(estimates[0], tails=True), estimates.shape[1]
         # Products of deviations, whose means over realizations are covariances: (S, R, channels)
@@ -551,7 +551,7 @@ def anova_spectrum(
     ------
     NoClosedForm
         If the coefficients are not exact, the points have a density, or frequencies are correlated.
-        `anova_variances` also works without these three conditions.
+        The function `anova_variances` also works in these cases.
     ParameterError, CountError
         If a value is out of range, or the frequencies would not fit into memory.
 
@@ -609,7 +609,7 @@ def _least(shares: Array) -> Array:
 def _least_ci(ends: Array) -> Array:
     """Return the 95 % intervals of an effective dimension, one for each channel: (channels, 2).
 
-    The interval ends `ends` of the shares have the shape (number of axes, channels, 2).
+    The array `ends` has the interval of each share: (number of axes, channels, 2).
     """
     least = _least(ends)[..., ::-1]
     unknown = np.asarray(np.isnan(ends).any(axis=(0, 2)))[:, None]

@@ -145,7 +145,7 @@ def sampler_bench(
         A spec string gives one sampler for each number in `dims`.
         Sampler objects and arrays are used only in the number of dims that they have.
         Sets that are always the same are randomized before variances are measured.
-        Digital nets get an Owen scrambling, and other sets get a random shift.
+        Digital nets are randomized by Owen scrambling, and other sets by a random shift.
         Given sets are also randomized if there are fewer than 16 sets with the same count.
         Points of files are recognized as nets in base 2, 3 or 5.
     counts

@@ -176,7 +176,7 @@ class Convergence(Counted, frozen=True, kw_only=True):
         )
 
     def reduction(self, subject: Subject, stream: Stream) -> Steps:
-        """Yield the next realizations of each unfinished cell (estimators, sampler and count)."""
+        """Yield the next realizations of each unit of work that is not finished."""
         cells = self._cells(subject, stream)
         found = yield from in_step([
             cell.all_of(part, self.realizations)
@@ -290,7 +290,7 @@ class Convergence(Counted, frozen=True, kw_only=True):
         return self._cells(subject, stream)[part].run(part, first, realizations)
 
     def _cells(self, subject: Subject, stream: Stream) -> list[MomentsCell]:
-        """Return cells: each has a group of estimators, one sampler and one count.
+        """Return units of work: each has a group of estimators, one sampler and one count.
 
         Estimators of one technique share the sampler's points, unless they have their own `draw`.
         Therefore they also share realizations.

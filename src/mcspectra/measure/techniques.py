@@ -269,7 +269,8 @@ def technique_terms(
         ``dc_term``, ``power_term`` and ``cross_term`` are the same as in `variance_terms`.
         In the domain, each of these three terms is a sum over all pairs of techniques.
         In primary space each technique has its own frequencies.
-        The dc and power terms then contain no pairs of techniques. The cross term is the rest.
+        The dc and power terms then contain no pairs of different techniques.
+        The cross term is the rest of the variance.
         ``captured`` has the interval ``captured_ci``.
 
         ``technique_variance(technique)`` with ``_ci`` is the diagonal of the covariances.

@@ -222,7 +222,7 @@ def task_curves(
 
 
 def prediction(group: Group, styles: Styles) -> Plot:
-    """Plot predicted variances against n with rates, or by method at the largest n."""
+    """Plot predicted variances against n with rates and kinks, or by method at the largest n."""
     if any("method" in each.dims for each in group.values()):
         return _by_method(group, styles)
     caption = (
@@ -651,7 +651,7 @@ def estimates(group: Group, styles: Styles) -> Plot:
 
 
 def below_rounding(data: xr.Dataset) -> bool:
-    """Whether variances are rounding noise, so that a curve has no rate, but not all are zero."""
+    """Whether a curve has no rate because of rounding. Not all of its variances are zero."""
     variance = data["variance"].values
     finite = variance[np.isfinite(variance)]
     return bool(finite.size > 1 and (finite > 0).any() and usable_counts(data).sum() < 2)

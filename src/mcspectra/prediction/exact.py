@@ -109,7 +109,8 @@ EXACT_TOLERANCE = 1e-6
 class ExactSettings:
     """Settings for the agreement of quadratures, and for the cells of curves along axes.
 
-    Comments say where results are the same: no variance of twelve cases changes by over 1e-9.
+    Some comments say that results are the same.
+    This means that no variance changes by more than 1e-9 in twelve cases.
     The cases are sums and products with jumps, kinks and poles, a wave, a disk and a ridge.
     Every case was measured with n = 64 and 1024 points.
     """
@@ -314,8 +315,8 @@ def of_integrand(
     Raises
     ------
     NoClosedForm
-        If `exact_variance` raises this error for g. Also if the error exceeds `tolerance` times
-        the variance, or if a rule would take more than about `most` evaluations.
+        If `exact_variance` raises this error, or the error exceeds `tolerance` times the variance.
+        This error is also raised if a rule would take more than about `most` evaluations.
     """
     g, lines = looked_at(g), False
     if not (in_closed_form(g) or g.costly):

@@ -229,7 +229,7 @@ def _energies(
     """Return energies of single axes and moments of the fit, and energies of g minus the fit.
 
     The energies of g minus the fit have shape (replicates, 4).
-    Column 0 holds the total energy in several axes. Each other column is for parts in `_MULTIPLES`.
+    Column 0 holds the energy of several axes. Each other column is for one entry of `_MULTIPLES`.
     """
     singles, means, covariances = np.zeros((len(p.main[0]), 3)), list[Array](), list[Array]()
     own, centers = len(p.main[0]), list[Array]()

@@ -107,7 +107,7 @@ __all__ = [
 ]
 
 _OFFSET = 0.5 - 0.5 / 3**0.5
-"""Offset c of strata, in units of their width. Its c(1 − c) is 1/6, the mean over all offsets.
+"""An offset c of strata, as a fraction of their width. c(1 − c) is 1/6, its mean over all c.
 
 The variance from jumps at the faces of the cube is proportional to c(1 − c).
 """
@@ -135,7 +135,7 @@ class QuadratureSettings:
         Values from 2^20 to 2^24 give the same results for the same samplers.
     most_breaks
         Largest number of breaks of g for the quadrature of shifted strata in several dims.
-        Every break along an axis divides the offsets, so the number of parts grows as a power d.
+        Breaks divide the range of offsets along each axis. The number of parts grows as a power d.
     """
 
     tolerance: float = 0.01
@@ -152,7 +152,8 @@ class AutoSettings:
     ----------
     moved, measured
         Largest half intervals of sums of products, relative to the variance.
-        Above `moved`, random offsets of the set are evaluated. Above `measured`, sets are measured.
+        If an interval is wider than `moved`, random offsets of the set are evaluated.
+        If it is wider than `measured`, realizations are measured.
         8,192 offsets have a standard error of √(2/8192) = 1.6 % and intervals of 3 %.
         Extrapolations have intervals of about a fifth.
     ahead, most_ahead
@@ -515,7 +516,7 @@ class Method:
 
 
 def _mirrored(law: Law) -> bool:
-    """Return whether points are mirrored or folded. Methods then use the set before that."""
+    """Return whether points are mirrored. Methods then use another g and the inner set."""
     return isinstance(law, Folded | Mirrored) and not law.inner.fixed
 
 
@@ -1089,7 +1090,7 @@ def predict(
     xarray.Dataset
         ``predicted_variance(n)`` has the 95 % interval ``predicted_variance_ci(n, bound)``.
 
-        ``energy_share(n)`` is the part of ∫g² that was summed term by term.
+        ``energy_share(n)`` is the part of ∫g² for which a method computes every term of a sum.
         Methods that sum over frequencies give the part of ∫f². Methods without such sums give 1.
         ``tail_variance(n)`` is the part of the variance that comes from the rest of ∫g².
 
@@ -1188,7 +1189,7 @@ class Predictor:
     ) -> None:
         """Set up a predictor.
 
-        If `measured` is given, variances are measured. It holds the settings for each sampler.
+        If `measured` is given, variances are measured. It maps each sampler to its settings.
         The measurements use at most `limit` evaluations.
         """
         self.estimator, self.measured, self._limit = estimator, measured, limit

@@ -179,7 +179,7 @@ def design(
     family, sampler, budget, defensive
         Options of a density, which are passed to `learned_density`.
         The default of `family` is ``"mixture"``, and the default of `sampler` ``"sobol | owen"``.
-        In `learned_density`, the option `budget` has the name `evaluations`.
+        The option `budget` is passed on as the number of evaluations.
     settings
         Settings for the search of a sampler (`mcspectra.improve.designs.searches.SearchSettings`).
 
@@ -437,7 +437,7 @@ def _sums_of_groups(
 
 
 def _ratio(above: Array, below: Array) -> tuple[float, float, float]:
-    """Return the ratio of sums of values of groups, with its 95 % interval from a jackknife."""
+    """Return the ratio of two sums. A jackknife over groups gives its 95 % interval."""
     groups, ratio = len(above), float(above.sum() / below.sum())
     left = (above.sum() - above) / (below.sum() - below)
     error = float(np.sqrt((groups - 1) / groups * ((left - left.mean()) ** 2).sum()))
@@ -446,7 +446,10 @@ def _ratio(above: Array, below: Array) -> tuple[float, float, float]:
 
 
 def _better_rival(goal: Objective, made: Sampler, n: int, stream: Stream) -> tuple[Sampler, str]:
-    """Return the design with an empty text, or a better usual sampler with a text that says so."""
+    """Return the design, or a usual sampler with less variance.
+
+    The second result is a sentence about the other sampler, or empty for the design.
+    """
     realizations = _SETTINGS.check_realizations
     members = _SETTINGS.check_evaluations // (n * realizations)
     members = min(_SETTINGS.check_members, max(_SETTINGS.groups, members))

@@ -9,13 +9,13 @@ If sets are folded after the shift, both statements hold for g(x) = f(1 − |2x 
 This function g is continuous on the torus [Hickernell2002]_.
 Each search tries plain sets and folded sets, and keeps the kind with less variance.
 
-No shift is needed by sets of cells that together contain each cell of a grid exactly once.
+If sets together contain each cell of a grid exactly once, they need no shift.
 *Features* are functions φ_t with Σ_t φ_t(x) φ_t(y) = Cov(f(x), f(y)) at centers of cells.
 The variance is the mean over sets of Σ_t (mean φ_t)².
 Exchanges of cells between sets lower this variance.
 Exchanges start from random sets, or from the cosets of a digital net if these are better.
 All points of a set have the same offset within their cells, except for reflections.
-Reflection changes the sign of a slope. For each feature, the slopes in a set then nearly cancel.
+A reflection changes the sign of a feature's slope. Signs are chosen so that the slopes cancel.
 """
 
 from __future__ import annotations
@@ -354,7 +354,7 @@ def _tables(
         power[0], tail = 0.0, _FOLD if fold else ""
         power = power / float(len(x)) ** 2
         yield f" | digital-shift{tail}", hadamard(power)
-        if owen:  # Average the power over Walsh functions whose last nonzero digits agree
+        if owen:  # Average over Walsh functions whose last nonzero digits have the same positions
             codes = np.arange(len(power))
             level = np.zeros(len(power), np.int64)
             for axis in range(dims):
@@ -412,7 +412,7 @@ def _nets(
                             best, columns = value, trial
             else:
                 columns = sobol.copy()
-                if start > 1:  # Add random higher rows to each row, which keeps t
+                if start > 1:  # Add higher rows to each row at random, which keeps the quality t
                     for j, r in itertools.product(range(dims), range(1, rows)):
                         mixed = columns[j] >> rows - r & generator.integers(0, 1 << r)
                         columns[j] ^= (np.bitwise_count(mixed) & 1).astype(np.int64) << rows - 1 - r
@@ -554,9 +554,9 @@ def _shared(
 def _cosets(
     objective: Objective, n: int, sides: Array, stream: Stream, settings: SearchSettings
 ) -> Array | None:
-    """Return for each cell the index of a coset of a digital net, (N,); sides are powers of two.
+    """Return for each cell the index of the coset of a digital net that contains the cell, (N,).
 
-    The coset contains the cell.
+    The numbers of cells along the axes, `sides`, are powers of two.
     """
     if n < 4 or (np.append(sides, n) & np.append(sides, n) - 1).any():
         return None
