@@ -45,7 +45,7 @@ class ImageErrorSettings:
     Attributes
     ----------
     most_dims
-        Largest number of dims. In 4 dims, half width 31 already gives `most_values` coefficients.
+        Largest number of dims. In 4 dims, half width 31 gives nearly `most_values` coefficients.
         Fast transforms exist only in up to 3 dims.
     most_values
         Largest number of coefficients, or of points of one image: 256 MiB of complex numbers.
