@@ -83,7 +83,7 @@ class CheckSettings:
         In 6 dims and more there would be fewer than three frequencies along each axis.
     cells
         Number of cells along each axis, by number of dims, for samples of the autocorrelation of g.
-        The sampling error of ∫g² from these samples cancels in the result.
+        The mean of these samples is subtracted, so that their sampling error cancels.
         A linear interpolant of a wave of frequency k has the relative error (2πk/cells)²/8.
         The relative error is 5e-6 k² in 2-D and 5e-9 k² in 1-D.
     most_points
