@@ -1,4 +1,6 @@
-"""Changes of estimators by evaluations of g: densities, control variates, rotations, smoothing.
+"""Changes of estimators, fitted to evaluations of g.
+
+The changes are densities, control variates, rotations and smoothing.
 
 All changes apply to the primary-space integrand g on the unit cube.
 Therefore every change can be used with any estimator of one technique.
@@ -6,11 +8,12 @@ The changes of these kinds keep the integral, whatever the evaluations of g are:
 
 * *fitted*: g(T(u))/q(T(u)) with uniform u. The density q consists of splines (`learned`).
  Another choice of q is a normal density of z = Φ⁻¹(u) with the moments of |g|;
-* *order*: the same with q = 1, where T rotates z by an orthogonal matrix.
+* *order*: g(T(u)), where T rotates z by an orthogonal matrix; there is no density q.
   After the rotation, g varies most along the first coordinates of z ([Liu2023]_).
   This helps because the first coordinates of nets are the best;
 * *regression*: g minus fitted polynomials of mean 0;
-* *preintegrated*: means along the first direction, in which g jumps or leaves 0 at one point.
+* *preintegrated*: g is averaged along lines in the first direction.
+  At one point of each line, g jumps or becomes nonzero.
   The mean has three parts: one on each side of this point, and one over a bracket around it.
     Each part of the mean is sampled at one or two points.
   The bracket depends on the other coordinates only.
@@ -134,7 +137,7 @@ class RegressionSettings:
     # For example, half of E z⁸ comes from |z| > 2.9, a region of probability 0.004.
     most_normal_degree: int = 3
     # Number of leading directions of z for which separate bases are tried.
-    # A basis of few coordinates may have more terms.
+    # In fewer directions, a basis with the same number of terms has higher degrees.
     # With one direction, the remaining variance of a ridge is 1.6 times as large.
     # With four, the remaining variance of an Asian option in 16-D is 1.1 times as large.
     turned: int = 2
@@ -172,7 +175,7 @@ class Evaluations:
 
     @cached_property
     def halves(self) -> tuple[Evaluations, Evaluations]:
-        """Evaluations with odd and with even numbers. Neighbors are in different halves."""
+        """Evaluations with odd index, and with even index. Neighbors are in different halves."""
         odd = np.arange(len(self.points)) % 2 == 1
         return self.part(odd), self.part(~odd)
 
@@ -219,7 +222,8 @@ class Evaluations:
     def variance(self, pdf: Array | None = None) -> float:
         """Return the variance of g/q at points of density q, by default the uniform density.
 
-        The variance is computed as a mean of squares about a ratio of means.
+        A ratio of weighted sums estimates the mean.
+        The variance is the mean square deviation from this ratio.
         This avoids cancellation if g/q is almost constant.
         """
         q = np.ones(len(self.pdf)) if pdf is None else pdf
@@ -436,7 +440,7 @@ class Cubic(_Changed):
 
     @staticmethod
     def of(estimator: AbstractEstimator, order: int) -> Cubic:
-        """Return the change of the integrand of an estimator that has a single technique."""
+        """Return this change for the integrand g of an estimator with a single technique."""
         return Cubic(integrand=_single(estimator), order=order)
 
     @property
@@ -517,7 +521,7 @@ class Periodized(_Changed):
 
     @staticmethod
     def of(estimator: AbstractEstimator, order: int, seen: Evaluations | None = None) -> Periodized:
-        """Return the change of the integrand of an estimator that has a single technique.
+        """Return this change for the integrand g of an estimator with a single technique.
 
         The constant c is the mean of evaluations at uniform points.
         Without evaluations, it is the value of g at the center of the cube.
@@ -784,13 +788,14 @@ def improvements(
     Parameters
     ----------
     given
-        A set-up with an estimator of one technique.
+        A set-up whose estimator has a single technique.
     seen
         Evaluations of the set-up's `primary_integrand`; only ``fitted`` accepts non-uniform points.
     kinds
         Kinds of change, some of `CHANGES`.
     charged
-        Number of evaluations that count as the pilot of each change; 0 if they were needed anyway.
+        Number of pilot evaluations that are added to the cost of each change.
+        It is 0 if these evaluations were made for another purpose anyway.
     settings
         Settings of the changes.
 

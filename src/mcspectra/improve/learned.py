@@ -100,7 +100,7 @@ class LearnSettings:
     # With fewer points, nets do not resolve the splines.
     fewest_divisor: int = 16
     # Maximum number of evaluations in a fit.
-    # With 2048 instead of 4096 evaluations, the variances of these tests change by −21 to +12 %.
+    # With 2048 instead of 4096 evaluations, variances of two test functions change by −21 to +12 %.
     most_fitted: int = 2**13
     # Number of points in a block of the sums of a fit. All machines then compute the same bits:
     # BLAS does not use threads for products of blocks of 128 points.
@@ -138,7 +138,7 @@ class LearnSettings:
     # Weight that is added to every spline at the start of a fit, so that logarithms are finite.
     # For values from 1e-8 to 1e-4, the variances differ by 0.3 % at most.
     least_weight: float = 1e-6
-    # A density is kept only if it lowers the variance of uniform points at least to this fraction.
+    # A density is kept only if its variance is at most this fraction of that with uniform points.
     # Smaller gains are within the errors of six sets, and uniform points are always safe.
     most_ratio: float = 0.5
     # Least number of evaluations for each weight of a flow.
@@ -326,7 +326,8 @@ class _Seen:
 
             return used, loss
 
-        # Let each axis depend on the axes whose gates change the product of splines most.
+        # Let each axis depend on the axes that change the density most.
+        # A gate is the weight of such a dependence. The slope of the loss shows which gates matter.
         # The number of points limits how many dependences between axes are fitted
         each = self.settings.evaluations_per_gate
         gates, most = np.zeros(shape), self.rho.size // (each * shape[1] * DEGREE)

@@ -7,7 +7,8 @@ Scrambled nets give the variance of several samplers at once (`mcspectra.explain
 Other samplers draw their own sets.
 A measurement has stages. Each stage doubles the evaluations, and none is repeated.
 The measurement ends at the first stage whose interval of n is narrow enough.
-A smaller error never takes fewer points. Every search uses the error in comparisons only.
+A smaller target error never gives fewer points, because it does not change any simulation.
+The target error is only compared with the errors of the simulations.
 No stage returns an n that an earlier stage excluded.
 """
 
@@ -51,7 +52,7 @@ _TINY = float(np.finfo(float).tiny)
 @final
 @dataclass(frozen=True)
 class PlanSettings:
-    """Settings of the search for the least count by predictions."""
+    """Settings of plans that predict the variance, to find the least sufficient n."""
 
     # Largest power of two at which variances are predicted.
     # For larger n the curve is extrapolated by its rate.
@@ -77,7 +78,8 @@ class PlanSettings:
 class MeasuredPlanSettings:
     """Settings of plans that evaluate a function."""
 
-    # Limit on evaluations, whatever the user allows: the points of a stage take 128 MB in 1-D.
+    # Limit on evaluations, even if the user allows more.
+    # In 1-D the points of the last stage take 128 MB.
     most: int = 2**24
     # Number of evaluations of the first stage, equal to the default of `profile`.
     first: int = 2**12
@@ -86,8 +88,9 @@ class MeasuredPlanSettings:
     nets: int = 32
     # The number of sets is doubled once in this many stages.
     # In all other stages, the number of points per set is doubled.
-    # With 3, 2^18 evaluations consist of 128 sets, and the variance has a standard error of 12 %.
-    # With 2, sets have half as many points, and rates of functions with jumps become uncertain.
+    # With doubling = 3, there are 128 sets at 2^18 evaluations.
+    # The standard error of the variance is then 12 %.
+    # With doubling = 2, sets are half as large. Rates of functions with jumps become uncertain.
     doubling: int = 3
     # Least number of points in each set of the first stage.
     # With 8 points, parts of a set give variances at smaller counts, and these give a rate.
@@ -96,10 +99,11 @@ class MeasuredPlanSettings:
     least_sets: int = 3
     # The measurement stops if the ratio of the ends of the interval of n is below this value.
     narrow: float = 1.5
-    # Number of sets of n points that is enough for any n.
+    # Number of sets for which a measurement of the variance is precise enough.
     # A variance from 256 sets has a relative standard error of √(2/256) = 9 %.
     enough: int = 256
-    # Number of counts per octave of the piecewise linear curve that is compared with the error.
+    # The target error is compared with a piecewise linear curve of the variance.
+    # This is the number of counts per octave on the curve.
     parts: int = 16
 
 
@@ -198,7 +202,7 @@ class Plan(Counted, frozen=True, kw_only=True):
         return [NETS] * nets + [spec for spec in apart if spec not in fixed]
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[xr.Dataset]:
-        """Plan in one block, because each step of the search depends on the previous step."""
+        """Compute the plan as one task, because each step of the search needs the previous step."""
         return whole(lambda: self._planned(subject, stream))
 
     def _planned(self, subject: Subject, stream: Stream) -> xr.Dataset:
@@ -790,7 +794,7 @@ def _can(estimator: AbstractEstimator, sampler: Sampler, n: int) -> bool:
 
 
 def _is_measured(estimator: AbstractEstimator) -> bool:
-    """Return whether an evaluation is too costly for predictions, which take millions."""
+    """Return whether evaluations are too slow for predictions, which need millions of them."""
     techniques = range(len(estimator.counts))
     return estimator.is_black_box or any(estimator.primary_integrand(t).costly for t in techniques)
 

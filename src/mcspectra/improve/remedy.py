@@ -46,24 +46,26 @@ class RemedySettings:
     """Settings of the comparison of remedies."""
 
     # Number of budgets at which each set-up is measured: B/256, B/64, B/16, B/4 and B.
-    # A rate from five budgets leaves three degrees of freedom for the lack of fit.
+    # A rate is the slope of a line through the errors at five budgets.
+    # The deviations from the line have three degrees of freedom.
     steps: int = 5
     # Ratio of successive budgets. A smaller ratio costs more.
     # The sum of all budgets is 1/(1 − 1/ratio) = 4/3 times the largest budget.
-    # With a larger ratio, only two or three budgets would be large enough for two points.
+    # With a larger ratio, the smallest budgets would not pay for two points.
     ratio: int = 4
     # Expected number of changes of each kind, for estimates of cost and memory before a run.
     # For functions in 2-D, all 16 kinds together make 18 to 25 changes; ``sampler`` makes eight.
     tries: int = 3
-    # Equal estimates agree with an exact integral if their relative difference is at most this.
+    # If all estimates of a set-up are equal, they must agree with the exact integral.
+    # This is the largest allowed relative difference.
     # Means are rounded to about 1e-15.
-    # The margin allows for values that cancel to 1e-6 of their size.
+    # The limit is much larger, because a sum can cancel to 1e-6 of the size of its terms.
     exact_tolerance: float = 1e-9
-    # The same limit for an integral by quadrature or by many points.
+    # Largest allowed difference from an integral that was computed by quadrature or by many points.
     # This limit is larger, because the estimated error of such an integral can be too small.
     # Equal estimates that miss a rare event differ from the integral by far more than this.
     quadrature_tolerance: float = 1e-3
-    # Differences up to this number of standard errors of such an integral are also allowed.
+    # If the integral is an estimate, a difference of this many standard errors is also allowed.
     # A normal error exceeds 4 standard errors with probability 6e-5.
     sigmas: float = 4.0
 
@@ -219,7 +221,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
         for step, n in _affordable(setup, self.budget).items():
             try:
                 estimator = setup.at(n)
-            except McspectraError:  # The edges need more strata
+            except McspectraError:  # The strata need a larger n to have borders at all edges of g
                 continue
             cost.append(n * setup.cost + setup.overhead)
             own = stream.child(step)

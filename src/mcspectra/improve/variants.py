@@ -285,5 +285,5 @@ def mirror_study(
 
 
 def _of(measured: xr.Dataset, *names: str) -> Variables:
-    """Return some of the measured variables, which become part of another dataset."""
+    """Return the named variables of a dataset in the form that another dataset accepts."""
     return {name: (tuple(map(str, measured[name].dims)), measured[name].values) for name in names}

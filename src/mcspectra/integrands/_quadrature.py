@@ -55,8 +55,9 @@ _FOURIER_TOLERANCE = 1e-10
 _BLOCK = 2**18  # Number of points that are evaluated at once
 _CACHED = 2**17  # Maximum number of floats of a block in the processor's cache
 
-_PRODUCT_NODES = {1: 512, 2: 512, 3: 64, 4: 32}  # Nodes per axis for the other product bases
-# Nodes per axis of a cell, for bases of functions that are constant in cells
+# Least number of nodes per axis for bases whose functions are not constant in cells
+_PRODUCT_NODES = {1: 512, 2: 512, 3: 64, 4: 32}
+# Number of nodes along each axis of a cell. It is for bases that are constant in each cell
 _CELL_NODES = {1: 64, 2: 16, 3: 4, 4: 2}
 _CELLS = {1: 32, 2: 8, 3: 4, 4: 2, 5: 2}
 _CELL_ORDER = {1: 16, 2: 8, 3: 6, 4: 5, 5: 4}
@@ -70,23 +71,28 @@ _SIGMAS = 3.0
 # The first number is for 1-D, and the second for more dims
 _INSET = (1e-10, 1e-6)
 _LEAST_INSET = 2.0**-51  # Least distance to a corner, as a fraction of its coordinate
-# Near a corner, smooth functions change by at most this multiple of the last coefficients
+# Near a corner, f may differ from its polynomial by this multiple of the last coefficients.
+# A larger difference indicates a jump
 _SMOOTH = 100.0
-_LEAST_SEEN = 30  # The spread of residuals gives an error if at least this many are not 0
+# If at least this many residuals are not 0, their standard error replaces the error of boxes
+_LEAST_SEEN = 30
 _LOOKS = 2  # Number of points of the second probe, as a multiple of the first
-# Smallest sizes of a box: as a fraction of its position, and for a box at 0
+# Smallest size of a box as a fraction of its coordinates, and smallest size next to 0
 _SMALLEST, _TINIEST = 2.0**-44, 2.0**-500
-# Largest ratio between differences of successive levels, and number of levels for this ratio
+# Upper limit of the ratio of successive differences, and number of levels that give the ratio
 _SLOW, _LEVELS = 0.99, 4
 _HALVES, _UNSETTLED = 0.55, 1.5
 
 _LINE, _END = 2**14, 2.0**-40  # Number of steps along a line, and position of its first point
-_CANDIDATES = 16  # Number of steps of a line that are searched for jumps: the largest ones
-# Number of cuts of a step, down to 2^-46. Cuts are not at the middle, to avoid dyadic fractions
+_CANDIDATES = 16  # Jumps are searched for in this many of the largest steps of a line
+# Number of times that a step is cut in two, which reduces its width to 2^-46.
+# Cuts are not at the middle, to avoid dyadic fractions
 _CUTS, _CUT = 34, 0.4871
-# Number of peaks of a line, number of halvings around each, and growth that indicates a pole
+# Number of peaks that are examined on a line, and number of halvings of the interval at each.
+# If the values grow by more than the third number, the peak is a pole
 _PEAKS, _CLIMBS, _GROWN = 4, 24, 4.0
-_STAYS = 0.5  # Fraction of the change over the first step that must remain at a jump
+# At a jump, at least this fraction of the change across the first step remains after all cuts
+_STAYS = 0.5
 # Offset of a second line, and distance from a jump at which the two lines are compared
 _ASIDE, _ABOUT = 2.0**-20, 2.0**-30
 _SAME_BREAK = 2.0**-40
@@ -118,14 +124,14 @@ def gauss_rule(order: int) -> tuple[Array, Array]:
 @final
 @dataclass(frozen=True)
 class Estimate:
-    """A computed value.
+    """A value that was computed with an estimate of its error.
 
     Attributes
     ----------
     value, error, method
         The value, an estimate of its largest absolute error, and the name of the method.
     unseen
-        Part of the error, by channel, that comes from regions which only test points (`probe`) hit.
+        Part of the error, by channel, from regions that contain test points (`probe`) but no nodes.
         None if the nodes resolve f at all of these test points.
     """
 
@@ -288,8 +294,9 @@ def adaptive_integral(
     Second, f at a point of the probe differs from the polynomial through the nodes of a part.
 
     The error is the sum of the last differences, and of an estimate of all later ones.
-    An alternative is to correct the value by the mean over the probe of f minus the polynomials.
-    The error of the corrected value is three standard errors of this mean.
+    There is also a second value. The means of the polynomials are corrected at the probe's points:
+    the correction is the mean of f minus the polynomials.
+    The error of this second value is three standard errors of the correction.
     Of the two values, the one with the smaller error is used.
 
     If boxes were divided only because of the probe, other regions may have been missed.
@@ -371,7 +378,7 @@ def adaptive_integral(
     biased = ~better_known & (_SIGMAS * np.abs(shift) > 2.0 * spread)
     total = np.where(better_known, total + shift, total)
     error = np.where(better_known, spread, np.where(biased, error + np.abs(shift) + spread, error))
-    # Add the error from jumps in cells that are neglected, because their weight is small
+    # Jumps in cells of negligible weight were not resolved. Add their error
     error += _SIGMAS * _INTEGRAL_TOLERANCE * scale
     error += _FOUND * sum(map(len, breaks)) * np.ptp(probed, axis=0)
     if not surprises.any():
@@ -404,7 +411,7 @@ def search_breaks(
     Other lines go through the points of the probe where f is least and greatest.
     The largest steps of each line are cut down to 2^-46. If a step remains, it is a jump or a pole.
     A jump is normal to the axis if a neighboring line jumps at the same position.
-    Boxes and tables are then cut at it, because their nodes or cells could miss a thin slab.
+    Boxes and tables are then cut at this position, because they could miss a thin slab.
     If all breaks would make too many boxes, those with the largest jumps are used.
     """
     dims, points = function.dims, probe(function.dims)
@@ -413,7 +420,7 @@ def search_breaks(
     spread = np.where(seen.std(axis=0) > 0.0, seen.std(axis=0), np.inf)
     lines = points[np.unique([0, 1, *seen.argmin(axis=0), *seen.argmax(axis=0)])]
     rows, steps = np.arange(len(lines))[:, None], (np.arange(_LINE) + math.sqrt(0.5)) / _LINE
-    # Tuples of the breaks: whether there is a peak, minus its height, axis, position
+    # Each break is a tuple: whether it is a peak, its height times −1, its axis and its position
     found: list[tuple[bool, float, int, float]] = []
     for axis in range(dims):
 
@@ -500,8 +507,9 @@ def _at_points(function: QuadratureIntegrand, points: Array) -> Array:
 
 
 def _after(left: list[Array]) -> Array:
-    """Return the sum of all later differences, divided by the last, from a geometric series.
+    """Return the sum of all later differences as a multiple of the last difference.
 
+    The differences are taken to form a geometric series.
     If each difference is half of the difference before, the sum is 1.
     Next to a pole, the differences between levels shrink slowly, and their ratio still rises.
     Therefore, if the ratio exceeds 0.55, the sum is increased by half.
@@ -602,7 +610,7 @@ def _slivers(values: Array, corners: Array) -> Array:
 
     The bound is divided by the volume of the box. f may jump beyond the outer nodes.
     There is a jump if f near a corner differs too much from the polynomial through the nodes.
-    The polynomial's last coefficients estimate its error. The limit is a multiple of them.
+    The limit is a multiple of the last coefficients of this polynomial, which estimate its error.
     """
     dims = round(math.log2(corners.shape[1]))
     order = round(values.shape[1] ** (1.0 / dims))
@@ -683,7 +691,7 @@ def product_coefficients(
     for start, values in slabs(f, rules):
         weighted = [rule.weights[:, None] * phi for rule, phi in zip(rules, functions, strict=True)]
         weighted[0] = weighted[0][start : start + values.shape[1]]
-        # Sum over the first axis of nodes in values (C, P_0, …), and append an axis of functions
+        # Sum the values (C, P_0, …) over nodes, axis by axis. Each sum appends an axis
         for phi in weighted:
             values = np.tensordot(values, phi, axes=([1], [0]))
         total = total + values

@@ -21,8 +21,8 @@ from mcspectra.integrands.base import Integrand, any_dims, per_axis
 __all__ = ["Constant", "Cosine", "Gaussian", "Linear", "Polynomial", "squared_distance"]
 
 _MAX_DEGREE = 20  # higher powers of x are ill-conditioned (see `Polynomial._fourier`)
-# Below this number of cycles, a Gauss rule is used. Above it, integration by parts is stable.
-# The reason is that 2π·4 exceeds the highest degree, 20
+# Above this number of cycles, integration by parts is stable: 2π·4 exceeds the highest degree, 20.
+# Below it, a Gauss rule is used
 _LOW_FREQUENCY = 4
 _NARROW = 0.5  # below this width, 8 Gauss nodes replace differences of erf, with an error of 1e-19
 
@@ -136,7 +136,7 @@ class Polynomial(Integrand):
     dims: int = any_dims()
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array]:
-        """Return products over axes of a Gauss rule that is exact for the polynomial squared."""
+        """Return means of f and f² over boxes. The Gauss rule of each axis is exact for f²."""
         node, weight = gauss_rule(len(self.coefficients))
         values = self._factor(lo[..., None] + (hi - lo)[..., None] * node)
         return (values @ weight).prod(axis=-1), (values**2 @ weight).prod(axis=-1)
@@ -218,7 +218,7 @@ class Cosine(Integrand):
     Parameters
     ----------
     frequency
-        Whole cycles. A single number is along the first axis; a list has one for each axis.
+        Whole cycles along each axis, as a list. A single number is for the first axis.
     phase
         Phase in radians.
     dims

@@ -126,18 +126,18 @@ class IntegrandCache:
         Values at the points of `mcspectra.integrands._quadrature.probe`.
         The search for breaks stores these values for the integral. The integral then deletes them.
     cut
-        The integrand with these breaks. If it declares all of them, the integrand itself.
+        The integrand with these breaks declared. If f declares all of them, this is f.
         See `mcspectra.estimators.quadrature.looked_at`.
     moments
         A number a close to ∫ f, then ∫ (f − a) and ∫ (f − a)², and the errors of both integrals
         (`mcspectra.estimators.quadrature.moments`).
     unseen_square
-        Error of ∫ (f − a)² from regions that only the points of `probe` hit
+        Error of ∫ (f − a)² from regions with points of `probe` but without quadrature nodes
         (`mcspectra.estimators.quadrature.unseen`).
     square
         ∫ f² and its absolute error (`mcspectra.estimators.quadrature.square_integral`).
     growth
-        Largest exponents of poles across an axis, and whether f is unbounded
+        Largest exponents of growth toward planes normal to an axis, and whether f is unbounded
         (`mcspectra.estimators.quadrature.growth`).
     largest
         Largest values at the points of the probe, in descending order
@@ -170,12 +170,12 @@ class Integrand(Component, ABC):
     channels
         Number of channels, which is the length of the last axis of values. It is 0 for a scalar f.
     stock_samplers
-        Specs of samplers that belong to the program that evaluates f.
+        Samplers of the renderer that evaluates f, as specs. It is empty for other functions.
     """
 
     stock_samplers: ClassVar[tuple[str, ...]] = ()
     costly: ClassVar[bool] = False
-    """Whether evaluations are so slow that predictions avoid methods that need many."""
+    """Whether evaluations are slow. Predictions then use no method with many evaluations."""
     dims: int
     channels: int = 0
 
@@ -388,11 +388,11 @@ class Integrand(Component, ABC):
 
 
 class Derived(Integrand):
-    """An integrand made from another integrand. By default, its properties are those of the other.
+    """An integrand made from another integrand, whose properties it has by default.
 
     Subclasses are dataclasses with the field `integrand`.
     A subclass sets the format string `text`, in which ``{0}`` is replaced by the instance.
-    The result is the `spec` in messages.
+    The text after the replacement is the `spec`, which messages show.
     """
 
     text: ClassVar[str]
@@ -429,7 +429,7 @@ class Derived(Integrand):
 
 @dataclass(frozen=True, kw_only=True)
 class NamedFunction(Derived):
-    """A test function under the name of its class, with the values of its field `integrand`."""
+    """A test function with a class of its own. Its values come from the field `integrand`."""
 
     integrand: Integrand = field(init=False, repr=False)
     spec = Component.spec
@@ -494,7 +494,10 @@ class Channel(Derived):
     channel: int | str = checked(_as_channel, "luminance", using="integrand")
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array] | None:
-        """Return means of f for one channel, or None for the luminance, which needs products."""
+        """Return means of f and f² for one channel.
+
+        The result is None for the luminance, whose square needs products of channels.
+        """
         found = self.integrand.box_moments(lo, hi)
         if found is None or self.channel == "luminance":
             return None

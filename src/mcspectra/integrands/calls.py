@@ -50,7 +50,8 @@ __all__ = ["Calls"]
 # Number of points in one call of a vectorized function.
 # If the function takes single points, this many values are stored at the same time
 _BLOCK, _FEW = 128, 8
-_SAME = 1e-9  # largest relative difference for which a cached value counts as the function's
+# Largest relative difference between a cached value and the value of the function
+_SAME = 1e-9
 
 _integrand: Integrand  # integrand that a worker process evaluates
 
@@ -72,7 +73,7 @@ class Calls:
     vectorized
         Set this to False if the function maps a single point, an array (d,), to a number.
     workers
-        Number of processes that call f. Each of them gets other points.
+        Number of processes that call f. The points are divided among the processes.
         If it is above 1, a script needs the guard ``if __name__ == "__main__":``.
     cache
         Path of a file that stores the values by point. It is created if it does not exist.
@@ -148,7 +149,7 @@ class Calls:
             if isinstance(f, Integrand)
             else FunctionIntegrand(function=f if vectorized else _OneByOne(f), dims=self.dims)
         )
-        # Calls are counted here, so open tallies must not count them again
+        # Calls are counted here, so the general counter of evaluations must not count them again
         g = self._f
         self._values = g.checked_values if isinstance(g, FunctionIntegrand) else g._evaluate
         self.skips = skips and isinstance(g, FunctionIntegrand)
@@ -214,7 +215,7 @@ class Calls:
         return values.reshape(points.shape[:-1])
 
     def skipped_in_words(self, least: float, most: float) -> str:
-        """Describe where f failed, and which range of f the interval assumes at these points."""
+        """Describe where f failed. Say which values f must have there for the interval to hold."""
         assert self.first_skipped is not None
         return (
             f"{self.skipped} of {self._asked} evaluations failed and were skipped, the first at "

@@ -1,7 +1,7 @@
 """Integrands that are written as a formula, such as ``exp(-x**2 - y**2)``, and read as data.
 
 Python's parser reads the text. Its syntax tree is converted once into a tree of NumPy functions.
-Syntax is an error unless it is in the lists below.
+Only the syntax in the lists below is allowed. Anything else is an error.
 No other name is looked up, and no Python code is evaluated.
 Numbers are first converted to floats, so ``9**9**9`` is infinite and does not run forever.
 """
@@ -26,7 +26,8 @@ from mcspectra.integrands.base import Breaks, Integrand, any_dims
 
 __all__ = ["Formula"]
 
-MOST_PARTS = 300  # maximum number of numbers, names, operators and calls in a formula
+# Maximum count of all numbers, names, operators and calls in a formula together
+MOST_PARTS = 300
 _MARK = re.compile(r"\w+|[^\w\s]")
 # Maximum number of tokens. One call has a name, brackets, commas and maybe an exponent
 _MOST_MARKS = 6 * MOST_PARTS

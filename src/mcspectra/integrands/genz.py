@@ -26,7 +26,8 @@ __all__ = [
     "GenzProductPeak",
 ]
 
-# Range of log s. The right end is added to log d. Beyond it, e^−s is negligible
+# Range of log s in an integral over s. The right end is increased by log(d + 1).
+# To the right of this range, e^−s is negligible
 _LEFT, _RIGHT = -40.0, 5.0
 
 

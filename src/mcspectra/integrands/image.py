@@ -4,7 +4,7 @@ Environment maps follow `mcspectra.core.environments`: x_0 is φ/2π and x_1 is 
 The matching density is ``environment`` of `mcspectra.densities.environment`.
 If points are sampled by luminance, the ratio L_c / luminance remains in each channel c.
 This ratio jumps at the borders of colored pixels.
-With the channel's own density, f/p is proportional to the cosine at the surface.
+With the channel's own density, f/p is proportional to the cosine between light and normal.
 This cosine is smooth except at the horizon.
 """
 
@@ -221,7 +221,7 @@ class Environment(_Picture):
 
     @property
     def breaks(self) -> Breaks:
-        """Pixel borders or centers, for axes with at most 64; horizon of a vertical normal."""
+        """Pixel borders or centers on axes of at most 64 pixels, and the horizon if horizontal."""
         columns, rows = self._lines(1.0 if self.interpolation == "constant" else 0.5)
         return columns, tuple(sorted({*rows, 0.5})) if self._vertical else rows
 

@@ -29,9 +29,11 @@ from mcspectra.integrands.base import (
 
 __all__ = ["Disk", "HalfSpace", "SmoothedStep", "Step"]
 
-_CYCLES, _ORDER = 8, 32  # number of cycles of a wave in one panel, and its number of Gauss nodes
+# A Gauss rule in panels: number of cycles of a wave in a panel, and number of nodes in a panel
+_CYCLES, _ORDER = 8, 32
 _BLOCK = 2**22  # number of complex numbers in one block of a sum over nodes: 64 MiB
-_CONDITION = 1e-10  # largest relative rounding error that inclusion and exclusion may have
+# Largest relative rounding error of a sum with alternating signs (inclusion and exclusion)
+_CONDITION = 1e-10
 
 
 class _Indicator(Integrand):
@@ -121,7 +123,7 @@ class SmoothedStep(Integrand):
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array]:
         """Return the means of f and f² over each box.
 
-        Where x is below the ramp, f is 1, so this part of a box adds its fraction of the box.
+        Below the ramp, f is 1. The fraction of the box below the ramp is added to the means.
         Within the ramp, f is linear.
         """
         start, stop = self._ramp
@@ -453,7 +455,8 @@ def _half_plane_fourier(m: Array, normal: Array, offset: float) -> Array:
         cross = min(max((1.0 - alpha) / beta, 0.0), 1.0)
         full = (cross, 1.0) if beta > 0 else (0.0, cross)
 
-    # Integrate ∫_a^b ∫_0^{α+βx} exp(−2πi (m_j x + m_k y)) dy dx. Then add columns of full height
+    # Integrate ∫_a^b ∫_0^{α+βx} exp(−2πi (m_j x + m_k y)) dy dx.
+    # Then add the strip of x in which the line lies above the square
     flat = mk == 0
     edge = np.exp(-2j * np.pi * mk * alpha) * _interval_fourier(mj + beta * mk, a, b)
     base = _interval_fourier(mj, a, b)

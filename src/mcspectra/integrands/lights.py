@@ -19,7 +19,7 @@ __all__ = ["RectangleLight"]
 Vector = tuple[float, float, float]
 
 _CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-# An occluder hides nothing if the height of its plane is at most this fraction of its size
+# An occluder hides nothing if its plane contains the origin, up to this relative distance
 _FLAT = 1e-12
 
 

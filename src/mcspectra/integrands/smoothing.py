@@ -30,7 +30,8 @@ from mcspectra.integrands.registry import as_integrand
 __all__ = ["BoxSmoothed", "EdgeSmoothed", "smoothed"]
 
 _METHODS = ("auto", "distance", "box")
-# Number of nodes of integrals over τ per 8 cycles of a wave, for rounding accuracy
+# The mean over edges is an integral over τ. It has 32 Gauss nodes for each 8 cycles of a wave.
+# Its error is then at the level of rounding
 _CYCLES, _ORDER = 8, 32
 _MOST_NODES = 4096
 
@@ -59,7 +60,7 @@ def smoothed(
     nodes
         Number of Gauss nodes along each axis for ``"box"``, at most 4096 in total.
         The nodes are used if the means of f over boxes have no closed form.
-        Each jump is then divided into `nodes` smaller jumps. It is not removed.
+        Each jump of f then remains as `nodes` smaller jumps.
     dims
         Number of dims for a spec string without ``dims``.
 
@@ -130,13 +131,13 @@ class EdgeSmoothed(Integrand):
 
     @property
     def breaks(self) -> Breaks:
-        """Breaks at both ends of the ramp. Axes without breaks of the edge have none."""
+        """Positions along each axis: at each break of the edge, both ends of the ramp."""
         ends = [self._moved(t).breaks for t in (-0.5 * self.width, 0.5 * self.width)]
         return tuple(tuple(sorted({*a, *b})) for a, b in zip(*ends, strict=True))
 
     @property
     def fourier_source(self) -> str:
-        """Method of the edge itself, and the quadrature over positions of the edge."""
+        """Source of the edge's coefficients, and the quadrature that averages them over edges."""
         if self.edge._fourier(np.zeros((1, self.dims))) is None:
             return super().fourier_source
         return f"{self.edge.fourier_source}, averaged over edges by Gauss-Legendre quadrature"

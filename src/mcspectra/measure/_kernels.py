@@ -7,7 +7,7 @@ Index j is for real numbers: a real coefficient has one, and a complex coefficie
 All sums over h with conj(f_h) S_h are real because the full spectrum is Hermitian.
 
 Coefficients are processed in tiles, which stay in the first-level cache for all realizations.
-Tiles change neither the terms of the sums nor their order.
+The results have the same bits as without tiles, because all sums keep their order.
 Tiles are slices, because Numba vectorizes loops that begin at 0.
 Numba does not vectorize loops with a variable start, whose sign it cannot infer.
 """
@@ -88,8 +88,9 @@ def accumulate(s: Array, mean: Array, estimate: Array, squares: Array, cov: Arra
 
 @kernel
 def term_sums(f: Array, m2: Array, cov: Array, double: Array, dc: Array, out: Array) -> None:
-    """Add the dc term, the power term and the sum of all terms to out (C, 3), for every channel.
+    """Compute three sums for each channel: the dc term, the power term and all terms together.
 
+    The sums are added to out (C, 3).
     The inputs are f (C, H), m2 (H,), cov (C, H), double (H,) and the bool array dc (H,).
     The sums are not yet divided by the degrees of freedom.
     """

@@ -2,8 +2,9 @@
 
 docs/theory.md, "Analysis by axes", derives both methods of this module.
 `anova_variances` uses pick-freeze estimates [Sobol2001]_ with whole point sets.
-The empty set of axes has the part 0. The sample of this part is subtracted from all others.
-The samples share most of their errors, which cancel. Therefore shares near 1 are precise.
+For the empty set of axes, the true covariance is 0.
+The estimate of this covariance is subtracted from the estimates for all other sets.
+These estimates have nearly equal errors, which cancel. Shares near 1 are therefore precise.
 
 `anova_spectrum` draws frequencies with the probability q(m) = Π_{i∈u} q_1(m_i).
 Here q_1(k) is proportional to 1/k² up to K.
@@ -68,7 +69,7 @@ class AnovaSettings:
     # `variance_terms` also needs four realizations.
     least: int = 4
     # Number of independent batches of frequencies, whose spread gives the standard error.
-    # Student's t with 15 degrees of freedom makes intervals 9 % wider than a normal law.
+    # With 16 batches, intervals are 9 % wider than with infinitely many (Student's t).
     # With twice as many batches, intervals would be 4 % narrower.
     # With half as many batches, intervals would be 11 % wider.
     batches: int = 16
@@ -146,7 +147,7 @@ class Anova(Counted, frozen=True, kw_only=True):
 
         @functools.cache
         def same_always() -> bool:
-            """Return whether all streams give the same set, which has no independent partner."""
+            """Return whether the sampler draws the same set for all seeds."""
             one, other = (sampler.draw_stream(n, s, 0, 1) for s in (stream, partner))
             return np.array_equal(one, other)
 
@@ -154,7 +155,7 @@ class Anova(Counted, frozen=True, kw_only=True):
             """Return estimates with the axes of each subset kept and the others replaced."""
             block = blocks[index]
             kept = e.draw(sampler, n, stream, *block)
-            # Use independent sets, each in its own order, or random points if all sets are equal
+            # The partners are other sets of the sampler, or random points if all its sets are equal
             if same_always():
                 random = as_sampler("random", sampler.dims)
                 others = e.draw(random, n, stream.child(_UNIFORM), *block)
@@ -198,7 +199,7 @@ class Anova(Counted, frozen=True, kw_only=True):
         """Return the dataset for estimates (S, R, channels), one for each kept subset of axes.
 
         The first subset has all axes.
-        The covariance of its estimates with those of another subset gives this subset's share.
+        The covariance of the first estimates with those of a subset gives the share of the subset.
         """
         moments, count = Moments.of(estimates[0], tails=True), estimates.shape[1]
         # Products of deviations, whose means over realizations are covariances: (S, R, channels)
@@ -212,7 +213,7 @@ class Anova(Counted, frozen=True, kw_only=True):
         weight = dict(zip(frozen, np.eye(len(frozen)), strict=True))
 
         def below(*u: int) -> Array:
-            """Return the weights of a sum over all subsets of u."""
+            """Return weights of estimates. The weighted sum is the variance of all subsets of u."""
             return np.asarray(weight[u] - weight[()])
 
         parts = [
@@ -448,7 +449,7 @@ def anova_variances(
         Number of threads. The default is all processors. It has no effect on results.
     max_evaluations
         Maximum number of evaluations of the integrand.
-        If an analysis needs more evaluations, an error is raised, if possible before it starts.
+        If an analysis needs more evaluations, an error is raised, usually before the start.
 
     Returns
     -------
@@ -488,8 +489,8 @@ def anova_variances(
     The cost is O(R n d²) evaluations for order 2 and O(R n d) for order 1.
     Correlated parts may have a negative c_u.
     Noise may also make c_u slightly negative, within its standard error.
-    Given sets (`Sampler.from_points`) have no independent partners.
-    Random points are then the partners of the given sets, so errors are larger.
+    A sampler of given sets (`Sampler.from_points`) cannot draw an independent set as a partner.
+    Random points are then the partners of these sets, so errors are larger.
 
     Examples
     --------
@@ -550,7 +551,7 @@ def anova_spectrum(
     ------
     NoClosedForm
         If the coefficients are not exact, the points have a density, or frequencies are correlated.
-        `anova_variances` has no such requirements.
+        The function `anova_variances` also works in these cases.
     ParameterError, CountError
         If a value is out of range, or the frequencies would not fit into memory.
 
@@ -597,13 +598,19 @@ def _frozen(dims: int, order: int) -> list[tuple[int, ...]]:
 
 
 def _least(shares: Array) -> Array:
-    """Return the smallest number of axes whose share (s, ...) is large enough, else NaN."""
+    """Return the least number of axes with a large enough share. NaN if no number is enough.
+
+    The entry s − 1 along axis 0 of `shares` is for s axes.
+    """
     enough = shares >= EFFECTIVE_SHARE
     return np.where(enough.any(axis=0), enough.argmax(axis=0) + 1.0, np.nan)
 
 
 def _least_ci(ends: Array) -> Array:
-    """Return the interval of an effective dimension, (channels, 2), from (s, channels, 2)."""
+    """Return the 95 % intervals of an effective dimension, one for each channel: (channels, 2).
+
+    The array `ends` has the interval of each share: (number of axes, channels, 2).
+    """
     least = _least(ends)[..., ::-1]
     unknown = np.asarray(np.isnan(ends).any(axis=(0, 2)))[:, None]
     return np.where(unknown, np.nan, np.nan_to_num(least, nan=np.inf))

@@ -72,10 +72,10 @@ class BenchSettings:
     """Numbers of sets of a bench, and sizes of its spectra and pictures."""
 
     # Given sets are measured without a randomization if each count has at least this many sets.
-    # The spread of 16 sets gives a variance to 35 %.
+    # A variance from 16 sets has a relative standard error of 35 %.
     enough_sets: int = 16
     # Half widths of the spectra in 1, 2 and 3 dims, for 513, 16,641 and 68,921 frequencies.
-    # Larger maps would not be printed in full. Spectra in more dims are omitted.
+    # Larger maps are shortened when they are printed. Spectra in more dims are omitted.
     half_widths: tuple[int, ...] = (256, 64, 20)
     # Number of sets whose figures of quality are averaged.
     # At 256 points in 2-D, single figures of scrambled nets differ by 1 to 5 %.
@@ -145,7 +145,7 @@ def sampler_bench(
         A spec string gives one sampler for each number in `dims`.
         Sampler objects and arrays are used only in the number of dims that they have.
         Sets that are always the same are randomized before variances are measured.
-        Digital nets are randomized by owen, and other sets by shift.
+        Digital nets are randomized by Owen scrambling, and other sets by a random shift.
         Given sets are also randomized if there are fewer than 16 sets with the same count.
         Points of files are recognized as nets in base 2, 3 or 5.
     counts

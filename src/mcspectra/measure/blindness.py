@@ -26,7 +26,7 @@ from mcspectra.samplers import Random, Sampler
 __all__ = ["NO_VARIANCE", "VANISHES", "blindness", "blindness_of", "is_fixed"]
 
 NO_VARIANCE = "has no variance: add owen or shift, or compare |bias|"
-"""Message after the name of a sampler that always draws the same set."""
+"""Message for a sampler that always draws the same set. It follows the name of the sampler."""
 
 VANISHES = "the variance vanishes to rounding"
 """Message if all estimates are equal to the integral."""
@@ -36,23 +36,23 @@ VANISHES = "the variance vanishes to rounding"
 class BlindnessSettings:
     """Thresholds that detect estimates which missed the source of their variance."""
 
-    # Share of one square in Σ (estimate − mean)² above which the tail is not resolved.
+    # If one square has more than this share of Σ (estimate − mean)², the tail is not resolved.
     # For 1,000 exponential numbers, the median share of the largest square is 4 %.
     # This share exceeds 17 % in one of a thousand samples.
     # For normal numbers, these two shares are 1.2 % and 2.4 %.
     large_share: float = 0.2
     # Probability that the largest square of a few normal estimates exceeds its limit.
-    # Fewer estimates have a larger limit for this square.
+    # The limit for this square is larger if there are fewer estimates.
     rarely: float = 1e-3
-    # If κ − 1 of the estimates exceeds this, ∫g² is computed to test for an infinite variance.
-    # Here κ is the kurtosis. κ − 1 is 2 for normal and 8 for exponential estimates.
+    # Value of κ − 1 above which ∫g² is computed, to test whether the variance is infinite.
+    # κ is the kurtosis of the estimates. κ − 1 is 2 for normal and 8 for exponential estimates.
     # A smaller value only costs time. With a larger value, other tests must detect more poles.
     peaked: float = 9.0
     # Exponent of a pole above which ∫g⁴ diverges.
-    # In theory this exponent is ¼. The difference of 5e-4 is the error of fitted slopes.
+    # In theory this exponent is ¼. Here it is 5e-4 lower, because fitted slopes have this error.
     no_kurtosis: float = 0.2495
     # Distance of the mean from the integral, in standard errors, that cannot be due to chance.
-    # The normal probability is 6e-7. It remains small for the many counts of a study together.
+    # For normal estimates, the probability is 6e-7. It is small even if a study has many counts.
     far: float = 5.0
 
 

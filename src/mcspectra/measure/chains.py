@@ -71,9 +71,10 @@ class ChainSettings:
     # The values were tested on 200 sets of 4 chains of 1,000 normal draws + 5 exp(−t/100).
     # A burn-in is reported for 153 sets (the other 47 are stuck, without an end of the burn-in).
     # Of the 95 % intervals, 93 % contain the mean.
-    # With settled 0.3 and margin 1.5, a burn-in is reported for 76 % of the sets.
+    # With the p-value 0.3 and the factor 1.5, a burn-in is reported for 76 % of the sets.
     # With these values, 93 % of the intervals contain the mean.
-    # With settled 0.1 and margin 1.5, the two fractions are 90 % and 89 %.
+    # With the p-value 0.1 and the factor 1.5, a burn-in is reported for 90 % of the sets.
+    # Of the intervals, 89 % then contain the mean.
     settled: float = 0.2
     margin: float = 2.0
     # Significance level of the test whether the last two quarters of a chain differ.
@@ -86,7 +87,7 @@ class ChainSettings:
     cuts: int = 40
     most_left_out: float = 0.5
     # Fraction of consecutive equal draws above which a chain is stuck.
-    # Values from 0.05 to 0.1 give the same results. With 0.2, a run of 110 in 1,000 is missed.
+    # Results are the same for values from 0.05 to 0.1. With 0.2, a run of 110 in 1,000 is missed.
     run: float = 0.1
     # Number of different values above which repeated draws are a fault.
     # Discrete quantities, such as counts and flags, have few different values and repeat them.
@@ -99,17 +100,18 @@ class ChainSettings:
     two_levels: float = 0.85
     # Largest number of moves of each chain between the levels that counts as a fault.
     # With 20 moves, the fraction of time on a level has an error of about 1/√20 = 22 %.
-    # Values from 10 to 40 give the same results.
+    # Results are the same for values from 10 to 40.
     switches: int = 20
     # Tail index above which a tail is heavy. The variance is infinite for indices of at least ½.
     # An index from 2,000 draws has a standard error of about 0.1.
-    # Of 50 chains with infinite variance, thresholds of 0.5, 0.6 and 0.8 find 49, 47 and 25.
+    # The test had 50 chains with infinite variance.
+    # Thresholds of 0.5, 0.6 and 0.8 find 49, 47 and 25 of these chains.
     heavy: float = 0.6
     # Least number of draws in a tail whose index is fitted. 20 draws give the index to about 0.3.
     # A least tail of 10 draws gives one false alarm in 475 cases.
     # Least tails of 20 and 40 draws cause no false alarm and find the same tails.
     least_tail: int = 20
-    # Smallest allowed magnitude of the largest draw of a quantity.
+    # Smallest allowed value of the largest |draw| of a quantity.
     # The largest allowed magnitude is the inverse of this value.
     # Within these limits, sums of squares of any number of draws are in the range of float64.
     smallest: float = 1e-100
@@ -180,7 +182,7 @@ def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
     -----
     S(0) from an autoregression has a smaller error than two alternatives.
     The interval also has a coverage closer to 95 %; see docs/theory.md, "Chains".
-    One of them, the initial monotone sequence, cannot resolve antithetic or oscillating chains.
+    One alternative, the initial monotone sequence, cannot resolve antithetic or oscillating chains.
     The other alternative averages the spectrum over the lowest frequencies.
     The cost is O(n log n).
 
@@ -373,7 +375,7 @@ def quantity_error(x: Array, w: Array, settings: ChainSettings = CHAIN_SETTINGS)
         drifts = "the chain drifts: its mean still moves after half of the draws"
         return _stationary_error(x, w, _edges(n), drifts, settings)
     rest = _stationary_error(x[:, dropped:], w[:, dropped:], _edges(n), "", settings)
-    if "stuck-chain" in rest["cause"]:  # The end of the chain moves as much as the start
+    if "stuck-chain" in rest["cause"]:  # The chain is also stuck without its first draws
         return _stationary_error(x, w, _edges(n), "", settings)
     said = (
         f"the first draws depend on where the chains began, so the first {dropped} of {n} of each "
@@ -444,7 +446,7 @@ def _stationary_error(
 
     chains, n = x.shape
     mean = float((w * x).sum() / w.sum())
-    z = w * (x - mean)  # mean(z) is the error of the ratio estimate, to first order
+    z = w * (x - mean)  # The error of the ratio estimate is the mean of z, to first order
     size = edges.size - 1
     if not np.ptp(x, axis=1).any() or not np.any(z):
         sizes = {"band": size, "bound": 2}
@@ -528,7 +530,7 @@ def _stationary_error(
         causes["stuck-chain"] = stuck
         variance = max(variance, between)
 
-    # Fit the tail of draws that are an autocorrelation time apart
+    # Fit the tail. Draws that are less than one autocorrelation time apart are skipped
     index = _tail_index(z[:, :: max(1, math.ceil(tau))].ravel(), settings.least_tail)
     if index > settings.heavy:
         causes["heavy-tail"] = f"the tail index is {index:.2f}: above ½ the variance is infinite"
@@ -580,7 +582,8 @@ def _tail_index(z: Array, least: int) -> float:
     excess = excess[1:] - excess[0]
     if not excess[most // 4] > 0:
         return math.nan
-    # Posterior mean over a grid of b = −k/σ. The prior of b depends on the first quartile
+    # Average over a grid of b = −k/σ with the weights of the posterior distribution of b.
+    # The prior of b depends on the first quartile
     grid = 30 + int(math.sqrt(most))
     b = 1 - np.sqrt(grid / (np.arange(grid) + 0.5))
     b = b / (3 * excess[int(most / 4 + 0.5) - 1]) + 1 / excess[-1]

@@ -84,7 +84,7 @@ class StageSettings:
 
     # Realizations of the first stage.
     # The kurtosis of 100 normal estimates has a standard error of √(24/100) = 0.5.
-    # Values from 50 to 200 give the same results.
+    # Results are the same for values from 50 to 200.
     first: int = 100
     # Each stage lengthens the sample by a factor between these two limits.
     # A stage that is a quarter longer confirms the previous stage.
@@ -92,7 +92,7 @@ class StageSettings:
     # In a search for an error of 10 %, a least factor of 1.1 leads to an error of 10.3 %.
     # In the same search, a least factor of 1.25 leads to an error of 9 %.
     # With a least factor of 1.5, the search takes 30 % more realizations.
-    # Values of the largest factor from 2 to 8 give the same results
+    # Results are the same for values of the largest factor from 2 to 8
     # (`python -m benchmarks settings --stages`).
     step: float = 1.25
     leap: float = 4.0
@@ -176,7 +176,7 @@ class Convergence(Counted, frozen=True, kw_only=True):
         )
 
     def reduction(self, subject: Subject, stream: Stream) -> Steps:
-        """Yield the next realizations of every cell that is not finished."""
+        """Yield the next realizations of each unit of work that is not finished."""
         cells = self._cells(subject, stream)
         found = yield from in_step([
             cell.all_of(part, self.realizations)
@@ -290,9 +290,9 @@ class Convergence(Counted, frozen=True, kw_only=True):
         return self._cells(subject, stream)[part].run(part, first, realizations)
 
     def _cells(self, subject: Subject, stream: Stream) -> list[MomentsCell]:
-        """Return one cell of work for each group of estimators, each sampler and each count.
+        """Return units of work: each has a group of estimators, one sampler and one count.
 
-        Estimators of one technique without their own `draw` share the sampler's points.
+        Estimators of one technique share the sampler's points, unless they have their own `draw`.
         Therefore they also share realizations.
         If a precision is requested, each estimator takes as many realizations as it needs.
         """
@@ -399,7 +399,7 @@ def convergence(
         Ascending numbers of points n that every sampler allows.
     realizations
         Number of independent realizations for each n, at least 2.
-        With `relative_error` this is the maximum number.
+        If `relative_error` is given, this is the maximum number of realizations.
     rng
         Seed (SPEC 7). Each n has its own stream of random numbers.
         All estimators and samplers share this stream (common random numbers).
@@ -413,7 +413,7 @@ def convergence(
         Number of threads. The default is all processors. It has no effect on results.
     max_evaluations
         Maximum number of evaluations of the integrand.
-        If an analysis needs more evaluations, an error is raised, if possible before it starts.
+        If an analysis needs more evaluations, an error is raised, usually before the start.
 
     Returns
     -------
@@ -449,7 +449,7 @@ def convergence(
         In these cases the upper end of ``variance_ci`` and both ends of ``rate_ci`` are infinite.
 
         A sampler may have fewer stored sets than realizations, and reuse them under translations.
-        Errors are then at least the errors of a jackknife over groups of sets.
+        Standard errors are then at least as large as those of a jackknife over groups of sets.
         Lists add the dims estimator and sampler. Several channels add the dim channel.
         Counts whose variance is rounding noise are left out of the fit.
         The rate is NaN if fewer than two counts remain.
@@ -501,7 +501,7 @@ def realizations_needed(
         Number of threads. The default is all processors. It has no effect on results.
     max_evaluations
         Maximum number of evaluations of the integrand.
-        If an analysis needs more evaluations, an error is raised, if possible before it starts.
+        If an analysis needs more evaluations, an error is raised, usually before the start.
 
     Returns
     -------
@@ -555,7 +555,7 @@ class MomentsCell:
     stream: Stream
 
     def run(self, part: int, first: int, realizations: int) -> Reduction[list[Moments]]:
-        """Return moments of each estimator over a number of realizations, starting at `first`."""
+        """Return moments of each estimator over the realizations `first`, `first` + 1 and so on."""
         evaluations = self.n * sum(self.estimators[0].counts)
         numbers = evaluations * self.estimators[0].dims  # Number of coordinates of a realization
         blocks = realization_blocks(realizations, STAGE_SETTINGS.parts * numbers, first=first)
@@ -617,7 +617,8 @@ class MomentsCell:
             if (now and before) or moments.count >= (min(most, settings.blank) if blank else most):
                 return [(moments, now and before)]
             before = now
-            # The next stage ends where the error should be reached, within limits of its length
+            # Predict the number of realizations for which the error is small enough.
+            # A stage has a least and a largest length
             excess = math.inf if blank else error / relative_error
             longer = min(max(excess**2, settings.step), settings.leap)
             stop = min(most, math.ceil(moments.count * longer))

@@ -17,7 +17,7 @@ A coordinate has a factor √2 if its frequency −m is not stored.
 A is estimated from a sample. Each batch of realizations gives a variance along a mode v.
 The spread over batches gives the error of the eigenvalue λ as the variance along v.
 This error excludes the bias of choosing v for a large λ.
-`noise_edge` is the largest eigenvalue that this choice gives for a flat spectrum.
+Even if the true spectrum is flat, this choice gives eigenvalues up to `noise_edge`.
 """
 
 from __future__ import annotations
@@ -188,7 +188,8 @@ class Modes(Counted, frozen=True, kw_only=True):
         blocks = realization_blocks(
             self.realizations, numbers, multiple=2, least=BATCH_SETTINGS.least
         )
-        group = -(-len(blocks) // BATCH_SETTINGS.least)  # Number of blocks of a batch
+        # Number of consecutive blocks that form a batch
+        group = -(-len(blocks) // BATCH_SETTINGS.least)
 
         def step(number: int, vectors: Array) -> Reduction[CovarianceProduct]:
             def batch(index: int) -> CovarianceProduct:
@@ -325,7 +326,7 @@ def covariance_modes(
         Number of passes over the realizations, at least 2. More passes separate close eigenvalues.
     max_evaluations
         Maximum number of evaluations of the integrand.
-        If an analysis needs more evaluations, an error is raised, if possible before it starts.
+        If an analysis needs more evaluations, an error is raised, usually before the start.
 
     Returns
     -------
@@ -340,7 +341,7 @@ def covariance_modes(
         The distance to an eigenvalue of the sample covariance is at most this bound.
         ``eigenvalue_share(mode)`` is the share of the trace.
         ``mode_contribution(mode)`` is the mode's own part of the variance of an estimate.
-        This estimate is limited to the bands.
+        The estimate contains only the frequencies of the chosen bands.
         ``mode_vector(mode, m0, …)`` has norm 1 over all frequencies.
         ``band_trace`` is the sum of all eigenvalues.
 
@@ -370,7 +371,7 @@ def covariance_modes(
 class _Coordinates:
     """Real orthonormal coordinates z of the coefficients y_m of a band."""
 
-    # Indices of the band's coefficients among the stored coefficients of all techniques, (P,)
+    # Positions of the band's coefficients in the array of all stored coefficients, (P,)
     place: Array
     # Factors (P,) that turn S into y: `scale`, and also conj(f_m) if coefficients are weighted
     factor: Array
@@ -417,7 +418,7 @@ class _Coordinates:
 
 @dataclass(frozen=True)
 class CovarianceProduct:
-    """Σ (z − z̄)(z − z̄)ᵀ V over `count` realizations. `merge` adds other realizations."""
+    """Σ (z − z̄)(z − z̄)ᵀ V over realizations. The method `merge` joins two such sums."""
 
     # Number of realizations; the mean z̄, (D,); and Vᵀ z̄, (k,)
     count: int
@@ -463,7 +464,7 @@ class CovarianceProduct:
         image = self.product / (self.count - 1)
         values, rotation = eigenpairs(product(vectors.T, image))
         found = product(vectors, rotation)
-        # Standard errors of the variances along the eigenvectors, by batch means
+        # The variance along each eigenvector has a standard error, which the batches give
         errors = np.full(len(values), np.nan)
         if len(self.degrees):
             along = np.einsum("ik,bij,jk->bk", rotation, self.projected, rotation)

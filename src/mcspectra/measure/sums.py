@@ -42,12 +42,12 @@ __all__ = [
 ]
 
 Variables: TypeAlias = dict[str, tuple[tuple[str, ...], Any]]
-"""Result variables by name: dims and values."""
+"""Variables of a result. For each name there are the names of the dims, and the values."""
 
 
 @dataclass(frozen=True)
 class BatchSettings:
-    """Number of blocks for standard errors."""
+    """Number of blocks of realizations. The spread over blocks gives standard errors."""
 
     # Least number of blocks, if there are at least two realizations for each block.
     # Student's t with 19 degrees of freedom makes intervals 7 % wider than a normal law.
@@ -81,7 +81,8 @@ class StoredGroups:
         sets = independent_sets(law)
         if sets is None or sets >= realizations:
             return None
-        # A group needs two realizations for a variance: two translations of one set, or two sets
+        # A group needs two realizations for a variance.
+        # These can be two translations of one set, or two different sets
         alone = law.stationary and realizations >= 2 * sets
         return StoredGroups(
             first, sets, min(sets if alone else max(sets // 2, 1), BATCH_SETTINGS.least)
@@ -99,7 +100,8 @@ class TermSums:
     sums: SpectralSums
     measured: Moments
     batches: Batches | None  # None if every block has fewer than two realizations
-    # Sums by group of stored sets, "0", "1", …, instead of blocks. None if no set is reused
+    # Sums for each group of stored sets. The names of groups are "0", "1" and so on.
+    # If no set is reused, there are no groups, and `batches` is used
     by_group: dict[str, TermSums] | None = None
 
     @staticmethod
@@ -162,13 +164,13 @@ class SpectralSums:
 
     count: int
     mean: Array  # (H,) complex: S̄
-    estimate_mean: Array  # (C,)
-    m2: Array  # (H,)
-    cov: Array  # (C, H) complex
-    band_mean: Array  # (C, A)
-    band_m2: Array  # (C, A, A)
+    estimate_mean: Array  # Mean of the estimates of each channel, (C,)
+    m2: Array  # Sums of |S − S̄|² over realizations, (H,)
+    cov: Array  # Sums of (S − S̄) times the deviation of the estimate, (C, H) complex
+    band_mean: Array  # Mean of the estimate from each band, (C, A)
+    band_m2: Array  # Sums of products of deviations of two bands' estimates, (C, A, A)
     truncated: Moments  # Moments of the estimate truncated at each half width: (C, K+1)
-    # Σ_r (S−S̄)_m conj(S−S̄)_l and the same without conj, (H, 2H).
+    # Σ_r (S − S̄)_m conj(S − S̄)_l, and Σ_r (S − S̄)_m (S − S̄)_l without the conjugate: (H, 2H).
     # These sums give the covariances for all four signs of (m, l)
     matrix: Array | None
 
@@ -242,8 +244,8 @@ class SpectralSums:
 class RunningSpread:
     """Sums over blocks, whose arrays x have weights w, for the error of the weighted mean.
 
-    All arrays have the same shape and type.
-    Deviations are taken about the mean with weights w².
+    The array x of a block has the same shape and type in all blocks.
+    Each x is compared with the mean over blocks with weights w².
     This is the plain mean if all blocks are equally long.
     For complex numbers the error is the root of the mean |error|².
     """
@@ -272,7 +274,7 @@ class RunningSpread:
 
 @dataclass(frozen=True)
 class Batches:
-    """Terms and variances of each block, and the spread of covariances over blocks."""
+    """Terms and variance of each block of realizations, and standard errors of covariances."""
 
     weights: JOIN  # Degrees of freedom of each block: (B,)
     values: JOIN  # dc, power and cross term and measured variance: (B, 4, C)
@@ -284,7 +286,7 @@ class Batches:
 
     @staticmethod
     def of(sums: SpectralSums, measured: Moments, partition: Partition) -> Batches | None:
-        """Return the estimates of a block, or None for a single realization without covariance."""
+        """Return the estimates of a block, or None if the block has a single realization."""
         degrees = sums.count - 1
         if degrees < 1:
             return None
@@ -313,7 +315,10 @@ class Batches:
         return spread(terms - weighted_sum(share, terms), share)
 
     def captured_factors(self) -> Array:
-        """Return the 95 % interval of predicted/measured, as factors of this ratio: (C, 2)."""
+        """Return two factors. Times predicted/measured, they are the 95 % interval of this ratio.
+
+        The shape is (C, 2).
+        """
         return ratio_factors(self.values[:, :3].sum(axis=1), self.values[:, 3], self.share)
 
 
@@ -327,11 +332,12 @@ def spread(deviation: Array, share: Array) -> Array:
 
 
 def ratio_factors(above: Array, below: Array, share: Array) -> Array:
-    """Return the 95 % interval of a ratio of two means, as factors of the ratio: (..., 2).
+    """Return two factors. Times a ratio of two means, they are the 95 % interval of this ratio.
 
+    The shape is (..., 2).
     Both means are over positive values of blocks (B, ...).
     The interval is logarithmic, by the jackknife with Student's t [Miller1974]_.
-    If few blocks hold most of the error, the other blocks missed the tail.
+    If the error comes mostly from few blocks, the tail is not resolved.
     The interval is then 1 + √(excess kurtosis / B) times as wide.
     The skewness also widens the interval on the side of this tail.
     The coverage of these intervals is measured by ``python -m benchmarks coverage``.
@@ -352,5 +358,5 @@ def ratio_factors(above: Array, below: Array, share: Array) -> Array:
     skewness, kurtosis = (unit**3).mean(axis=0), (unit**4).mean(axis=0)
     wider = 1.0 + np.sqrt(np.maximum(kurtosis - 3.0, 0.0) / blocks)
     low, high = (error * (wider + np.maximum(sign * skewness, 0.0)) for sign in (-1, 1))
-    with np.errstate(over="ignore"):  # An overflow means that there is no upper end
+    with np.errstate(over="ignore"):  # If exp overflows, the upper end is infinite
         return np.asarray(np.exp(np.stack([-low, high], axis=-1)))

@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 __all__ = ["UNDECIDED", "Techniques", "technique_estimates", "technique_rates", "technique_terms"]
 
 UNDECIDED = -1
-"""Value of ``bottleneck`` if the intervals of the slowest rates overlap."""
+"""Value of ``bottleneck`` if no technique has a significantly slower rate than all others."""
 
 _PARTS = (
     "technique_dc_term",
@@ -170,7 +170,7 @@ class Techniques(Counted, frozen=True, kw_only=True):
             for name, (dims, _) in parts[0].items()
         }
         notes: dict[str, Any] = {} if self._several else {"n": counts[0]}
-        if is_fixed(estimator, subject.sampler):  # Variances above 0 are rounding noise
+        if is_fixed(estimator, subject.sampler):  # The set is fixed: any variance is rounding noise
             notes["note"] = f"{subject.sampler.spec} {NO_VARIANCE}"
             variables = {
                 name: (dims, v if name.startswith(("mean", "captured")) else np.zeros_like(v))
@@ -237,7 +237,7 @@ def technique_terms(
     estimator, sampler
         A `MultipleImportance`, a `TechniqueSum` or any other estimator, and its sampler.
     counts
-        A number n: each technique takes n points times its number in ``counts`` of the estimator.
+        Technique t draws n c_t points, where c_t is its entry in the ``counts`` of the estimator.
         A list of ascending numbers adds the dim n, rates and the bottleneck.
     dims, half_width, basis, engine, eps, workers
         Same as in `variance_terms`.
@@ -254,7 +254,7 @@ def technique_terms(
         Number of the largest counts to which rates are fitted, as in `convergence`.
     max_evaluations
         Maximum number of evaluations of the integrand.
-        If an analysis needs more evaluations, an error is raised, if possible before it starts.
+        If an analysis needs more evaluations, an error is raised, usually before the start.
 
     Returns
     -------
@@ -264,12 +264,13 @@ def technique_terms(
         The sum of the covariances is ``measured_variance``.
         ``technique_dc_term``, ``technique_power_term`` and ``technique_cross_term`` are the terms.
         The sum of the three terms is ``predicted_variance``.
-        With at least 4 realizations, all four have standard errors ``_se`` by batch means.
+        With at least 4 realizations, the covariance and its terms have standard errors ``_se``.
 
         ``dc_term``, ``power_term`` and ``cross_term`` are the same as in `variance_terms`.
         In the domain, each of these three terms is a sum over all pairs of techniques.
         In primary space each technique has its own frequencies.
-        The dc and power terms are then sums over the diagonal, and the cross term is the rest.
+        The dc and power terms then contain no pairs of different techniques.
+        The cross term is the rest of the variance.
         ``captured`` has the interval ``captured_ci``.
 
         ``technique_variance(technique)`` with ``_ci`` is the diagonal of the covariances.
@@ -288,7 +289,7 @@ def technique_terms(
     Warns
     -----
     InfiniteWeightVarianceWarning
-        If ∫1/p diverges. The spectral terms of the domain view are then NaN.
+        If ∫1/p diverges for a density p. The spectral terms in the domain are then NaN.
 
     Notes
     -----
@@ -322,7 +323,7 @@ def _variables(total: _Total, view: View) -> Variables:
     """Return result variables of one count, with a leading channel axis."""
     found, moments = total.sums.covariances(view), total.sums.moments
     share = total.weights / total.weights.sum()
-    # Few stored sets may raise the error of the whole variance by a factor.
+    # With few stored sets, the standard error of the whole variance is multiplied by a factor.
     # This factor also multiplies the errors of all techniques
     wider = moments.widening[:, -1]
     errors = spread(total.values - weighted_sum(share, total.values), share)
@@ -362,7 +363,7 @@ class TechniqueSums:
     """Sums over `count` realizations about the running means. `merge` adds other realizations."""
 
     count: int
-    mean: Array  # (T, H)
+    mean: Array  # Mean spectra S̄ of the techniques, (T, H)
     products: Array  # (T, T, H): Σ_r (S^t − S̄^t) conj(S^s − S̄^s)
     values_mean: Array  # Truncated and full estimates of the techniques, (2, C, T)
     values_products: Array  # Sums of products of deviations of these estimates, (2, C, T, T)

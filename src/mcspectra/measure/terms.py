@@ -158,7 +158,7 @@ class Terms(Counted, frozen=True, kw_only=True):
                 own["measured_variance_ci"][1][blind, 1] = np.inf
                 captured = own["captured_ci"][1]
                 captured[blind, 0] = np.minimum(captured[blind, 0], 0.0)
-                if is_fixed(estimator, sampler):  # Variances above 0 are rounding noise
+                if is_fixed(estimator, sampler):  # The set is fixed: any variance is rounding noise
                     known = ("mean", "energy_share", "captured")
                     own = {
                         name: (dims, v if name.startswith(known) else np.zeros_like(v))
@@ -270,7 +270,7 @@ def variance_terms(
     estimator, sampler, n
         The estimator with one sampler, or with a list of different samplers.
         Samplers of a list use the same random numbers.
-        `n` is the number of points of each technique in units of the estimator's ``counts``.
+        Technique t draws n c_t points, where c_t is its entry in the ``counts`` of the estimator.
     dims
         Number of dims of a function, or of a spec without ``dims``.
         The default is the number of dims of the sampler, unless the sampler is a spec.
@@ -305,7 +305,7 @@ def variance_terms(
         Number of threads. The default is all processors. It has no effect on results.
     max_evaluations
         Maximum number of evaluations of the integrand.
-        If an analysis needs more evaluations, an error is raised, if possible before it starts.
+        If an analysis needs more evaluations, an error is raised, usually before the start.
 
     Returns
     -------
@@ -317,7 +317,7 @@ def variance_terms(
         ``captured`` is NaN if the measured variance is rounding noise.
 
         ``energy_share`` is the part of ∫f² within the half width.
-        ``tail_term`` is the variance from outside the half width, for random points.
+        ``tail_term`` is the variance of all frequencies beyond the half width, for random points.
         ``contribution`` and ``power_contribution`` are maps on m0, m1, ….
         ``band_covariance(band, band_other)`` is the covariance of the estimates of two bands.
         ``truncated_variance(half_width)`` is the predicted variance for each smaller half width.
@@ -347,7 +347,7 @@ def variance_terms(
     Warns
     -----
     InfiniteWeightVarianceWarning
-        If ∫1/p diverges.
+        If ∫1/p diverges, where p is the density of the points.
         The terms of the domain view are then infinite and given as NaN or infinity.
 
     Notes
@@ -422,7 +422,8 @@ def _variables(total: TermSums, view: View, partition: Partition) -> Variables:
     variables["band_covariance"] = pairs, sums.band_m2 / degrees
     variables["band_covariance_se"] = pairs, batches.band_covariance.error()
 
-    # Compute C_ml and conj(f_m) f_l C_ml in full. The errors of the second scale with |f_m f_l|
+    # Compute the matrices of C_ml and of conj(f_m) f_l C_ml.
+    # In the second matrix, the errors of C_ml are multiplied by |f_m f_l|
     if sums.matrix is not None and batches.matrix is not None:
         # Find the position of each coefficient of each technique among the stored coefficients.
         # Also find out whether the stored coefficient is conjugated
@@ -444,7 +445,7 @@ def _variables(total: TermSums, view: View, partition: Partition) -> Variables:
 
 
 def _predicted_ci(total: TermSums, batches: Batches) -> Array:
-    """Return a 95 % interval of the sum of terms, (C, 2), with the error of few stored sets."""
+    """Return a 95 % interval of the sum of terms, (C, 2). It is wider if few sets are stored."""
     truncated = total.sums.truncated
     interval = truncated.variance_ci[:, -1]
     if total.by_group is None or batches.count < 2:

@@ -1,11 +1,11 @@
 """The two views of an estimator: pairs of integrand coefficients and spectra of points.
 
-The *domain* view pairs one integrand f with the warped, weighted points of all techniques.
+The *domain* view has one integrand f, and warped points with weights from all techniques.
 In *primary* space every technique has its own integrand g_t and the sampler's own points.
 Sums then run over all techniques and all frequencies m.
 
 Basis functions are divided into *bands*, which split an estimate into parts:
-A band is a set of functions with the estimate I_a = Σ_{m in a} conj(f_m) S_m.
+The estimate of a band a is I_a = Σ_{m in a} conj(f_m) S_m.
 The sum of Cov(I_a, I_b) over all pairs of bands is the variance.
 """
 
@@ -44,7 +44,7 @@ class FrequencySettings:
     # Largest number of frequencies of a default half width, 2^17.
     # In 2-D a half width of 128 fits, and one spectrum takes 1 MiB in half storage.
     most_frequencies: int = 2**17
-    # The width is halved if less than this fraction of Σ|f_m|² lies outside half the width.
+    # The half width is halved if less than this fraction of Σ|f_m|² is lost.
     # The value is about ten roundings of float64.
     rounding: float = 1e-15
     # Number of points that estimate mean squares of weights and of functions.
@@ -79,7 +79,9 @@ class Frequencies:
 
     @staticmethod
     def of(subject: Subject, asked: Any, n: int = 1) -> Frequencies:
-        """Choose the space, the half width for n points and the basis that an analysis leaves open.
+        """Choose the space, the half width and the basis, where the arguments do not give them.
+
+        The half width is chosen for n points.
 
         The basis ``"auto"`` fits the points of the estimator.
         In the domain, the points of a mirrored integrand are folded.
@@ -99,7 +101,7 @@ class Frequencies:
         width: int | None = asked.half_width
         if width is None:
             # Use twice the frequency n^(1/d), within the limits.
-            # Above n^(1/d), n strata are like random points
+            # At higher frequencies, n jittered points have the power of random points
             width = max(
                 _SETTINGS.least_width, 2 ** math.ceil(math.log2(2.0 * n ** (1.0 / dims)) - 1e-9)
             )
@@ -208,7 +210,7 @@ class View:
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
 
     def energy(self, n: int) -> tuple[Array, Array]:
-        """Return the part of ∫f² in the basis functions, and the rest's variance for random points.
+        """Return the share of ∫f² in the basis, and the variance of the rest for random points.
 
         Both results are (channels or 1,), and NaN if ∫f² is not known.
         The power of random points is (1/n) times the mean square of the weights.
@@ -218,7 +220,7 @@ class View:
         integrands = [estimator.primary_integrand(t) for t in range(len(estimator.counts))]
         if self.space == "domain" and estimator.domain_integrand is not None:
             integrands = [estimator.domain_integrand]
-        # ∫g² of each integrand, (C, T), in closed form or as the mean at scrambled points
+        # Find ∫g² of each integrand, (C, T). Without a closed form, average over scrambled points
         probes = _SETTINGS.probes
         squares = []
         for g in integrands:
@@ -345,7 +347,7 @@ def make_bands(bands: str | Array, basis: Basis) -> Bands:
                     "bands must be the same for m and −m, so that band estimates are real."
                 )
             labels = tuple(map(str, range(int(of.max()) + 1)))
-    # Small grids and bases without negative indices lack some directions.
+    # On small grids, or without negative indices, some bands have no coefficients.
     # Drop the last labels if no coefficient has these labels
     return Bands(of, tuple(labels[: int(of.max()) + 1]), f"band ({meaning})")
 

@@ -3,7 +3,7 @@
 Plots load nothing from a network and are readable on light and dark pages.
 The description of a plot in words becomes its ARIA label.
 
-A `Drawn` can show another plot of the same structure if only data, limits and texts change.
+A `Drawn` can be updated to show another plot, if only data, limits and texts differ.
 """
 
 from __future__ import annotations
@@ -262,7 +262,10 @@ def _structure(plot: Plot) -> list[Any]:
 
 
 def _bars(plot: Plot) -> dict[Scale, int]:
-    """Return the color scales that need a bar or legend, each with the last panel that uses it."""
+    """Return the color scales that need a bar or a legend.
+
+    Each scale has the number of the last panel that uses it.
+    """
     found = {scale: k for k, panel in enumerate(plot.panels) for scale in panel.scales}
     return {scale: k for scale, k in found.items() if scale.label or scale.names}
 
@@ -402,7 +405,7 @@ def _segments(at: Array, start: Array, end: Array, lying: bool) -> dict[str, Any
 
 
 def _band(mark: Line, panel: Panel) -> dict[str, Any]:
-    """Return the outlines of a band: one outline for each run of values without gaps."""
+    """Return the outlines of a band. Gaps in the values divide the band into several outlines."""
     x, (low, high) = _place(panel.x, mark.x), _ends(panel.y, mark.low, mark.high)
     if mark.step and len(x) > 1:
         middle = (x[1:] + x[:-1]) / 2
@@ -460,7 +463,7 @@ def _along(scale: Scale, values: Any) -> Array:
 
 
 def _extent(places: Array) -> tuple[float, float]:
-    """Return the start of the first cell and the total length of all cells."""
+    """Return the start and the length of a row of cells from the positions of their centers."""
     step = float(places[1] - places[0]) if len(places) > 1 else 1.0
     return float(places[0]) - 0.5 * step, step * len(places)
 
@@ -472,7 +475,7 @@ def _compact(values: Array) -> Array:
     return np.ascontiguousarray(rounded, dtype=np.float32)
 
 
-# The functions below make figures, legends and color bars, which an update of the plot keeps
+# The next functions make figures, legends and color bars. Updates of a plot keep these objects
 
 
 def _options(plot: Plot, k: int) -> dict[str, Any]:
@@ -631,7 +634,7 @@ def _seen(color: str) -> str:
 def _plain(text: str) -> str:
     """Make a text printable, and split TeX delimiters in it: Bokeh would load TeX for them."""
     text = printable(text, lines=True)
-    joiner = "\u2060"  # invisible, no width
+    joiner = "\u2060"  # an invisible character without width
     for mark in ("$$", r"\(", r"\["):
         text = text.replace(mark, f"{mark[0]}{joiner}{mark[1]}")
     return text

@@ -207,7 +207,7 @@ def panel_axes(figure: Figure) -> list[Axes]:
 def encode(figure: Figure, *, with_pdf: bool = True) -> tuple[bytes, bytes]:
     """Return the PNG and the PDF of a figure without time stamps.
 
-    Without `with_pdf`, the PDF is empty. The layout is computed once for both files.
+    If `with_pdf` is off, the bytes of the PDF are empty. Both files use one computed layout.
 
     If the figure has no maps or images, the PNG has a palette of 256 colors.
     In maps and images, rounded colors would be visible, so these PNG files have all colors.
@@ -442,7 +442,8 @@ def _new_figure(plot: Plot, pyplot: bool, look: Look) -> tuple[Figure, list[Axes
         axes = figure.add_subplot(grid[divmod(k, columns)])
         if made:
             _share(axes, made[0], plot.share)
-        # If the width is given, panels above an empty place have no labels either
+        # In each column, only the last panel has labels below.
+        # If the width is given, only panels of the last row have labels
         if below and (k // columns < rows - 1 if look.width else k + columns < count):
             axes.tick_params(labelbottom=False)
             axes.xaxis.label.set_visible(False)
@@ -575,7 +576,10 @@ def _finish_axis(axes: Axes, which: str, given: Axis, look: Look) -> None:
 
 
 def _broken(label: str, length: float, look: Look) -> str:
-    """Put the note in a label on a separate line if the label is longer than `length` inches."""
+    """Move the part of a label in parentheses to a second line, if the label is too long.
+
+    The limit `length` is in inches.
+    """
     return label.replace("   (", "\n(") if len(label) * look.letter * 1.15 > length else label
 
 
@@ -802,7 +806,7 @@ def _handle(marks: list[Mark | str]) -> Any:
     if not lines and not dots:
         opacity = first.opacity if isinstance(first, BarChart) else 1.0
         return Patch(facecolor=color, alpha=opacity, linewidth=0)
-    stroke = bool(dots) and dots[0].marker == "|"  # a stroke has an edge but no area
+    stroke = bool(dots) and dots[0].marker == "|"  # a stroke is drawn by its edge: it has no area
     return Line2D(
         [], [], color=color, ls=getattr(lines[0], "dashes", "-") if lines else "none",
         lw=lines[0].width if lines else 0.0, marker=dots[0].marker if dots else "none",

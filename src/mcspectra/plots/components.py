@@ -106,7 +106,7 @@ def _integrand(component: Any, source: Sampler, n: int, rng: RngLike) -> xr.Data
 
 
 def _strata(component: AbstractEstimator, _: Sampler, n: int, __: RngLike) -> xr.Dataset:
-    """Return the exact variance in each jittered stratum, and the sum when the strata slide."""
+    """Return exact variances: in each jittered stratum, and in total for all offsets of strata."""
     g = component.primary_integrand()
     side = round(n ** (1 / g.dims))
     if g.dims > 2 or side**g.dims != n:

@@ -1,4 +1,4 @@
-"""Groups of results of one analysis, by name. Functions that describe plots use such groups."""
+"""Groups: results of one analysis, each with a name. Plots are made from such groups."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ __all__ = [
 ]
 
 Group: TypeAlias = "Mapping[str, xr.Dataset]"
-"""Results by name of their sampler, reduced to one channel. Labels are coordinates."""
+"""Results with one channel, by name of the sampler. Labels are stored as coordinates."""
 
 Data: TypeAlias = "xr.Dataset | Group"
 """Results by name, or one result, which may have several estimators, samplers or variants."""
@@ -48,7 +48,7 @@ Data: TypeAlias = "xr.Dataset | Group"
 Styles: TypeAlias = Mapping[str, LineStyle]
 """Style of each sampler."""
 
-# Variables of a curve. If a result has several variants of a curve, they are separated
+# Variables of a curve. If a result has several variants of a curve, each becomes a result
 _CURVE = {
     "n",
     "variance",
@@ -247,7 +247,7 @@ def labelled(stored: xr.Dataset) -> xr.Dataset:
         texts[dim].shape: dim for dim in dims if dim in texts and dim != "bound"
     }
     own |= {(stored.sizes[dim],): dim for dim in dims if (stored.sizes[dim],) not in own}
-    # Labels over two dims (for example method and n) get the dims of a variable of equal shape
+    # An array of labels with two dims gets the dims of a variable whose dims have the same sizes
     for values in stored.data_vars.values():
         if values.ndim > 1:
             own.setdefault(values.shape[:2], values.dims[:2])

@@ -59,7 +59,7 @@ class PlotKind:
         return not self.lacks(data) and self.dims in (None, len(frequency_dims(data)))
 
     def lacks(self, data: xr.Dataset) -> list[str]:
-        """Return the required variables that the result does not have; labels may be attributes."""
+        """Return which required variables the result lacks. Labels may also be in attributes."""
         return [
             v for v in self.variables if v not in data.variables and f"labels_{v}" not in data.attrs
         ]

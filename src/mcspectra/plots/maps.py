@@ -234,7 +234,7 @@ def _picture(group: Group, _: Styles, *, caption: str) -> Plot:
 
 def _spectrum(group: Group, _: Styles) -> Plot:
     """Plot the radial power of the errors for each number of samples, relative to white noise."""
-    data = next(iter(group.values()))  # each result has its own page
+    data = next(iter(group.values()))  # the group contains a single result
     marks: list[Mark] = [ReferenceLine(at=1.0, dashes="--", label="white noise")]
     levels = []
     for k, n in enumerate(data["n"].values):
@@ -290,7 +290,7 @@ def _correlation(group: Group, _: Styles) -> Plot:
 
 
 def _after_filters(group: Group, _: Styles, *, name: str) -> Plot:
-    """Plot the error after filters, by their parameter, and the error of white noise after them."""
+    """Plot the error after filtering against the parameter of the filter, next to white noise."""
     data = next(iter(group.values())).isel(n=-1)
     dim, label, words = _CURVES[name]
     x = data[dim].values.astype(float)
@@ -392,8 +392,8 @@ def _deviates(values: Array) -> Scale:
 def _tile_map(
     group: Group, _: Styles, *, variable: str, scale: Callable[[Array], Scale], caption: str
 ) -> Plot:
-    """Map a value for each tile of a gate over the image."""
-    data = next(iter(group.values()))  # each result has its own page
+    """Draw a map with one value for each tile of a compared image."""
+    data = next(iter(group.values()))  # the group contains a single result
     values = data[variable].transpose("y", "x").values.astype(float)
     x, y = (data[dim].values.astype(float) for dim in ("x", "y"))
     if variable == "difference":
@@ -434,7 +434,7 @@ def _relative(values: Array) -> Scale:
 
 
 def _p_histogram(group: Group, _: Styles) -> Plot:
-    """Plot the histogram of the p-values of single tiles. For equal images, bars are equal."""
+    """Plot a histogram of the p-values of tiles. If the images are equal, it is nearly flat."""
     data = next(iter(group.values()))
     share, at = data["p_share"].values, data["bin"].values
     width = 1.0 / share.size

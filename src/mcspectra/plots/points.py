@@ -61,7 +61,7 @@ _MOST_NAMED = 2**14  # largest number of points that have tooltips
 _MOST_STRATA = 64  # largest number of strata whose borders are drawn in a strip
 _MOST_SETS, _MOST_AXES, _MOST_POINTS = 6, 6, 2**20  # limits of `point_sets`: sets, axes, points
 _TICK_ROW = 0.09  # height of a row of ticks below the curves, relative to the curves
-_RING = 1.6  # width in points that light rings add to dots on a map
+_RING = 1.6  # light rings make dots on a map larger by this size, in units of 1/72 inch
 _SECTIONS = {"axis 0": (1, 0), "axis 1": (0, 1), "diagonal": (1, 1)}
 
 
@@ -192,7 +192,7 @@ def quality(group: Group, styles: Styles) -> Plot:
 
 
 def strata(group: Group, _: Styles) -> Plot:
-    """Plot the strata over f with the variance in each, and the total as the strata slide."""
+    """Plot the strata over f with their variances, and the total variance against their offset."""
     panels = []
     for name, each in group.items():
         values, parts = each["integrand_value"].values, each["stratum_variance"].values

@@ -35,7 +35,7 @@ _APART = 0.6  # least distance of ticks from 0 on a signed scale, in decades
 _SEEN = 0.1  # values below this fraction of the threshold look like 0
 _SHORT = 1.6  # in fewer decades, powers of ten would give too few ticks
 _MOST_DECADES = 6  # largest number of decades between the largest value and the threshold
-_NOTHING = 1e-9  # relative to the overall largest value, arrays below this are ignored
+_NOTHING = 1e-9  # an array is ignored if all its values are below this fraction of the largest
 
 
 def linear_axis(label: str, low: float, high: float, most: int = 6) -> Axis:

@@ -134,7 +134,7 @@ def _relative(data: xr.Dataset) -> Array:
     """Return the relative power (frequency, radius), averaged over 1/16 cycle per frame."""
     power = data["relative_power"].transpose("frequency", "radius").values
     frames = data.sizes["frame"]
-    # Add the frequencies of opposite sign. At its two ends, the window has half weight
+    # Add the frequencies of opposite sign. The first and the last weight of the average are halved
     whole = power[np.minimum(np.arange(frames), frames - np.arange(frames))]
     width = frames // _BANDS
     if width < 2:
@@ -187,7 +187,7 @@ def _curves(group: Group, styles: Styles) -> Plot:
     """Plot relative power over radius, and over temporal frequency."""
     first = next(iter(group.values()))
     times = first["frequency"].values
-    # Temporal frequencies count for both signs, except 0 and ½
+    # Each temporal frequency also stands for its negative, except the frequencies 0 and ½
     weight = np.where((times > 0) & (times < 0.5), 2.0, 1.0)
     area, names = first["radius"].values, mask_names(list(group))
     looks = {names[name]: styles[name] for name in group}

@@ -735,7 +735,10 @@ def _by_frequency(data: xr.Dataset) -> tuple[Array, Array, Array]:
 
 
 def _band_shares(matrix: Array) -> tuple[Array, Array]:
-    """Return the share of each band in the predicted variance: alone, and from correlations."""
+    """Return two shares of each band in the predicted variance.
+
+    The first is the variance of the band itself. The second comes from correlations with others.
+    """
     total = float(matrix.sum())
     if not np.isfinite(total) or total == 0:
         return np.full(len(matrix), np.nan), np.full(len(matrix), np.nan)

@@ -85,10 +85,10 @@ _PARTS = 3  # number of terms (dc, power and cross) drawn before their sum
 _LEAST_SHOWN = 1e-3  # smallest lower end of an interval that is drawn, relative to the value
 _WIDE = 1.25  # the interval of a planned n is shown if its ends differ by more than this factor
 _LINEAR_TOP = 4.0  # largest captured share that is shown on a linear axis
-# Height of a line of text and width of a letter, relative to the only panel of a figure
+# Height of a line of text and width of a letter, as fractions of the size of a large panel
 _TEXT_LINE, _TEXT_LETTER = 0.06, 0.018
 _MOST_BINS = 60  # largest number of bars of a histogram; narrower bars would not be visible
-_SMALLER = 2.1  # ratio of the size of a panel to its size in a small picture
+_SMALLER = 2.1  # panels of small pictures are smaller by this factor
 _VERDICTS = {"better": "#009E73", "worse": ACCENT, "given": INK}
 BELOW_ROUNDING = "below rounding"
 """Text instead of a rate, for a curve whose variances are all at rounding level."""
@@ -96,7 +96,7 @@ BELOW_ROUNDING = "below rounding"
 _CURVE = ("variance", "variance_ci", "rate", "rate_ci")
 _GUIDES = 3  # largest number of guide lines for slopes
 _GUIDE_GAP = 0.11  # least distance between labels of slopes, relative to the height of the panel
-_GUIDE_ROOM = 0.14  # part of the width of a small panel for the label of a slope
+_GUIDE_ROOM = 0.14  # part of the width of a small panel that is free for labels of slopes
 _PREDICTED = ("predicted_variance", "predicted_variance_ci")
 
 
@@ -222,7 +222,7 @@ def task_curves(
 
 
 def prediction(group: Group, styles: Styles) -> Plot:
-    """Plot predicted variances: against n with rates and bends, or by method at the largest n."""
+    """Plot predicted variances against n with rates and kinks, or by method at the largest n."""
     if any("method" in each.dims for each in group.values()):
         return _by_method(group, styles)
     caption = (
@@ -461,7 +461,7 @@ def techniques(group: Group, styles: Styles) -> Plot:
     for name, each in group.items():
         matrix, ends = values[name], each["technique_variance_ci"].values
         places = [(i, j) for i in range(len(matrix)) for j in range(i, len(matrix))]
-        places.sort(key=lambda place: place[0] != place[1])  # variances first, then covariances
+        places.sort(key=lambda place: place[0] != place[1])  # variances come before covariances
         shown = np.array([matrix[i, j] * (1 if i == j else 2) for i, j in places])
         whiskers = np.array([ends[i] if i == j else [math.nan] * 2 for i, j in places])
         texts = numbers(shown, 3)
@@ -651,7 +651,7 @@ def estimates(group: Group, styles: Styles) -> Plot:
 
 
 def below_rounding(data: xr.Dataset) -> bool:
-    """Whether a curve has no rate because its variances are at rounding level, but not all zero."""
+    """Whether a curve has no rate because of rounding. Not all of its variances are zero."""
     variance = data["variance"].values
     finite = variance[np.isfinite(variance)]
     return bool(finite.size > 1 and (finite > 0).any() and usable_counts(data).sum() < 2)
@@ -660,7 +660,8 @@ def below_rounding(data: xr.Dataset) -> bool:
 def usable_counts(curve: xr.Dataset) -> Array:
     """Return which counts (n,) have a variance above rounding level.
 
-    As in the fit, that level is a few ulps: the rounding error of a mean of n terms of size |I|.
+    The fit uses the same level. It is the rounding error of a mean of n terms of size |I|.
+    This error is a few units in the last place.
     """
     variance = curve["variance"].values
     floor = (16 * np.finfo(float).eps * np.abs(curve["mean"].values)) ** 2
@@ -747,7 +748,7 @@ def _curve_panels(
 
 
 def _curve(data: xr.Dataset, style: LineStyle, name: str, *, joined: bool = False) -> list[Mark]:
-    """Return points with whiskers and the fitted line, or a line through the points if `joined`."""
+    """Return points with whiskers, and a line through them, which is fitted unless `joined`."""
     used = usable_counts(data)
     n, variance = data["n"].values[used].astype(float), data["variance"].values[used]
     ends, text = data["variance_ci"].values[used], _rate_text(data)
@@ -870,8 +871,9 @@ def _with_slopes(panel: Panel, group: Group, styles: Styles, *, small: bool) -> 
 
 
 def _with_slope_guides(panel: Panel, results: Sequence[xr.Dataset]) -> Panel:
-    """Return a panel with dotted guide lines: those of −1, −1.5, −2 and so on nearest to the rates.
+    """Return a panel with dotted guide lines, whose slopes are nearest to the rates.
 
+    The available slopes are −1, −1.5, −2 and so on.
     The guide lines begin at the largest variance of the smallest n.
     """
     starts = [
@@ -897,7 +899,7 @@ def _with_slope_guides(panel: Panel, results: Sequence[xr.Dataset]) -> Panel:
         at = np.array([n, end])
         y = top * (at / n) ** slope
         if end == last and lowest / y[1] < (top / bottom) ** _GUIDE_GAP:
-            continue  # the label would touch the label above
+            continue  # the label would touch another label, so omit this line
         lowest = float(y[1])
         text = f"{slope:g}".replace("-", "−")
         marks.append(Line(x=at, y=y, color=GRAY, dashes=":", width=0.8))

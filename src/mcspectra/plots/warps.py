@@ -114,7 +114,7 @@ def primary(group: Group, _: Styles) -> Plot:
 
 
 def _by_spec(group: Group, attribute: str) -> tuple[Group, int]:
-    """Return results by name and their number of dims. A single result is named by its spec."""
+    """Return the named results and their number of dims. A single result has its spec as name."""
     found = {each.sizes["axis"] for each in group.values()}
     if len(found) > 1:
         raise ParameterError(
@@ -178,7 +178,10 @@ def _warp_words(data: xr.Dataset) -> str:
 
 
 def _jump_words(data: xr.Dataset) -> str:
-    """Return the length × mean height of the jumps, such as ``inside 1.89 × 1.00, sides none``."""
+    """Return the size of two kinds of jumps in words, such as ``inside 1.89 × 1.00, sides none``.
+
+    The two factors are the length of the jumps and their mean height.
+    """
     words = []
     for kind, word in (("interior", "inside"), ("boundary", "sides")):
         length = float(data["primary_jump_length"].sel(kind=kind))

@@ -83,7 +83,7 @@ class CheckSettings:
         In 6 dims and more there would be fewer than three frequencies along each axis.
     cells
         Number of cells along each axis, by number of dims, for samples of the autocorrelation of g.
-        The sampling error of the table's ∫g² cancels.
+        The mean of these samples is subtracted, so that their sampling error cancels.
         A linear interpolant of a wave of frequency k has the relative error (2πk/cells)²/8.
         The relative error is 5e-6 k² in 2-D and 5e-9 k² in 1-D.
     most_points
@@ -142,7 +142,7 @@ def of_homogenized(
             "The homogenized formula holds for uniform points that are the same after any "
             f"translation, not for {given.spec} with {sampler.spec}; add shift."
         )
-    FrequencyGrid(estimator.domain_dims, width)  # An error if there are too many
+    FrequencyGrid(estimator.domain_dims, width)  # Raises an error if there are too many frequencies
     m, f = _coefficients(given, width)
     try:
         known = closed_form_power(sampler, n, m)
@@ -154,7 +154,7 @@ def of_homogenized(
 
 
 def draws_power(estimator: AbstractEstimator, sampler: Sampler, n: int) -> bool:
-    """Return whether the method homogenized needs power that is measured from drawn sets.
+    """Return whether the method ``homogenized`` needs sets, drawn to measure the power.
 
     Drawn sets are needed if the method applies, but the power has no closed form.
     """
@@ -172,10 +172,10 @@ def of_terms(
     realizations: int,
     homogenized: Cells | None,
 ) -> dict[str, Cells]:
-    """Return the results of all methods that use `terms_for`, by name.
+    """Return results from `terms_for`, by name of the method.
 
-    The method terms is the sum of the three terms. The method measured is the sample variance.
-    The method homogenized, here the power term, is included if its power comes from realizations.
+    ``terms`` is the sum of the three terms of the variance, and ``measured`` the sample variance.
+    ``homogenized`` is the power term. It is included if the power comes from realizations.
     """
     share: Any = np.nan
     if estimator.domain_integrand is not None:
@@ -253,7 +253,7 @@ def _share(estimator: AbstractEstimator, f: Array) -> Any:
 
 
 def _certain(method: str, variance: Array, how: str, share: Any) -> Cells:
-    """Return the row of a method that draws no samples."""
+    """Return the result of a method that draws no samples: its interval has length 0."""
     return Cells.row(method, how, variance, variance, variance, share=share, channels=len(variance))
 
 
@@ -291,7 +291,8 @@ def of_pairs(
     for technique, count in enumerate(estimator.counts):
         g = estimator.primary_integrand(technique)
         if exact:
-            # For random points, all pairs count; for jittered points, pairs in different cells
+            # Random points: all pairs of points are equally likely.
+            # Jittered points: only pairs in different cells occur
             (square, square_error), points = square_integral(g), n * count
             sides: Any = getattr(source.law(points), "sides", (1,) * g.dims)
             squares = []  # Σ_j (∫_cell j g)²

@@ -8,16 +8,18 @@ Strata may have a common offset. Further samplers have these formulas:
   Below these bits is an offset δ that is uniform in a cell and the same for all points.
   For given δ, the values of g on the grid have the Walsh spectrum ĝ_m(δ).
   The points have the Walsh coefficients ŝ_m = (1/n) Σ_k wal_m(x_k).
-  For digital nets |ŝ_m|² is 1 on the dual net and 0 elsewhere. The variance is
+  For digital nets |ŝ_m|² is 1 on the dual net and 0 elsewhere.
+  The variance is a mean over δ plus the variance of ĝ_0:
 
       Var = E_δ [Σ_{m ≠ 0} ĝ_m² ŝ_m²] + Var_δ ĝ_0.
 * Latin hypercubes: along each axis, two points lie in two different strata out of n.
   Let ω² be the mean variance within n^d cells.
-  Let σ²_v be the ANOVA variances of the cell means, for the subsets v of the axes. The variance is
+  Let σ²_v be the ANOVA variances of the cell means, one for each subset v of the axes.
+  The variance is a weighted sum of ω² and all σ²_v:
 
       Var = (1/n) [ω² + Σ_{v ≠ ∅} (1 + (n − 1) (−1/(n − 1))^|v|) σ²_v],
 
-  The variation along single axes from stratum to stratum has weight 0 [Stein1987]_.
+  Subsets v of a single axis have weight 0 [Stein1987]_.
 * Antithetic jittered [Haber1967]_: each cell has one jittered point u and its mirror image u'.
   The image u' is u reflected through the center of the cell.
   The function h(u) = (g(u) + g(u'))/2 replaces g.
@@ -107,12 +109,13 @@ EXACT_TOLERANCE = 1e-6
 class ExactSettings:
     """Settings for the agreement of quadratures, and for the cells of curves along axes.
 
-    "The same results" means that no variance changes by more than 1e-9 in twelve cases.
+    Some comments say that results are the same.
+    This means that no variance changes by more than 1e-9 in twelve cases.
     The cases are sums and products with jumps, kinks and poles, a wave, a disk and a ridge.
     Every case was measured with n = 64 and 1024 points.
     """
 
-    # An error below this fraction of ∫g²/n is accepted for every tolerance.
+    # An error below this fraction of ∫g²/n is always small enough, for any tolerance.
     # Halving or doubling this value gives the same results.
     negligible: float = 1e-9
     # The error of the higher order is at most the difference of two orders times this factor.
@@ -127,7 +130,7 @@ class ExactSettings:
     finer: int = 4
     hope: float = 10.0
     # Least number of dims, and least tolerance, for fits by sums of products.
-    # The curves of these fits have relative errors of 2e-3.
+    # The functions of single axes in such a fit have relative errors of 2e-3.
     # Halving or doubling the values gives the same results.
     many_dims: int = 4
     loose: float = 1e-3
@@ -136,12 +139,13 @@ class ExactSettings:
     # Factor for the reported error of ∫h² next to a pole.
     # The factor changes intervals, but not variances.
     doubt: float = 3.0
-    # Relative rounding errors: of ∫g² (`rounding`), and of sums along an axis (`exact`).
+    # `rounding` is the relative rounding error of ∫g².
+    # `exact` is the relative rounding error of a sum along an axis.
     rounding: float = 4e-15
     exact: float = 1e-9
     # Largest number of cells of an axis. It matters for halton | shift at n = 1024:
     # half this number changes the variance by 2e-4, and twice this number by 5e-5.
-    # `most_pairs` limits the time. It bounds the number of pairs of points, times the dims.
+    # `most_pairs` limits the time: the number of pairs of points times d is at most this number.
     most_cells: int = 2**18
     most_pairs: float = 2.0**32
     # Number of quadrature nodes per cell, and a smaller number for more than 2^14 cells.
@@ -150,7 +154,7 @@ class ExactSettings:
     many_nodes: int = 16
     few_nodes: int = 6
     deep: int = 14
-    # Relative error of the power beyond the last octave.
+    # Beyond the last octave the power is not computed. This is the relative error of its value.
     # At these frequencies, the power is assumed to equal its mean over the last octave.
     # This error changes intervals, but not variances.
     white: float = 0.02
@@ -164,10 +168,10 @@ class ExactSettings:
     # A variance within cells is treated as rounding below this fraction of ∫h².
     # Halving or doubling this value gives the same results.
     nothing: float = 1e-12
-    # Number of octaves of offsets that resolve a cusp. The octaves have the ratio 8.
+    # Number of ranges of offsets next to a cusp. Each range is 8 times as long as the next one.
     # Halving or doubling this value gives the same results.
     cusps: int = 10
-    # Points are a grid if n times their coordinates differ from integers by less than this.
+    # A set counts as a grid if n times each coordinate is this close to an integer.
     # Halving or doubling this value gives the same results.
     even: float = 1e-6
     # Relative error of a product's variance if points are rounded to cells of 2^-15.
@@ -302,16 +306,17 @@ def of_integrand(
 ) -> tuple[Array, Array]:
     """Return variance and a bound of its error, (channels or 1,). It is 0 at rounding level.
 
-    The error is the difference between two orders plus the `blindness` of the higher order.
+    The error is the difference between two orders of the quadrature.
+    The `blindness` of the higher order is added for structures that its nodes do not resolve.
     For random points, the error is the error of ∫g².
     If higher orders of the quadrature would suffice, the orders are raised once.
-    If `most` is lower, other methods follow, and the orders are not raised.
+    If `most` is below the default, the orders are not raised, because other methods follow.
 
     Raises
     ------
     NoClosedForm
-        If `exact_variance` would raise, or the error exceeds `tolerance` times the variance.
-        The error is also raised if a rule would take more than about `most` evaluations.
+        If `exact_variance` raises this error, or the error exceeds `tolerance` times the variance.
+        This error is also raised if a rule would take more than about `most` evaluations.
     """
     g, lines = looked_at(g), False
     if not (in_closed_form(g) or g.costly):
@@ -321,7 +326,7 @@ def of_integrand(
             with contextlib.suppress(NoClosedForm):
                 return _within(_by_axes(law, g), law, g, tolerance)
         square, _ = square_integral(g) if law.uniform else (np.zeros(1), 0)
-        if np.isinf(square).all():  # One point next to the pole outweighs all others
+        if np.isinf(square).all():  # Next to a pole, one point outweighs all others
             return square, np.zeros(len(square))
     try:
         return _by_cells(law, g, tolerance, most)
@@ -379,10 +384,10 @@ def _by_cells(law: Law, g: Integrand, tolerance: float, most: float) -> tuple[Ar
         return high, error
     square, _ = square_integral(g)
     agree |= error <= _SETTINGS.negligible * np.max(square) / n
-    if law.uniform:  # One point next to the pole outweighs all others
+    if law.uniform:  # Next to a pole, one point outweighs all others
         high = np.where(np.isinf(square), np.inf, high)
     # The rounding error of Σ (mean g² − (mean g)²)/n is about 1e-15 ∫g²/n.
-    # A variance that vanishes still has this error
+    # A computed variance of 0 also has this rounding error
     rounding = 4e-15 * square / n
     known = agree | np.isinf(high) | (error <= _SETTINGS.safety * rounding)
     if not known.all():
@@ -567,13 +572,16 @@ def _paired(curve: PiecewiseCurve, side: int) -> PiecewiseCurve:
 
 
 def _of_projections(law: Law, inner: Fixed, g: Separable) -> tuple[float, float]:
-    """Predict a sum under scrambles and shifts of a set, from the variances of its projections."""
+    """Predict a sum of functions of single axes, for a set that is scrambled or shifted.
+
+    The variances of the projections of the set are added.
+    """
     n, value, error = law.n, 0.0, 0.0
     for axis, (x, curve) in enumerate(zip(inner.points.T, g.curves, strict=True)):
         if curve.square == 0.0:
             continue
         if isinstance(law, Scrambled) and law.nested_pairs:
-            # Gains of the projection, up to the digits in which all coordinates differ
+            # Compute the gains of the projection, until no two coordinates agree in all digits
             base, level, agree, gains = law.bases[axis], 0, float(n), [0.0]
             while agree > 1.0 and base ** (level + 1) <= _SETTINGS.most_cells:
                 level += 1
@@ -650,7 +658,7 @@ def _of_projections(law: Law, inner: Fixed, g: Separable) -> tuple[float, float]
                     energy[-1] *= 0.5
                     found.append(float(energy[1:] @ power[1:]) + float(spreads.mean()) / n)
                     continue
-                # For other points, use the measured power at low frequencies, which cells resolve.
+                # For other points, measure the power at low frequencies, which cells resolve.
                 # At higher frequencies, use white noise
                 most = size // 8
                 m = np.arange(1, most + 1)
@@ -675,7 +683,10 @@ def _of_projections(law: Law, inner: Fixed, g: Separable) -> tuple[float, float]
 
 
 def _of_set(law: Law, g: Separable) -> tuple[float, float]:
-    """Predict a product under scrambles and shifts of a set, from the mean over pairs of points."""
+    """Predict a product of functions of single axes, for a set that is scrambled or shifted.
+
+    The variance is a mean over pairs of points.
+    """
     n = law.n
     pairs, codes, rows = pairs_of(law, Stream.from_rng(0))
     if float(len(rows)) * n * law.dims > _SETTINGS.most_pairs:
@@ -724,7 +735,10 @@ def _of_set(law: Law, g: Separable) -> tuple[float, float]:
 
 
 def _refined(fine: float, middle: float, coarse: float) -> tuple[float, float]:
-    """Extrapolate results for cells of widths 1, 2 and 4, with an error (Richardson)."""
+    """Extrapolate to cells of width 0 from the results for widths 1, 2 and 4 (Richardson).
+
+    The error is also returned.
+    """
     first, second = fine + (fine - middle) / 3.0, middle + (middle - coarse) / 3.0
     return first, abs(first - second)
 
@@ -733,7 +747,7 @@ def _variance(law: Law, g: Integrand, rule: Rule) -> tuple[Array, Array]:
     """Return the variance of a mean of g over a set, and a bound of its error, (channels or 1,)."""
     n, none = law.n, np.zeros(g.dims)
     match law:
-        # Use the variance of the inner set with another integrand
+        # Folded and mirrored sets: use the inner set (before mirroring) with another integrand
         case Folded(inner=inner):
             return _variance(inner, FoldedIntegrand(g), rule)
         case Mirrored(inner=inner, mode="uniform"):
@@ -827,12 +841,12 @@ def _latin(law: Law, g: Integrand, rule: Rule, *, shifted: bool) -> tuple[Array,
     if shifted:  # The mean over all cells is a smooth function of the offset
         nodes, weights = offset_rule(g, fine, rule.order // 2 + 2)
     one = float(len(nodes) * rule.each(g))
-    # Shifted cells at 0 and 1 are cut into pieces, which matters for the cost in 1-D and 2-D
+    # Shifted cells at 0 and 1 are cut into pieces, which raises the cost in 1-D and 2-D
     most = rule.most / one / (1 if in_closed_form(g) or g.dims > 2 else 2)
     side = next((m for m in range(n, 1, -1) if n % m == 0 and m**g.dims <= most), 1)
     if side < n:
         rule.check(f"The exact variance of {law.name}", one * n)
-    varying = np.indices((min(side, 2),) * g.dims).sum(axis=0)  # |v|
+    varying = np.indices((min(side, 2),) * g.dims).sum(axis=0)  # |v|, the number of axes in v
     gains = np.where(varying > 0, 1.0 + (n - 1.0) * (-1.0 / max(n - 1.0, 1.0)) ** varying, 0.0)
     found = []
     for offset in nodes:
@@ -918,7 +932,7 @@ def _digitally_shifted(net: Fixed, g: Integrand, rule: Rule) -> tuple[Array, Arr
 
 
 def _hadamard(values: Array, dims: int) -> Array:
-    """Apply `hadamard` along each of the first `dims` axes."""
+    """Apply the fast Walsh–Hadamard transform along each of the first `dims` axes of an array."""
     for axis in range(dims):
         values = np.moveaxis(hadamard(np.moveaxis(values, axis, -1)), -1, axis)
     return values
@@ -930,7 +944,7 @@ def level_variances(means: Array, bases: tuple[int, ...], axis: int = 0) -> Arra
     Means have shape (b_0^L_0, b_1^L_1, …, channels), where b_i is the base of axis i.
     The result has shape (L_0 + 1, L_1 + 1, …, channels).
     At level 0 of all axes, the result is the square of the mean.
-    The means are split along `axis` into the contributions of each digit.
+    Along `axis`, the means are divided into parts: one part for each digit of the coordinate.
     The later axes are split in the same way, one after the other.
     """
     if axis == len(bases):

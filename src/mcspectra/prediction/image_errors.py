@@ -45,7 +45,7 @@ class ImageErrorSettings:
     Attributes
     ----------
     most_dims
-        Largest number of dims. In 4 dims, half width 31 would reach `most_values`.
+        Largest number of dims. In 4 dims, half width 31 gives nearly `most_values` coefficients.
         Fast transforms exist only in up to 3 dims.
     most_values
         Largest number of coefficients, or of points of one image: 256 MiB of complex numbers.
@@ -98,7 +98,7 @@ def image_error_spectrum(
         Frequencies m in {−half_width … half_width}^d are predicted term by term.
         The rest of ∫f² is treated as if points were random and pixels independent.
         The default is 24. With closed-form coefficients, it is doubled as needed.
-        Doubling ends when the rest is under 1 % of every band, or at 2^21 frequencies.
+        Doubling ends when the rest of ∫f² adds under 1 % to every band, or at 2^21 frequencies.
     images
         Number of independent images, at least 2.
         Each image has its own shared set and its own position of the mask.
@@ -189,7 +189,7 @@ def image_error_spectrum(
             measured[k] = rings.mean(_power(values - integrals, width))
 
         # Predict the images from coefficients without f_0.
-        # Double the half width until the rest of ∫f² is negligible in the weakest band
+        # Double the half width until the rest of ∫f² adds little to every band
         whole = np.array([float(square_integral(f)[0][0] - f.integral**2) for f in functions])
         exact = all(f.fourier_source == "exact" for f in functions)
         reach, grows = half_width or _SETTINGS.half_width, half_width is None and exact
@@ -266,6 +266,6 @@ def _errors(known: Array, points: Array, shifts: Array) -> Array:
         return np.asarray(found.real)
     phases = np.exp(-1j * places[..., None] * (np.arange(known.shape[1]) - known.shape[1] // 2))
     terms = np.conj(known) * shared
-    for phase in phases:  # Sum over the first remaining axis of frequencies
+    for phase in phases:  # Sum over the frequencies along one axis
         terms = np.einsum("pm,pm...->p...", phase, terms)
     return np.asarray(terms.real)

@@ -50,9 +50,9 @@ class Predicted:
     how
         Short description, such as the number of sets.
     share
-        Part of ∫g² that was summed term by term.
+        Part of ∫g² for which the method computes every term of a sum.
     tail
-        Part of `variance` that the method does not sum term by term, in the same units.
+        Variance from the rest of ∫g², whose terms are not summed. It is a part of `variance`.
     method
         Name of the method, from `METHODS`. The loop over the methods fills it in.
     poles
@@ -80,7 +80,7 @@ class Cells:
     share, tail
         See `Predicted`.
     methods, hows, notes
-        Names of the methods; details, or reasons for missing values; and notes. Each is (N,).
+        Three arrays (N,): names of methods, details (or why a value is missing), and notes.
     """
 
     variance: JOIN
@@ -140,7 +140,7 @@ class Cells:
 class Known:
     """An integrand in primary space, with cached facts for all methods, counts and samplers.
 
-    All methods use the integrand cut at jumps across an axis, which line searches detect.
+    Line searches detect jumps across an axis. All methods use the integrand cut at these jumps.
     Results of quadrature are stored in `mcspectra.integrands.base.IntegrandCache`.
     """
 

@@ -4,7 +4,8 @@ Nested uniform scrambling multiplies each variance σ²_l by a factor, the gain 
 The theory is in docs/theory.md, "Gains of scrambled nets".
 Here σ²_l is the variance of the part of g that varies with l_j digits of coordinate j.
 All but finitely many gains are 1. The exceptions are levels of at most about n cells.
-These levels have Σ l_j near log n, although not every l_j is near log n. The result is
+At these levels, Σ l_j is near log n, although not every l_j is near log n.
+The variance contains the levels of a table T, the rest ω²_T, and a correction:
 
     n Var = Σ_{l ≤ T} Γ_l σ²_l + ω²_T − Σ_{l ≰ T} (1 − Γ_l) σ²_l,
 
@@ -64,12 +65,12 @@ class LevelsSettings:
         Halving or doubling it changes variances by less than 0.1 %, within the intervals.
     long, most_cells
         Number of cells of a table that is longer along some axes.
-        The limit `long` n Π b_j covers the digits of n and one more digit.
+        A table has at most `long` n Π b_j cells, which resolve one digit more than n points have.
         Another limit is `most_cells`. Halving or doubling either value changes nothing.
     more
-        Number of digits beyond the digits of n for which gains are computed.
+        Number of additional digits, after the digits of n, for which gains are computed.
         Beyond the digits of n all coordinates usually differ.
-        Values from 1 to 6 give the same results.
+        Results are the same for values from 1 to 6.
     orders
         Orders of the coarse and the fine Gauss-Legendre rule in each cell, by number of dims.
         The error is the difference of the two rules.
@@ -85,12 +86,12 @@ class LevelsSettings:
     block
         Number of evaluations per call, 16 MB in 2-D. It has no effect on the result.
     clear, doubt
-        The part of ∫g² that tables miss is added if it exceeds its own error by this factor.
+        Tables may miss a part of ∫g². It is added if it exceeds `clear` times the error of ∫g².
         `doubt` is the uncertainty of the weight of this part.
         The missed part lies at poles within one cell, and has a gain between 0 and about 1.
-        Half of `clear` adds noise of 0.015 % to a variance; twice `clear` changes nothing.
+        With half of `clear`, variances have noise of 0.015 %. With twice `clear`, nothing changes.
     most_error, noise
-        The method raises an error above this half interval, relative to the variance.
+        If the half interval exceeds this fraction of the variance, the method raises an error.
         Other methods then have smaller relative errors, below 0.2.
         A half interval below `noise` times ∫g² is always accepted.
         Halving or doubling either value changes nothing.
@@ -125,7 +126,7 @@ def of_levels(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG
     Parameters
     ----------
     law
-        Law of the sets, in 1 to 3 dims. Fixed sets must have nested or linear scrambling.
+        The law of a sampler in 1 to 3 dims. Fixed sets must have nested or linear scrambling.
         Strata must not be shifted at random.
     known
         The integrand g, and the tables made for other counts and samplers.
@@ -253,7 +254,8 @@ def _table(
 
     # At jumps, the squares of means and the variance within cells have opposite errors.
     # These errors cancel in the sum. If cells are long, the variance within cells is not computed.
-    # The means of both rules are then multiplied, because their errors are hardly correlated
+    # Therefore the means of two rules are multiplied with each other, instead of squared.
+    # The errors of the two rules are hardly correlated
     pairs = ([(0, 0), (-1, -1)] if whole else [(-1, -1), (0, -1)])[: len(means)]
     halves = [0.5 * (means[a] + sign * means[b]) for a, b in pairs for sign in (1.0, -1.0)]
     sums, differences = (
@@ -265,7 +267,8 @@ def _table(
 def _spread(means: Array, squares: Array) -> tuple[Array, Array]:
     """Return the mean variance within cells, (Q, channels), and twice its error.
 
-    The moments of g in each cell come from Q = 2 quadrature rules or are exact: (Q, …, channels).
+    The moments of g in each cell have shape (Q, …, channels).
+    They come from Q = 2 quadrature rules, or are exact.
     The means of two rules over all cells may agree by chance, so the rules are compared per cell.
     Errors in different cells are independent: the error is the root sum of squares over cells.
     """
@@ -279,7 +282,7 @@ def _cell_moments(
 ) -> tuple[Array, Array]:
     """Return means of g and of g² over cells displaced by `offset`, both (Q, *sides, channels).
 
-    Without a closed form, cells with most variation are integrated more finely if `refined`.
+    If `refined`, cells with much variation are integrated more finely, unless moments are exact.
     """
     dims = g.dims
     if in_closed_form(g):
@@ -304,7 +307,8 @@ def _cell_moments(
     varies = varies + np.sqrt(np.maximum(squares[-1] - fine**2, 0.0))
     rough = (varies / np.maximum(varies.max(axis=tuple(range(dims))), 1e-300)).sum(axis=-1)
     limit = _SETTINGS.rough * rough.mean()
-    edges = (0.0, *((1e-9, 1.0 - 1e-9) if dims <= 2 else ()))  # Warps have their poles at 0 and 1
+    # Cells at 0 and 1 are not refined, because warps have their poles there
+    edges = (0.0, *((1e-9, 1.0 - 1e-9) if dims <= 2 else ()))
     for axis, breaks in enumerate(g.breaks):
         place = (np.array([*edges, *breaks]) - offset[axis]) % 1.0 * sides[axis]
         cut = place[np.abs(place - np.rint(place)) > 1e-12]
@@ -339,7 +343,7 @@ def _strata(
 
     If there is a single stratum, all n values lie in it.
 
-    With `whole`, g is the same for all n. A separate computation of ∫g² then serves all counts.
+    If `whole`, g is the same for all n, so that one computation of ∫g² serves all counts.
     """
     # Choose cells that divide the strata, up to the number of cells in the settings
     sizes = sides
@@ -361,7 +365,7 @@ def _strata(
 
 
 def _missed(known: Known, square: Array) -> Array:
-    """Return ∫g² minus the ∫g² of a table: the part at poles at the border that cells miss."""
+    """Return ∫g² minus the same integral from a table, whose cells do not resolve poles."""
     if in_closed_form(known.g):
         return 0.0 * square
     exact, error = known.square
@@ -379,7 +383,7 @@ def _merged(moment: Array, sides: tuple[int, ...]) -> Array:
 def _predicted(
     scaled: Array, n: int, square: Array, how: str, *, rest: Any = 0.0, doubt: Any = 0.0
 ) -> Predicted:
-    """Make a prediction from n times the variance, by one or two rules: (Q, channels)."""
+    """Make a prediction from n times the variance, (Q, channels), where Q counts the rules."""
     rounding = _ROUNDING * square
     value = np.where(scaled[-1] > rounding, scaled[-1], 0.0)
     error = np.abs(scaled[-1] - scaled[0]) + doubt + rounding + 1e-9 * value

@@ -16,7 +16,7 @@ Let E_u be the energy of g with part u_i along axis i. Then
 
 Here p runs over the patterns of pairs of points, which state a relation for each axis.
 Arrays of strength 2 have λ = −1 if u has one β or two β, and all other parts are means.
-If every part of a stratum has one point, λ = −1 also if u has one δ, and all other parts are means.
+If every part of a stratum has one point, λ is also −1 if u has one δ and otherwise only means.
 Energies with λ = −1 add no variance [Owen1992]_.
 If more parts of u are not means, λ decreases with powers of 1/s.
 
@@ -25,7 +25,7 @@ The variance of the fit is known.
 The rest is estimated from random pairs of points that share strata of two or three axes.
 First, the functions of single axes are subtracted from g and from the fit.
 The estimate is the mean product of g at two points, minus the mean product of the fit.
-Energies of g minus the fit in more than three axes are not estimated and widen the interval.
+In more than three axes, energies of g minus the fit are not estimated. They widen the interval.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class PairedSettings:
     Attributes
     ----------
     pairs
-        Number of pairs in each replicate for the entries of `_MULTIPLES`.
+        Number of pairs of points in each replicate, for each of the three entries of `_MULTIPLES`.
         Halving or doubling these numbers changes variances by less than 0.5 %.
         The change was measured with orthogonal-array | shift in 4-D at n = 289.
         The intervals are ±0.9 % for a Gaussian, ±2.1 % for a ball and ±0.5 % for a kink.
@@ -111,7 +111,8 @@ def of_arrays(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG
             functools.partial(_energies, p, c, s, parts, offsets, known),
         )
         # Compute n Var for functions of single axes, for the fit in several axes, and for the rest.
-        # The result for single axes has an entry for all profiles, and one for each group of them
+        # For single axes, the first result is from all profiles of g.
+        # The other results are from one group of profiles each
         alone = sums.single @ np.array([1.0, 1.0 + part, 1.0 + one])
         several = _of_products(array, sums)
         beside = more @ np.array([1.0, two, both, three])
@@ -139,7 +140,7 @@ def is_array(law: Law) -> bool:
     array, _ = unmoved(law)
     if not isinstance(array, PairedAxes) or array.latin or array.dims == 1:
         return False
-    # A pattern must have the same share for every order of its relations along the axes
+    # If the relations of a pattern are permuted among the axes, its share must not change
     shares: dict[tuple[Relation, ...], list[float]] = {}
     for pattern in array.patterns:
         shares.setdefault(tuple(sorted(pattern.axes)), []).append(pattern.share)
@@ -228,7 +229,7 @@ def _energies(
     """Return energies of single axes and moments of the fit, and energies of g minus the fit.
 
     The energies of g minus the fit have shape (replicates, 4).
-    Column 0 holds the energy of several axes, and the other columns the entries of `_MULTIPLES`.
+    Column 0 holds the energy of several axes. Each other column is for one entry of `_MULTIPLES`.
     """
     singles, means, covariances = np.zeros((len(p.main[0]), 3)), list[Array](), list[Array]()
     own, centers = len(p.main[0]), list[Array]()
@@ -291,7 +292,7 @@ def _energies(
         middle = 0.5 * (one + two).mean(axis=(1, 2), keepdims=True)
         one, two = one - middle, two - middle
         # The sum over choices of axes is the number of choices times the mean.
-        # If the two parts of a pair have different kinds, count both orders
+        # If the two axes have parts of different kinds, both orders of the axes count
         many = math.comb(d, len(along)) * (2 if name == "parts" else 1)
         product, square = one * two, 0.5 * (one**2 + two**2)
         more[:, 1 + k] = many * (product[0] - product[1]).mean(axis=-1)

@@ -107,7 +107,7 @@ __all__ = [
 ]
 
 _OFFSET = 0.5 - 0.5 / 3**0.5
-"""Offset c, in strata, at which c(1 − c) equals its mean 1/6 over all offsets.
+"""An offset c of strata, as a fraction of their width. c(1 − c) is 1/6, its mean over all c.
 
 The variance from jumps at the faces of the cube is proportional to c(1 − c).
 """
@@ -135,7 +135,7 @@ class QuadratureSettings:
         Values from 2^20 to 2^24 give the same results for the same samplers.
     most_breaks
         Largest number of breaks of g for the quadrature of shifted strata in several dims.
-        Offsets are cut at each break along each axis, so their number grows with the power d.
+        Breaks divide the range of offsets along each axis. The number of parts grows as a power d.
     """
 
     tolerance: float = 0.01
@@ -146,13 +146,14 @@ class QuadratureSettings:
 @final
 @dataclass(frozen=True, kw_only=True)
 class AutoSettings:
-    """Required widths of intervals, and counts that show the limits of rates.
+    """Largest widths of accepted intervals, and additional counts for the limits of rates.
 
     Attributes
     ----------
     moved, measured
         Largest half intervals of sums of products, relative to the variance.
-        Above `moved`, offsets of the set are tried; above `measured`, measurements are tried.
+        If an interval is wider than `moved`, random offsets of the set are evaluated.
+        If it is wider than `measured`, realizations are measured.
         8,192 offsets have a standard error of √(2/8192) = 1.6 % and intervals of 3 %.
         Extrapolations have intervals of about a fifth.
     ahead, most_ahead
@@ -161,11 +162,11 @@ class AutoSettings:
         `most_ahead` is log2 of the largest additional count.
         With strata, counts up to this limit are used, because one table serves all counts.
     loose
-        Half interval, relative to the variance, above which a larger count is not used for rates.
+        A larger count is not used for rates if its half interval exceeds this part of its variance.
         Over two octaves such an interval changes a slope by 0.16.
     square, coefficients, tables
         Approximate numbers of evaluations for ∫g², for coefficients of g and for tables.
-        `square` is the budget of the integral. The other values are sizes of tables in 2-D.
+        `square` is the budget for ∫g². The numbers for coefficients and tables are sizes in 2-D.
     """
 
     moved: float = 0.03
@@ -198,7 +199,7 @@ class TableSettings:
         Number of random points at which the table is compared with g.
         For usual g, the mean square difference has a relative standard error of about 1/256.
         Heavy-tailed differences have larger errors.
-        Values from 2^15 to 2^17 give the same results.
+        Results are the same for values from 2^15 to 2^17.
     block
         Number of points per call, 1 MB in 2-D. It has no effect on the result.
     points
@@ -236,9 +237,9 @@ class ExtrapolationSettings:
         Largest measured count of a cheap f.
         Values from 2^11 to 2^13 change variances by less than 1.5 %.
     near
-        Inverse of the largest distance between counts close to n, as a fraction of n.
+        Counts close to n are one or two steps from n. A step is at most n divided by this number.
         These counts lie within an eighth of n, and the line hardly extrapolates.
-        Values from 8 to 32 give the same results.
+        Results are the same for values from 8 to 32.
     fitted
         Number of counts closest to n that the line is fitted to.
         Three counts leave one degree of freedom, for which Student's t is 12.7.
@@ -252,8 +253,9 @@ class ExtrapolationSettings:
         Halving or doubling both settings changes variances by less than 4 %.
         These changes are well within the intervals of 14 to 60 %.
     most_factor
-        Largest factor of the reported error of an extrapolation, so that exponentials stay finite.
-        Values from 15 to 60 give the same results.
+        Upper limit of the factor between an extrapolated variance and the end of its interval.
+        The limit keeps exponentials finite.
+        Results are the same for values from 15 to 60.
     """
 
     small: tuple[int, ...] = tuple(2**k for k in range(3, 9))
@@ -278,8 +280,8 @@ class EvaluationLimits:
         An interval then reaches from the variance divided by a factor to the variance times it.
         The factor of such an interval is 1.5 at measured counts, and 2 at n = 4,096.
     predictions
-        Least number of evaluations per technique at which methods other than measurements are used.
-        Predictions by these other methods need 1.2 to 13 million evaluations.
+        If fewer evaluations per technique are allowed, variances are only measured, not predicted.
+        Predictions need 1.2 to 13 million evaluations.
         These numbers are for smooth functions and jumps in 1-D to 4-D with four samplers.
     sets, least_sets
         If every count has more than this number of realizations, larger counts are also measured.
@@ -428,7 +430,7 @@ def extrapolated(
         if count == n or len(found) == settings.fitted:
             continue
         with contextlib.suppress(CountError):
-            # Counts of a single technique are allowed; a check would only repeat its warnings
+            # A single technique allows all these counts, and a check would only repeat warnings
             if sum(estimator.counts) > 1:
                 estimator.check_sampler(sampler, count)
             close = counts[count]
@@ -514,7 +516,7 @@ class Method:
 
 
 def _mirrored(law: Law) -> bool:
-    """Return whether the prediction can use the set before mirroring and a changed integrand."""
+    """Return whether points are mirrored. Methods then use another g and the inner set."""
     return isinstance(law, Folded | Mirrored) and not law.inner.fixed
 
 
@@ -524,7 +526,7 @@ def _one_offset(law: Law) -> bool:
 
 
 def _latin(law: Law) -> bool:
-    """Return whether points are a Latin hypercube in several dims: sums over axes are exact."""
+    """Return whether points are a Latin hypercube in several dims, with exact sums over axes."""
     return isinstance(law, PairedAxes) and law.latin and law.dims > 1
 
 
@@ -534,7 +536,7 @@ def _moves_apply(law: Law, known: Known) -> bool:
 
 
 def _enough_of_sums(law: Law, known: Known) -> float:
-    """Return the half interval up to which a prediction by sums of products is accepted.
+    """Return the largest accepted half interval of a prediction by sums of products.
 
     Sums of products may miss jumps and kinks.
     """
@@ -565,7 +567,7 @@ def _exactly(
 def _checked(
     check: Callable[[AbstractEstimator, Sampler, int, Terms, Stream], Cells],
 ) -> Callable[[AbstractEstimator, Sampler, int, Prediction, Stream], Cells]:
-    """Adapt a method that checks predictions to the arguments of a prediction."""
+    """Call a cross-check with the arguments of a prediction, converted to a spectral analysis."""
 
     def of_estimator(
         estimator: AbstractEstimator, sampler: Sampler, n: int, asked: Prediction, stream: Stream
@@ -812,7 +814,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
     ) -> float:
         """Return the number of evaluations of the requested methods.
 
-        With `auto`, only the first method that is tried counts.
+        If the method is ``auto``, only the method that would be tried first is counted.
         """
         source, cost = estimator.randomized(sampler), 0.0
         for count, each in zip(estimator.counts, known, strict=True):
@@ -823,13 +825,16 @@ class Prediction(Counted, frozen=True, kw_only=True):
         return cost
 
     def _terms(self, subject: Subject, n: int) -> tuple[Terms, Need, str]:
-        """Return the analysis that samples spectra, its resources, and why it lacks frequencies."""
+        """Return the analysis that samples spectra, and what it needs.
+
+        A text says why the analysis has no frequencies. Usually the text is empty.
+        """
         asked = terms_for(subject.estimator, n, self.half_width, self.realizations)
         without, refusal = msgspec.structs.replace(asked, half_width=0), ""
         if self.method != "measured":
             try:
                 return asked, asked.need(subject), ""
-            except ParameterError as error:  # Too many frequencies, or too little memory for them
+            except ParameterError as error:  # The frequencies are too many or need too much memory
                 if self.method != "all":
                     raise
                 refusal = str(error)
@@ -852,7 +857,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
         own, other = (Stream.from_rng(np.random.SeedSequence([stream.key, k])) for k in (0, 1))
 
         # Counts of a sampler. With auto they include counts for rates and their limit.
-        # A value of 0 means that there is no count
+        # A count of 0 marks an unused place in the list
         counts = [_places(s, self.counts) if auto else [0, *self.counts, 0, 0] for s in samplers]
         wanted = [(s, name, n) for s, each in enumerate(counts) for name in names for n in each]
         alone = {method.name for method in METHODS if method.predict or method.of_estimator}
@@ -919,7 +924,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
         n = np.array([each for each in counts for _ in methods], float)
 
         # Each rate is the slope from the count before, or for the first count to the next count.
-        # Intervals that reach 0 have no rate
+        # Counts whose interval contains 0 have no rate
         known = np.where(cells.low > 0.0, cells.variance, np.nan).reshape(shape)
         with np.errstate(invalid="ignore"):  # Both variances may be infinite
             half = cells.high - cells.variance
@@ -1051,7 +1056,7 @@ def predict(
         * ``"torus"``: Σ|g_m|² times the power, for points that are the same after any translation
         * ``"levels"``: means of g over cells, for strata and scrambled nets
         * ``"subsets"``: single axes and sums of products of functions of one axis
-        * ``"moves"``: shifts or scrambles of one set, drawn by predict itself
+        * ``"moves"``: random shifts or scrambles of a single set
         * ``"table"``: sets of the sampler on a table of g
         * ``"extrapolated"``: a line through variances measured at other counts
         * ``"pair-correlation"``: pairs of points, known or counted, without frequencies
@@ -1085,8 +1090,8 @@ def predict(
     xarray.Dataset
         ``predicted_variance(n)`` has the 95 % interval ``predicted_variance_ci(n, bound)``.
 
-        ``energy_share(n)`` is the part of ∫g² that was summed term by term.
-        Methods that sum over frequencies use ∫f² instead; methods without terms have share 1.
+        ``energy_share(n)`` is the part of ∫g² for which a method computes every term of a sum.
+        Methods that sum over frequencies give the part of ∫f². Methods without such sums give 1.
         ``tail_variance(n)`` is the part of the variance that comes from the rest of ∫g².
 
         ``local_rate(n)`` is the slope from the count before.
@@ -1124,7 +1129,8 @@ def predict(
     The method ``moves`` applies up to 8,192 random shifts or scrambles to a fixed set.
     Lattices with shift and nets with digital-shift use ``moves`` in 1 to 3 dims.
     Other moved or scrambled sets use ``moves`` if sums of products leave a half interval over 3 %.
-    Linear scrambles replace nested scrambles, because pairs of points have the same law.
+    For ``moves``, nested scrambles are replaced by linear scrambles.
+    Pairs of points have the same law in both kinds of scrambles.
 
     For samplers without known structure, in 1 to 3 dims, the method ``table`` is used.
     The method ``table`` measures variances on a table of f.
@@ -1183,7 +1189,7 @@ class Predictor:
     ) -> None:
         """Set up a predictor.
 
-        If `measured` is given, it holds settings by sampler, and variances are measured.
+        If `measured` is given, variances are measured. It maps each sampler to its settings.
         The measurements use at most `limit` evaluations.
         """
         self.estimator, self.measured, self._limit = estimator, measured, limit
@@ -1338,7 +1344,7 @@ def predicted(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
         except NoClosedForm as refusal:
             reason = refusal
             continue
-        # The error covers at least the regions which only the probe points resolve
+        # The error is at least the error from regions that contain probe points but no nodes
         if np.isfinite(found.variance).all():
             error = np.maximum(found.error, known.unseen / law.n)
             if not found.poles:
@@ -1398,7 +1404,7 @@ def _within(counts: Sequence[int], points: int) -> ExtrapolationSettings:
 def _places(sampler: Sampler, counts: Sequence[int]) -> list[int]:
     """Return a smaller count, the given counts, and two larger counts.
 
-    A smaller count is added only if a single count is given. Missing counts are 0.
+    The smaller count is added only if a single count is given. A count of 0 stands for no count.
     """
     last = counts[-1]
     half = sampler.nearest_count(max(1, last // 2)) if len(counts) == 1 else last

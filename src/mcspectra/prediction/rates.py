@@ -54,8 +54,9 @@ __all__ = [
 ]
 
 DECAYS = {"jump": 1.0, "kink": 3.0, "smooth": math.inf}
-"""Values of γ − d for a jump of g, for a jump of first derivatives (a kink), and without a jump.
+"""Values of γ − d for three kinds of g: with a jump, with a kink, and without either.
 
+A kink is a jump of first derivatives.
 Here γ is the decay of |f_m|², and d the number of dims. Jumps are across a hypersurface.
 """
 
@@ -85,7 +86,7 @@ class DecaySettings:
         Few frequencies leave ripples in the means. Each half width takes less than a second.
     noise
         Rounding noise of |f_m|² relative to the largest |f_m|².
-        Coefficients are accurate to 1e-13. Values from 1e-28 to 1e-24 give the same results.
+        Coefficients are accurate to 1e-13. Results are the same for values from 1e-28 to 1e-24.
     """
 
     octaves: int = 3
@@ -117,7 +118,7 @@ class JumpSettings:
     largest
         Number of the largest steps of each line that are bisected.
         A line crosses few jumps, and it suffices to find one of them on one line.
-        Values from 2 to 8 give the same results.
+        Results are the same for values from 2 to 8.
     halvings
         Number of bisections of a large step. Its width is 1/512 before and 2e-12 after 30 halvings.
         Over 2e-12, a slope of 1e7 changes g by less than `least`.
@@ -126,17 +127,17 @@ class JumpSettings:
         Distance from a break at which g is evaluated on both sides.
         Detected breaks are accurate to 2^-46.
         A slope of 500 times the root mean square changes g by at most `least` over this distance.
-        Values from 1e-9 to 1e-5 give the same results.
+        Results are the same for values from 1e-9 to 1e-5.
     least
         Smallest step that counts as a jump, relative to the root mean square of g.
         A jump of 1e-4 adds a variance 1e-8 times as large as the variance of random points.
         No feasible number of points measures such a small variance.
-        Values from 1e-6 to 1e-2 give the same results.
+        Results are the same for values from 1e-6 to 1e-2.
     border
         A jump closer to the border of a stratum than this does not cut the stratum.
         The distance is a fraction of the width of a stratum.
         The distance exceeds rounding errors of positions in strata for n up to 2^30.
-        Values from 1e-8 to 1e-4 give the same results.
+        Results are the same for values from 1e-8 to 1e-4.
     """
 
     dims: int = 5
@@ -161,37 +162,37 @@ class LimitSettings:
     ----------
     late
         Number of octaves at the end of a curve whose slope estimates the limit.
-        Values from 2 to 4 give the same results.
+        Results are the same for values from 2 to 4.
         With 8 octaves the limits of 4 curves of scrambled nets, which bend late, are not found.
     near
         The limit is a theoretical exponent that differs from the slope by less than this number.
         The difference is limited to 0.4/d, because theoretical exponents are 1/d apart.
-        Values from 0.1 to 0.4 give the same results.
+        Results are the same for values from 0.1 to 0.4.
     agree
         Largest difference between local slopes in the octaves at the end of a curve.
-        Values from 0.2 to 0.4 give the same results. With 0.1, one limit of 64 is not found.
+        Results are the same for values from 0.2 to 0.4. With 0.1, one limit of 64 is not found.
     leaves
         Largest difference between the last slope and a theoretical exponent.
         If the slopes move away from the exponent and the difference is larger, it is not the limit.
-        Values from 0.025 to 0.1 give the same results.
+        Results are the same for values from 0.025 to 0.1.
     still
         Largest change of three slopes that count as constant.
         A constant slope may be a limit that the theory does not list.
         An example is −1 − (1 − 2a)/d next to a pole t^-a.
-        Values from 0.005 to 0.02 give the same results.
+        Results are the same for values from 0.005 to 0.02.
     change
         A curve may bend if its first slope differs from its limit by more than this number.
-        Values from 0.15 to 0.3 give the same results.
+        Results are the same for values from 0.15 to 0.3.
     most_change
         Largest candidate change of the exponent at a bend. Exponents lie between −1 and −5.
-        Values from 4 to 8 give the same results.
+        Results are the same for values from 4 to 8.
     tried
         Numbers of candidates for the position of a bend, and for the change of the exponent.
         Positions are 0.1 octaves apart over 10 octaves. Bends are known to this accuracy.
     better
         A curve bends if its scatter about the best bent curve is small.
         A small scatter is below this fraction of the scatter about a straight line.
-        Values from 0.125 to 0.25 give the same results. With 0.5, one more curve bends.
+        Results are the same for values from 0.125 to 0.25. With 0.5, one more curve bends.
     """
 
     late: int = 4

@@ -151,18 +151,20 @@ def design(
         ``"points"``: sets that share the cells of a grid, or one set optimized on the torus.
         ``"density"``: an importance density, see `learned_density`.
     objective
-        The integrand of a density, or the class of integrands of a sampler. A class is one of:
-        a spec with random parameters ``uniform(a, b)`` or ``normal(mean, sd)``,
-        where a parameter is drawn for each axis if possible;
+        For a density: the integrand.
+        For a sampler: the class of integrands for which it is designed. A class is one of:
+        a spec with random parameters ``uniform(a, b)`` or ``normal(mean, sd)``.
+        If the integrand accepts a list for such a parameter, one value is drawn for each axis;
         ``"gaussians"``, short for ``"gaussian(center=uniform(0, 1), width=uniform(0.1, 0.4))"``;
         ``"disks"``, with random centers and radii;
         ``"half-spaces"``, with a uniform direction through a uniform point;
         a function ``generator -> integrand``;
         a list of classes and integrands with equal shares, such as the pixels of a scene;
         ``{"spectrum": P}``, where P contains the powers P(m) = E|f_m|² for m = −h … h.
-        P is an array (2h + 1, …), or a callable of m (k, d) together with ``"half_width": h``;
+        P is an array (2h + 1, …), or a function of frequencies m of shape (k, d).
+        A function also needs the entry ``"half_width": h``;
         ``{"covariance": C}``, where C contains C_ml = E[f_m conj(f_l)].
-        C is a matrix with the frequencies m in C order, or a callable of m and l.
+        C is a matrix, or a function of m and l. The last axis of m varies fastest in the matrix.
     n
         Number of points. Nets and trees require powers of two.
     dims
@@ -178,9 +180,9 @@ def design(
     family, sampler, budget, defensive
         Options of a density, which are passed to `learned_density`.
         The default of `family` is ``"mixture"``, and the default of `sampler` ``"sobol | owen"``.
-        The options `budget` and `defensive` become `evaluations` and `defensive`.
+        The option `budget` is passed on as the number of evaluations.
     settings
-        Settings of the search of a sampler, `mcspectra.improve.designs.searches.SearchSettings`.
+        Settings for the search of a sampler (`mcspectra.improve.designs.searches.SearchSettings`).
 
     Returns
     -------
@@ -247,7 +249,7 @@ def design(
     stream = Stream.from_rng(rng)
     chosen = path_to_write(path, "a file for the sampler", (".json",))
 
-    # Search the cache for the sampler; the class is identified by values
+    # Search the cache for the sampler. The key of the cache contains values of class members
     probes = Stream(0).uniforms(0, _SETTINGS.cache_points, goal.dims)
     values = goal.functions(_SETTINGS.cache_members, Stream(0).generator(0))(probes)
     words = (f"{_VERSION} {kind} {n} {stream.key} {settings} {values.shape} {goal.text} ").encode()
@@ -348,7 +350,8 @@ def certificate(
         `design_ratio` with `design_ratio_ci` compares the sampler with its rivals.
         The ratio is the mean variance of the sampler divided by the variance of the best rival.
         For each half of the groups, the rival is chosen by the other half.
-        Intervals at 95 % are by Student's t over groups, and by the jackknife for the ratio.
+        The 95 % intervals of mean variances use Student's t, with one value for each group.
+        The 95 % interval of the ratio comes from a jackknife over groups.
         The attribute `best_rival` names the rival with the least mean variance.
         Use this rival instead of the design if the ratio is above 1.
 
@@ -375,7 +378,8 @@ def certificate(
     if not means[best] > 0.0:
         raise ParameterError(f"The variance of {samplers[best].spec} vanishes; there is no ratio.")
     spread = student_t(groups) * sums.std(axis=1, ddof=1) / math.sqrt(groups)
-    # Each half uses the rival that the other half has chosen, because the least estimate is biased
+    # The least of several estimated variances is too small on average.
+    # Therefore each half of the groups uses the rival that the other half has chosen
     halves = sums.reshape(len(samplers), -1, 2)
     chosen = 1 + halves.sum(axis=1)[1:, ::-1].argmin(axis=0)
     beaten = halves[chosen, :, (0, 1)].T.ravel()
@@ -434,7 +438,7 @@ def _sums_of_groups(
 
 
 def _ratio(above: Array, below: Array) -> tuple[float, float, float]:
-    """Return the ratio of two sums over groups, and its interval at 95 % by the jackknife."""
+    """Return the ratio of two sums. A jackknife over groups gives its 95 % interval."""
     groups, ratio = len(above), float(above.sum() / below.sum())
     left = (above.sum() - above) / (below.sum() - below)
     error = float(np.sqrt((groups - 1) / groups * ((left - left.mean()) ** 2).sum()))
@@ -443,7 +447,10 @@ def _ratio(above: Array, below: Array) -> tuple[float, float, float]:
 
 
 def _better_rival(goal: Objective, made: Sampler, n: int, stream: Stream) -> tuple[Sampler, str]:
-    """Return the design, or a usual sampler with less variance and a sentence about it."""
+    """Return the design, or a usual sampler with less variance.
+
+    The second result is a sentence about the other sampler, or empty for the design.
+    """
     realizations = _SETTINGS.check_realizations
     members = _SETTINGS.check_evaluations // (n * realizations)
     members = min(_SETTINGS.check_members, max(_SETTINGS.groups, members))

@@ -46,11 +46,12 @@ class ObjectiveSettings:
     # Maximum number of dims of a class. The searches use tables of 2^18 values.
     # In 8-D such a table has about 2^2 values along each axis.
     most_dims: int = 8
-    # Maximum numbers of waves of a spectrum and of eigenvectors of a covariance.
+    # Maximum number of waves of a spectrum. It is also the limit for eigenvectors of a covariance.
     # The waves or eigenvectors with the largest power are kept.
     # Each wave gives two functions, a cosine and a sine.
     most_waves: int = 1024
-    # Number of members and number of points of the test for constant members.
+    # Number of members, and number of points, with which a class is tested.
+    # The test refuses classes whose members are all constant.
     # A class is refused by mistake if its members are constant in all but 1/8192 of the volume.
     probe_members: int = 16
     probe_points: int = 2**13

@@ -9,13 +9,13 @@ If sets are folded after the shift, both statements hold for g(x) = f(1 − |2x 
 This function g is continuous on the torus [Hickernell2002]_.
 Each search tries plain sets and folded sets, and keeps the kind with less variance.
 
-Sets that divide the cells of a grid among them need no shift.
+If sets together contain each cell of a grid exactly once, they need no shift.
 *Features* are functions φ_t with Σ_t φ_t(x) φ_t(y) = Cov(f(x), f(y)) at centers of cells.
 The variance is the mean over sets of Σ_t (mean φ_t)².
 Exchanges of cells between sets lower this variance.
 Exchanges start from random sets, or from the cosets of a digital net if these are better.
 All points of a set have the same offset within their cells, except for reflections.
-The reflections are chosen so that the sum of the signed slopes of the features is small.
+A reflection changes the sign of a feature's slope. Signs are chosen so that the slopes cancel.
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ class SearchSettings:
     """Settings of the searches.
 
     Larger numbers make searches longer. Comments give variance ratios.
-    A ratio is a mean variance of designs, with another value of a setting.
-    The mean variance is divided by the mean variance of ``sobol | owen``.
+    A variance ratio compares designs that are made with another value of a setting.
+    The mean variance of these designs is divided by the mean variance of ``sobol | owen``.
     Unless stated otherwise, ratios are measured with about 64 points in 2-D.
     The integrands are 400 fresh members of the class ``gaussians``.
     """
@@ -78,7 +78,7 @@ class SearchSettings:
     # For 1024 members of the class, the values take 64 MB in double precision.
     block: int = 2**13
     # Numbers of points and of class members with which samplers are measured during a search.
-    # The searches that measure samplers are those of nets, and of lattices in three dims or more.
+    # Samplers are measured in searches of nets, and in searches of lattices in 3 or more dims.
     # The variance ratio of nets is 0.167 for half or twice as many points.
     # The ratio is 0.164 to 0.167 for half or twice as many members of the class.
     # In 3-D, another lattice is chosen with 128 members; its ratio is 0.313 instead of 0.295.
@@ -125,7 +125,7 @@ class SearchSettings:
     # The variance ratio of strata designs is 0.033, 0.031 and 0.033 with 2^15, 2^16 and 2^17 cells.
     cells: int = 2**16
     # Number of features of the covariance.
-    # If n is larger, n features are used, but at most twice this setting.
+    # If n exceeds this number, n features are used, but never more than twice this number.
     # The variance ratio of strata designs is 0.031 for half or twice as many features.
     features: int = 160
     # Number of exchanges of cells that are tried in a round; the time is proportional to it.
@@ -354,7 +354,7 @@ def _tables(
         power[0], tail = 0.0, _FOLD if fold else ""
         power = power / float(len(x)) ** 2
         yield f" | digital-shift{tail}", hadamard(power)
-        if owen:  # Average the power over Walsh functions with the same last digit on each axis
+        if owen:  # Average over Walsh functions whose last nonzero digits have the same positions
             codes = np.arange(len(power))
             level = np.zeros(len(power), np.int64)
             for axis in range(dims):
@@ -383,15 +383,15 @@ def _nets(
     sobol = (_sobol_directions()[:dims, :m] >> np.uint32(32 - rows)).astype(np.int64)
 
     def code(columns: Array) -> Array:
-        """Return a code for each column, from columns int64 (d, m) of `rows` digits.
+        """Combine the digits of each column into one integer. The columns (d, m) are int64.
 
-        The code contains the leading bits of the column on all axes.
+        The integer contains the leading bits of the column on all axes.
         """
         top = columns >> rows - bits
         return np.asarray(sum(top[j] << (dims - 1 - j) * bits for j in range(dims)))
 
     def hankel(q: int) -> Array:
-        """Return the columns of the generator matrix of q / modulus."""
+        """Return columns of a generator matrix, from the binary digits of q / modulus."""
         series = _quotient(q << (rows + m), modulus)
         return np.array([series >> m - c & (1 << rows) - 1 for c in range(m)])
 
@@ -412,9 +412,7 @@ def _nets(
                             best, columns = value, trial
             else:
                 columns = sobol.copy()
-                if (
-                    start > 1
-                ):  # Higher rows are added to lower rows; the matrices keep their strength
+                if start > 1:  # Add higher rows to each row at random, which keeps the quality t
                     for j, r in itertools.product(range(dims), range(1, rows)):
                         mixed = columns[j] >> rows - r & generator.integers(0, 1 << r)
                         columns[j] ^= (np.bitwise_count(mixed) & 1).astype(np.int64) << rows - 1 - r
@@ -486,7 +484,8 @@ def _shared(
             "kind='lattice'.",
             (most,),
         )
-    # A set of n points can balance about n features. About n members determine these features
+    # A set of n points can make the means of about n features nearly 0.
+    # These features can be computed from about n members of the class
     members = min(2 * settings.members, max(settings.members, 8 * n))
     values = objective.functions(members, stream.generator(0))
 
@@ -555,7 +554,10 @@ def _shared(
 def _cosets(
     objective: Objective, n: int, sides: Array, stream: Stream, settings: SearchSettings
 ) -> Array | None:
-    """Return the coset of a digital net that contains each cell, (N,); sides are powers of two."""
+    """Return for each cell the index of the coset of a digital net that contains the cell, (N,).
+
+    The numbers of cells along the axes, `sides`, are powers of two.
+    """
     if n < 4 or (np.append(sides, n) & np.append(sides, n) - 1).any():
         return None
     nets = _nets(objective, n, stream, settings, polynomial=False, frames=1)
@@ -565,7 +567,7 @@ def _cosets(
     if len(np.unique(codes)) < n:
         return None
 
-    # Cells of a coset have the same remainder after elimination by a basis of the net.
+    # Subtract vectors of a basis of the net from each cell. The rest is the same within a coset.
     # For each vector of the basis, clear its leading bit in all codes
     rest, left = np.arange(sides.prod()), codes
     while left.max() > 0:
