@@ -13,7 +13,7 @@ A function agrees with brute force under these conditions:
     Such a set-up is, for example, a preintegration along one direction, or a regression.
     A different set-up is also accepted if both set-ups have the same RMSE within their intervals;
 * `plan`: the RMSE by brute force is the target, and `plan` returns an interval of the n needed.
-  This interval overlaps a reference interval around the n of 4,096 evaluations.
+  This interval overlaps a reference interval around the n that 4,096 evaluations allow.
   The ends of the reference interval follow from the RMSE interval by brute force;
 * `predict`: its RMSE interval at 4,096 evaluations overlaps the interval by brute force.
 

@@ -32,7 +32,7 @@ from mcspectra.rendering.gate_tests import (
 )
 
 SIZE, LEVEL, RELABELINGS = 64, 0.01, 200
-SINGLE, NETS = 4096, 160  # number of frames: with 1 sample, with 16 Sobol' samples per pixel
+SINGLE, NETS = 4096, 160  # numbers of frames with 1 sample and with 16 Sobol' samples
 CLEAN = ((4, 4), (8, 8), (8, 32), (1, 16), (2, 2))
 TOTALS, FRAMES = (16, 64, 256), 8
 
