@@ -1,7 +1,7 @@
 """Compare the answers of profile, remedies, plan and predict with those of brute force.
 
 The benchmark has sixty estimators with and without importance densities.
-They also include multiple importance sampling, pixels of scenes, and light paths.
+The estimators include multiple importance sampling, pixels of scenes, and light paths.
 Each function of the package searches for the best set-up at 4,096 evaluations.
 Brute force then measures the RMSE of the given and of the recommended set-ups.
 Brute force makes 1,000 new estimates for each set-up, but only 200 for pixels and paths.
@@ -10,10 +10,10 @@ A function agrees with brute force under these conditions:
 * `profile`: for the recommended set-up, its RMSE interval overlaps the interval by brute force;
 * `remedies`: the recommended set-up is the same as in the profile.
     A different set-up is accepted if its RMSE intervals by `profile` and `remedies` overlap.
-    Examples are a preintegration along some direction, and a regression.
+    Such a set-up is, for example, a preintegration along one direction, or a regression.
     A different set-up is also accepted if both set-ups have the same RMSE within their intervals;
-* `plan`: its target is the RMSE by brute force, and its interval for n overlaps the reference.
-  The reference interval contains 4,096 evaluations.
+* `plan`: the RMSE by brute force is the target, and `plan` returns an interval of the n needed.
+  This interval overlaps a reference interval around the n that 4,096 evaluations allow.
   The ends of the reference interval follow from the RMSE interval by brute force;
 * `predict`: its RMSE interval at 4,096 evaluations overlaps the interval by brute force.
 
@@ -41,7 +41,7 @@ from mcspectra.estimators import AbstractEstimator, as_estimator
 from mcspectra.measure.setup import Setup, affordable_count
 
 BUDGET = 4096
-ESTIMATES, RENDERED = 1000, 200  # numbers of estimates by brute force, for functions and scenes
+ESTIMATES, RENDERED = 1000, 200  # number of estimates by brute force: for functions, for scenes
 REALIZATIONS = 100  # realizations of each candidate in remedies
 KINDS = ("sampler", "unshifted", "mirrored", "regression", "preintegrated", "fitted", "techniques")
 SIGMAS = 1.96

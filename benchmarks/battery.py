@@ -81,7 +81,7 @@ def cases() -> Iterator[Case]:
     """Yield all cases, smooth cases first."""
     e = math.e - 1.0
 
-    # No problem
+    # Smooth functions, for which no cause of noise is reported
     def none(name: str, f: Callable[[Array], Array], dims: int, integral: float) -> Case:
         return Case(name, f, dims, integral, ("none",))
 

@@ -22,7 +22,7 @@ MOST_RMS = 1.1
 _PAIRS = 24  # number of pairs of frequencies in each case; half have two equal frequencies
 _HIGHEST = 9
 _BLOCK = 5000  # number of realizations that are drawn at a time
-# Numbers of points in 1 to 4 dims; all other nets have 16 points
+# Number of points of a net in 1, 2, 3 and 4 dims; nets that are not listed have 16 points
 _COUNTS = {"halton": (12, 12, 12, 12), "faure": (16, 16, 9, 25)}
 
 

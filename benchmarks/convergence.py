@@ -26,7 +26,10 @@ RADIUS = 0.3
 
 @kernel
 def _fused(keys: Array, side: int, rate: float, radius: float, sums: Array) -> None:
-    """Sum I and I² over realizations, where I is an estimate for a Gaussian or a disk: (2, 2)."""
+    """Add I and I² of all realizations to `sums`, where I is an estimate.
+
+    The rows of `sums` (2, 2) are for a Gaussian and for a disk.
+    """
     scale = 1.0 / (side * side)
     for r in range(len(keys)):
         k0, k1 = keys[r, 0], keys[r, 1]

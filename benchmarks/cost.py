@@ -8,7 +8,7 @@ The seconds t per realization follow a model of the NUFFT [Barnett2019]_; R real
 The constants a, b and c are fitted.
 In d dims, a point is spread to log^d(1/ε) cells of the grid.
 Vector instructions process all cells of a row together.
-In two dims, the time per point therefore grows like log(1/ε).
+In two dims, the time per point grows like the number of rows, which is of order log(1/ε).
 All cases are timed twice; the smaller processor time of a case counts.
 
 The command ``python -m benchmarks cost --plot`` also draws measured times and the model.
@@ -33,13 +33,13 @@ COUNTS = (256, 1024, 4096, 16384, 65536)
 HALF_WIDTHS = (16, 32, 64, 128, 256)
 REALIZATIONS = (2, 4, 8, 16, 32, 64)
 ACCURACIES = (1e-2, 1e-4, 1e-6, 1e-8)
-FIXED = (4096, 64)  # number of points and half width while R and ε vary
+FIXED = (4096, 64)  # number of points and half width of the cases in which R or ε varies
 _SECONDS = 0.15  # seconds of repeated calls for each case; all cases are timed twice
 
 
 @dataclass(frozen=True)
 class Series:
-    """Seconds per call for values of one quantity, and the values of the model."""
+    """Measured seconds per call while one quantity varies, and the seconds of the model."""
 
     label: str
     x: Array

@@ -35,7 +35,7 @@ LAWS: dict[str, tuple[Callable[..., np.ndarray], float, float]] = {
     ),
 }
 
-# Exponents a of p ∝ x^a, integrands, and half widths at which the integrands are truncated
+# Exponent a of the density p ∝ x^a, integrand, and half width of the truncated spectrum
 RATIOS: dict[str, tuple[float, Callable[[np.ndarray], np.ndarray], int]] = {
     "p = 1, step": (0.0, lambda x: 1.0 * (x < 0.3), 8),
     "p = 1, exp(−3x)": (0.0, lambda x: np.exp(-3 * x), 2),

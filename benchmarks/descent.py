@@ -1,7 +1,7 @@
 """Compare SciPy's L-BFGS-B, QR and eigensolver with our own minimizer, QR and eigensolver.
 
 The command ``python -m benchmarks descent`` runs L-BFGS-B and our descent.
-Both minimize the same functions, such as energies, as three optimized samplers.
+Both minimize the functions that three optimized samplers minimize, such as energies.
 The command prints the smallest values after as many evaluations as our descent takes.
 The computations of the libraries are then repeated with other numbers of threads.
 They are also repeated with the kernels of OpenBLAS for other processors.

@@ -37,7 +37,7 @@ KINDS = {
     1024: ("lattice", "digital-net"),
 }
 RIVALS = ("sobol | owen", "korobov | shift", "rank1-lattice | shift")
-PLANE = ("pmj02",)  # further samplers that designs are compared with, only in 2-D
+PLANE = ("pmj02",)  # in 2-D, designs are also compared with these samplers
 FOLDED = ("korobov | shift | mirror(mode='fold')", "rank1-lattice | shift | mirror(mode='fold')")
 TURNED = ((2, 64, ("lattice", "points")), (2, 256, ("lattice",)), (4, 64, ("lattice", "points")))
 """Dims, n and kinds for Gaussians of random orientation."""
@@ -55,7 +55,7 @@ def main() -> None:
     if folder := os.environ.get("MCSPECTRA_NETS"):
         rivals += [spec.format(str(Path(folder) / name)) for name, spec in NETS.items()]
     with tempfile.TemporaryDirectory() as cache:
-        os.environ["MCSPECTRA_CACHE"] = cache  # an empty cache
+        os.environ["MCSPECTRA_CACHE"] = cache  # an empty cache, so that every design is searched
         for kind, n in (("lattice", 13), ("owen", 16)):  # compile the kernels first
             mcs.design(kind, "gaussians", n, settings=DESIGNS)
         for kind, n, what in (("lattice", 1009, "a lattice"), ("owen", 256, "64 trees")):

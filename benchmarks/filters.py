@@ -28,7 +28,7 @@ from scipy.ndimage import convolve1d, gaussian_filter
 SIZE, SPP = 96, 4
 MEASURED, HELD = 24, 48  # number of independent frames for the prediction, and of other frames
 SEEDS, HELD_SEEDS, TIMES, REUSED = 4, 8, 24, 4
-BORDER = 16  # width in pixels of the border that one of the two measurements leaves out
+BORDER = 16  # width of the border in pixels; errors are measured with and without the border
 SPLINE = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16.0
 
 
@@ -144,7 +144,7 @@ def _time(name: str, render: Callable[[int], Any], reused: int, folder: Path) ->
         average, shown = errors[:, 0], []
         for t in range(1, TIMES):
             average = (1 - alpha) * average + alpha * errors[:, t]
-            if t >= TIMES // 2:  # the first frame no longer affects the average
+            if t >= TIMES // 2:  # from then on, the first frame does not affect the average
                 shown.append([SPACE[space](e) for e in average] if space else average)
         ratios.append(_row(name, spec, result, np.concatenate(shown), HELD_SEEDS))
     return ratios

@@ -92,7 +92,7 @@ def toy_environment() -> tuple[Any, list[Any], Any]:
 
 
 def channels() -> Plots:
-    """Sample channels of a small environment map by densities of luminance and of channels."""
+    """Sample a small environment map by its luminance, and by one density per color channel."""
     ways = mcs.estimators.channel_estimators(*toy_environment())
     curves: dict[str, dict[str, Curve]] = {color: {} for color in ("red", "green", "blue")}
     names = {"one": "luminance", "own": "own density", "mis": "MIS of the three"}

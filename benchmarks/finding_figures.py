@@ -44,8 +44,9 @@ def variance_panels(
     y: str = "variance",
     limits: tuple[float, float] | None = None,
 ) -> tuple[Panel, ...]:
-    """Return panels with points, intervals and lines between points; the first lines are thickest.
+    """Return panels with points, intervals and lines between points.
 
+    In each panel, the first curve has the thickest line.
     Curves of the same name look the same in all panels.
     """
     styles = sampler_styles([name for curves in parts.values() for name in curves])

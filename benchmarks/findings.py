@@ -39,7 +39,7 @@ SMOOTH, EDGE = "christensen-gaussian", "half-space(normal=[1, 0.618], offset=0.7
 
 
 def homogenisation() -> Plots:
-    """Make six convergence plots, each with a smooth integrand and one with an interior edge."""
+    """Make six plots of variances: each compares a smooth integrand with an interior edge."""
     studies = {
         name: mcs.improve.mirror_study(
             f, "jittered", LARGE, mirrorings=["original", "random", "uniform"],
@@ -74,7 +74,7 @@ def homogenisation() -> Plots:
 
 
 def alignment() -> Plots:
-    """Shift the strata: plot exact and measured variances for one step and for two edges."""
+    """Plot exact and measured variances against the shift of strata, for a step and a bar."""
     step, bar = (
         mcs.integrand(s, dims=1) for s in ("step(at=0.3)", "disk(center=0.47, radius=0.27)")
     )

@@ -32,7 +32,7 @@ from mcspectra.rendering.gate_tests import (
 )
 
 SIZE, LEVEL, RELABELINGS = 64, 0.01, 200
-SINGLE, NETS = 4096, 160  # number of frames of one sample, and of frames of 16 Sobol' samples
+SINGLE, NETS = 4096, 160  # numbers of frames with 1 sample and with 16 Sobol' samples
 CLEAN = ((4, 4), (8, 8), (8, 32), (1, 16), (2, 2))
 TOTALS, FRAMES = (16, 64, 256), 8
 
@@ -125,7 +125,7 @@ def _errors(direct: Array, cosine: Array) -> dict[str, Callable[[Array, Array], 
     """Return functions by name; each makes faulty frames from whole paths and direct light."""
     del direct
     corner = np.zeros((SIZE, SIZE), bool)
-    corner[20:26, 24:31] = True  # 42 of 4096 pixels on the back wall
+    corner[20:26, 24:31] = True  # one error makes these 42 of 4096 pixels too dark
 
     return {
         "none": lambda whole, _: whole,
@@ -249,7 +249,7 @@ def _stated(whole: Array, trials: int) -> None:
 
 
 def _speed() -> None:
-    """Print the seconds of all tests for ten million values, 5 + 5 frames of a megapixel."""
+    """Print how long all tests take for 5 + 5 frames, each with one million pixels."""
     rng = np.random.default_rng(1)
     rows = rng.standard_exponential((10, 1024, 1024), dtype=np.float32)
     start = time.perf_counter()

@@ -39,7 +39,7 @@ def _difference(dims: int, name: str, density: str | None, space: str) -> float:
 
 
 def _pairing() -> None:
-    """Print predictions by the covariances of S_m and S_l, and by their complex conjugates."""
+    """Print variances predicted from the covariances C_ml, and from their complex conjugates."""
     f = mcs.Integrand.from_function(
         lambda x: np.exp(3 * np.cos(2 * np.pi * (x[..., 0] - 0.15))), dims=1
     )

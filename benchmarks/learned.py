@@ -39,7 +39,7 @@ INTEGRANDS = {
         lambda x: sum(np.exp(-((x - c) ** 2).sum(-1) / 0.02) for c in (1 / 3, 2 / 3)),
     ),
 }
-"""Dims and functions."""
+"""Number of dims and function of each integrand, by name."""
 
 
 def variance(f, density, u):

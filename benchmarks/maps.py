@@ -1,8 +1,9 @@
 """Rate map of Veach's scene compared with raw Mitsuba calls for the same samples.
 
-The raw calls evaluate each of four strategies separately: light, BSDF, and their parts in MIS.
+The raw calls evaluate four strategies separately:
+light sampling and BSDF sampling, each with and without the weights of MIS.
 Mitsuba's kernels read random numbers and first hits from tables that exist before the measurement.
-The kernels have one lane per sample, and sum over the samples of a pixel.
+A kernel processes all samples in parallel, and sums over the samples of a pixel.
 The raw calls copy results to NumPy, without statistics.
 The map loops over samples, and evaluates a technique once for plain and weighted estimates.
 The line "kernels alone" measures the map's loops without its statistics.

@@ -1,5 +1,6 @@
-"""RMS error of lattices for integrands made periodic, of orders 2 to 6, and of folded lattices.
+"""RMS error of lattices for functions that a substitution makes periodic.
 
+The substitutions have the orders 2 to 6. Folded lattices and plain lattices are compared as well.
 Each line has the root mean square error of one shifted lattice of n points, over 40 shifts.
 Folded lattices and plain lattices integrate the function without a substitution.
 """

@@ -193,7 +193,8 @@ class Unbounded:
         if base == "latin-hypercube":
             apart = [(n * h.mean**2 - h.between(n, at)) / (n - 1) for at in starts]
             return float(h.square**d / n + (1 - 1 / n) * math.prod(apart) - h.mean ** (2 * d))
-        # After nested scrambling in base 2, two points lie in two halves of one cell on each axis
+        # Two points of a net share some leading bits on each axis, also after nested scrambling.
+        # They then lie in different halves of the cell that these leading bits determine
         levels = int(math.log2(n))
         siblings = []
         for level in range(levels):
@@ -474,7 +475,7 @@ def main(*flags: str) -> None:
             half = np.where(value < measured, bounds[..., 1] - value, value - bounds[..., 0])
             within = np.hypot(half, 1.96 * error)
             distance = np.abs(value - measured)
-            # References in closed form are right to rounding
+            # References in closed form are exact up to rounding
             covered = distance <= within + 1e-9 * measured
             missed = np.where(covered, 0.0, np.inf)
             np.divide(1.96 * distance, within, out=missed, where=within > 0.0)

@@ -35,7 +35,7 @@ AGAINST_NUMPY = {
     "rank1-lattice(vector=[1, 19463]) | shift": "",
     "kronecker | shift": "",
 }
-"""Specs of samplers, each with the least allowed ratio of the reference's time to ours."""
+"""Specs of samplers. NumPy's time should be at least this number times our time."""
 
 
 def main() -> None:
@@ -108,7 +108,10 @@ def _against_scipy() -> None:
 
 
 def _poisson_disk(qmc: Any, generator: np.random.Generator) -> None:
-    """Compare times per point: 1024 points of ours, and SciPy's full square at the same radius."""
+    """Compare our time per point for 1024 points with SciPy's time per point.
+
+    SciPy fills the whole square with points of the same radius.
+    """
     from scipy.spatial.distance import pdist
 
     ours = _drawn("poisson-disk(boundary='bounded')", 1024)

@@ -80,7 +80,7 @@ def tasks() -> None:
 
 def cells() -> None:
     """Print the overhead of a cell: plan, schedule and row of the ledger."""
-    count = 3000  # above the limit up to which a run writes its cells to a store at the end
+    count = 3000  # a run with more than 2,000 cells does not write a store at its end
     with _timed(f"decode and plan {count:,} short cells", count):
         plan = make_plan(_study(count), Path())
     plan.cells[0].compute(0)  # The first call imports modules and compiles

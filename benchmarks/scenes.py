@@ -48,7 +48,10 @@ def ratio(ours, other, pixels):
 
 
 def compare(name, spp):
-    """Print the predicted and the rendered ratios of one scene, and return the ratios of both."""
+    """Compare predicted with rendered ratios of variances for one scene.
+
+    Return predicted / rendered for each rival, and the number of wrongly predicted winners.
+    """
     scene = as_scene(SCENES[name](width=WIDTH, height=HEIGHT))
     tiles, side = chosen_tiles(Film.of(scene), WIDTH * HEIGHT, Stream.from_rng(0))
     tracer = Tracer(scene, "scene", "luminance", (WIDTH, HEIGHT))

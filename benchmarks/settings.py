@@ -4,7 +4,7 @@ Without a flag, the benchmark tests `CauseSettings` and its parts.
 Each case has two seeds and 8,192 evaluations.
 The cases come from the tests of `profile` and from the benchmark ``battery``.
 Only cases with a known cause of noise are used.
-The cases of `PoleSettings` are poles |A(x − c)|^−a of known order and rank.
+The cases of `PoleSettings` are poles |A(x − c)|^−a: the order a and the rank of A are known.
 The flag ``--NAME`` measures one setting.
 
 ``--rates`` tests `CurveSettings` with five functions whose rate with scrambled nets is known.
@@ -86,7 +86,7 @@ def is_right(seen: Evidence, causes: tuple[str, ...]) -> bool:
 
 
 def poles_right(settings: PoleSettings) -> int:
-    """Return the number of poles with right rank and place, and an exponent error below 0.02."""
+    """Count the poles whose rank and place are found, with an exponent that is right to 0.02."""
     right = 0
     for matrix, order, rank, border in POLES:
         place = np.zeros(matrix.shape[1]) if border else 0.3 + 0.1 * np.arange(matrix.shape[1])
@@ -128,7 +128,7 @@ def variants() -> Iterator[tuple[str, str, list[CauseSettings]]]:
 
 
 def faulty_chains() -> dict[str, tuple[str, list[Array]]]:
-    """Return chains (chain, draw) by type, with the expected cause."""
+    """Return arrays (chain, draw) by type of fault, with the cause that should be reported."""
     rng = np.random.default_rng(5)
 
     def ar(rho: float, chains: int, n: int) -> Array:
@@ -275,7 +275,7 @@ def main(*only: str) -> None:
     ]
 
     def right(settings: CauseSettings, *, again: bool) -> str:
-        """Count cases with the right cause, and recognized poles if settings may affect poles."""
+        """Count cases with the right cause, and also right poles if settings of poles changed."""
         count = 0
         for (e, sampler, causes, seed), seen in zip(given, usual, strict=True):
             try:

@@ -13,7 +13,10 @@ __all__ = ["compare"]
 def compare(
     subject: Callable[[], Any], reference: Callable[[], Any], rounds: int = 15
 ) -> tuple[float, float, float]:
-    """Return the best seconds of subject and reference, and the median of paired ratios."""
+    """Return the shortest time of each function in seconds, and the median ratio of their times.
+
+    Each ratio compares two calls that follow each other: `subject` and then `reference`.
+    """
     subject(), reference()  # a first call compiles, plans and fills caches
     pairs = []
     for _ in range(rounds):

@@ -30,7 +30,7 @@ extensions = [
     "verbs",
 ]
 exclude_patterns = ["_extensions", "_build", "**/.ipynb_checkpoints"]
-# ref.python: a parameter's name such as `dims` is an attribute of several classes.
+# Sphinx warns with ref.python if a name such as `dims` is an attribute of several classes.
 suppress_warnings = ["myst.header", "ref.python"]
 
 myst_enable_extensions = ["dollarmath", "amsmath", "deflist", "colon_fence"]
@@ -43,7 +43,7 @@ nb_execution_raise_on_error = True
 nb_execution_show_tb = True
 nb_ipywidgets_js = {}  # Sphinx's default would load a script from another site
 nb_merge_streams = True
-nb_output_stderr = "remove"  # progress bars
+nb_output_stderr = "remove"  # progress bars are written to stderr
 
 autodoc_typehints = "none"  # signatures show the types already
 autodoc_member_order = "bysource"
