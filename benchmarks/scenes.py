@@ -6,11 +6,16 @@ A ratio is the variance of ``sobol | owen`` divided by the variance of a sampler
 The ratio of a scene is the geometric mean over its pixels.
 The predicted winner is wrong if the two intervals lie on opposite sides of 1.
 ``python -m benchmarks scenes --profile`` checks the samples per pixel that a profile states.
+``python -m benchmarks scenes --bias`` tests renders against reference images with variances.
+``python -m benchmarks scenes --joint`` compares numbers of joint dims and other points.
+With ``--scene=NAME`` each of them measures one scene.
 """
 
 import math
 
 import numpy as np
+from tests.rendering.reference_images import OURS as TESTED
+from tests.rendering.reference_images import Pixels
 from tests.rendering.small_scenes import SCENES
 
 from mcspectra.core.streams import Stream
@@ -24,6 +29,7 @@ from mcspectra.rendering.scenes import as_scene
 WIDTH, HEIGHT = 24, 16
 RENDERS, PREDICTED = 200, 64
 OURS = {"type": "mcspectra"}
+APART = "larcher-pillichshammer | digital-shift(jitter=True)"
 PADDED = {"type": "mcspectra", "joint_dims": 0}
 OTHERS = ("multijitter", "ldsampler", "independent")
 LUMINANCE = (0.212671, 0.715160, 0.072169)
@@ -107,23 +113,69 @@ def truth(name, target):
         )
 
 
+def bias(scenes, spp=2**15):
+    """Test means of our samplers, and points that are scaled by 0.97, against references."""
+    for name, scene in scenes.items():
+        pixels = Pixels(scene, WIDTH, HEIGHT)
+        known = pixels.reference(spp)
+        rows = []
+        for plugin in TESTED:
+            label = ", ".join(f"{k}={v}" for k, v in plugin.items() if k != "type") or "default"
+            mean, own = pixels.image(plugin, 64, spp // 512, seed=2)
+            rows.append((label, mean, spp // 8, own))
+        rows.append(("random × 0.97", pixels.scaled(0.97, spp // 2, seed=3), spp // 2, 0.0))
+        for label, mean, count, own in rows:
+            passed, share = known.passes(mean, count, own)
+            print(
+                f"{name:6} {label:60} {share:8.2%} of the pixels agree, smallest p "
+                f"{known.p_values(mean, count, own).min():.1e}: {'pass' if passed else 'FAIL'}",
+                flush=True,
+            )
+
+
+def joint(scenes, renders=256):
+    """Print variances in relation to multijitter, by the number of joint dims and for nets apart.
+
+    Nets apart are ``larcher-pillichshammer | digital-shift(jitter=True)``, padded.
+    """
+    choices = {"multijitter": "multijitter"}
+    choices |= {f"joint {k}": {"type": "mcspectra", "joint_dims": k} for k in (0, 2, 4, 6, 8)}
+    choices |= {"independent": "independent", "apart": {"type": "mcspectra", "spec": APART}}
+    for name, scene in scenes.items():
+        pixels = Pixels(scene, WIDTH, HEIGHT)
+        for spp in (4, 16, 64):
+            values = {
+                label: pixels.renders(plugin, spp, renders, Stream.from_rng(7).child(k))
+                for k, (label, plugin) in enumerate(choices.items())
+            }
+            floor = (1e-5 * np.abs(values["independent"].mean(axis=0))) ** 2
+            kept = np.all([each.var(axis=0) > floor for each in values.values()], axis=0)
+            given = values.pop("multijitter")
+            parts = []
+            for label, each in values.items():
+                log, se = ratio(each, given, kept)
+                parts.append(f"{label} {math.exp(log):.2f} ± {1.96 * se * math.exp(log):.2f}")
+            print(f"{name:6} {spp:4}  {'  '.join(parts)}", flush=True)
+
+
 def main(*flags):
     """Print the table of the five scenes, or the samples per pixel of profiles."""
     register_samplers()
     mitsuba = load_mitsuba()
     mitsuba.set_log_level(mitsuba.LogLevel.Error)
+    chosen = [flag.partition("=")[2] for flag in flags if flag.startswith("--scene=")]
+    scenes = {name: SCENES[name] for name in chosen or SCENES}
+    for flag, measure in (("--bias", bias), ("--joint", joint)):
+        if flag in flags:
+            measure(scenes)
+            return
     if "--profile" in flags:
-        for name, target in (
-            ("plate", 0.1),
-            ("room", 0.1),
-            ("sky", 0.03),
-            ("lens", 0.05),
-            ("fog", 0.1),
-        ):
-            truth(name, target)
+        targets = {"plate": 0.1, "room": 0.1, "sky": 0.03, "lens": 0.05, "fog": 0.1}
+        for name in scenes:
+            truth(name, targets[name])
         return
     every, wrong = [], 0
-    for name in SCENES:
+    for name in scenes:
         for spp in (16, 64):
             found, bad = compare(name, spp)
             every += found

@@ -6,7 +6,14 @@ import pytest
 from tests.processes import python
 
 import mcspectra as mcs
-from mcspectra.core.display import csv_cell, escape_html, html_of, printable, register_accessor
+from mcspectra.core.display import (
+    between,
+    csv_cell,
+    escape_html,
+    html_of,
+    printable,
+    register_accessor,
+)
 from mcspectra.core.errors import ParameterError, warn
 
 
@@ -39,6 +46,11 @@ def test_every_character_of_one_width_or_none_is_kept_or_escaped():
 def test_text_from_outside_is_printable(text, shown):
     assert printable(text) == printable(printable(text)) == shown
     assert printable(text, lines=True) == shown.replace(r"\n", "\n")
+
+
+def test_equal_ends_are_one_number():
+    assert between("28", "28") == "28"
+    assert between("28", "29") == "28 to 29"
 
 
 def test_long_text_loses_its_middle():

@@ -11,6 +11,7 @@ import mcspectra as mcs
 from mcspectra.core import progress
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.progress import ProgressBars, listening, progress_bars, report
+from mcspectra.samplers import as_sampler
 
 
 def test_reports_reach_the_innermost_listener():
@@ -226,6 +227,17 @@ def test_analyses_report_from_little_to_all(what):
     assert fractions == sorted(fractions)
     assert fractions[0] < 1.0 == fractions[-1] or len(fractions) == 1
     assert fractions[-1] == 1.0
+
+
+def test_a_sampler_that_takes_long_reports_its_progress(monkeypatch):
+    monkeypatch.setattr("mcspectra.samplers.optimised.cached_array", lambda _, make: make())
+    heard = []
+    with listening(lambda *each: heard.append(each)):
+        as_sampler("bnot(iterations=6, tolerance=0.0)", 2).draw(30, realizations=1, rng=7)
+    assert {what for what, _ in heard} == {"bnot, 30 points, set 0"}
+    fractions = [fraction for _, fraction in heard]
+    assert fractions == sorted(fractions)
+    assert len(set(fractions)) == 7  # one for each of six moves, and the end
 
 
 def test_the_bar_of_a_convergence_covers_all_its_counts():

@@ -483,6 +483,19 @@ def test_remedies__stored_results_have_a_panel_per_sampler():
     drawn_by_both(plot)
 
 
+def test_remedies__ratios_over_many_decades_are_inside_the_panel():
+    """An interval without a lower end must not stretch the axis, nor hide a ratio."""
+    given = remedies()
+    given["error_ratio"].values[:] = [3e-5, 1.0, 4.0]
+    given["error_ratio_ci"].values[:] = [[0.0, 1e-4], [1.0, 1.0], [np.nan, np.nan]]
+    plot = describe("remedies", given)
+    axis = plot.panels[0].x
+    assert axis.low < 3e-5
+    assert 4.0 < axis.high < 100.0
+    given["error_ratio_ci"].values[0] = [1e-20, 1e-4]
+    assert 1e-8 < describe("remedies", given).panels[0].x.low < 3e-5
+
+
 def test_labels_of_another_length_are_ignored():
     found = labelled(remedies().assign_attrs(labels_other=["one"]))
     assert list(found["verdict"].values) == ["better", "given", "undecided"]

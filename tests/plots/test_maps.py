@@ -7,9 +7,9 @@ from tests.plots.drawing import drawn_by_both, marks
 
 from mcspectra.core.errors import McspectraError, ParameterError
 from mcspectra.core.streams import Stream
-from mcspectra.plots.description import Heatmap, Pixels
+from mcspectra.plots.description import Heatmap, Pixels, Segments
 from mcspectra.plots.kinds import PLOT_KINDS, describe, kinds_of
-from mcspectra.plots.maps import incident_maps, rms_error, strategy_images
+from mcspectra.plots.maps import incident_maps, located, rms_error, strategy_images
 from mcspectra.plots.text import number
 from mcspectra.rendering.files import encode_srgb
 
@@ -106,6 +106,37 @@ def test_maps__without_a_number():
     plot = describe("map-gain", variance_map(mis_gain=nothing))
     assert "no number" in plot.words
     drawn_by_both(plot)
+
+
+def test_maps__gray_pixels_are_explained():
+    assert "Gray" not in describe("map-rate", variance_map()).caption
+    rates = variance_map()["rate"].copy()
+    rates[:, 0] = np.nan
+    caption = describe("map-rate", variance_map(rate=rates)).caption
+    assert "Gray pixels (33 %) have no value: no lit surface is seen" in caption
+    assert "or too little variance" in caption
+    # A logarithmic scale has no color for a variance of 0
+    silent = variance_map()["variance"].copy()
+    silent[:, :, 0] = 0.0
+    assert "the variance is 0" in describe("map-variance", variance_map(variance=silent)).caption
+
+
+def test_maps__rings_mark_the_noisiest_pixels():
+    plot = describe("map-picture", variance_map())
+    assert "the 5 pixels with the largest variance" in plot.caption
+    worst = variance_map()["variance"].isel(n=-1, strategy=-1).values
+    row, column = np.unravel_index(np.argmax(worst), (3, 4))
+    centers = [ring.ends.mean(axis=(0, 1)) for ring in marks(plot, Segments)]
+    np.testing.assert_allclose(centers[0], [column + 0.5, 3 - row - 0.5])
+
+
+def test_a_ring_marks_a_pixel_of_a_larger_film():
+    plot = located(np.ones((30, 40, 3)), np.array([[100, 20]]), size=(400, 300))
+    drawn_by_both(plot)
+    rings = marks(plot, Segments)
+    assert len(rings) == 2  # dark on bright and bright on dark pictures
+    for ring in rings:
+        np.testing.assert_allclose(ring.ends.mean(axis=(0, 1)), [10.05, 30 - 2.05])
 
 
 def test_maps__other_results_give_an_error():

@@ -11,8 +11,10 @@ from mcspectra.cli.main import main
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.profiler import profile_scene
-from mcspectra.profiler.scene_profile import _Work
+from mcspectra.profiler.scene_profile import Needed, _spp, _Work, sampler_name
+from mcspectra.rendering import load_mitsuba
 from mcspectra.rendering.paths import Tracer
+from mcspectra.rendering.plugin import register_samplers
 from mcspectra.rendering.rendered import Film, RenderedPixels, chosen_tiles
 from mcspectra.rendering.scenes import as_scene
 
@@ -112,6 +114,48 @@ def test_samplers_are_named_as_they_are_rendered(found):
     names = {result.name for result in found.answer.results}
     assert {"multijitter", "ldsampler", "sobol | owen (padded)"} <= names
     assert "sobol | owen (joint_dims=4)" in names
+
+
+def test_equal_ends_and_open_intervals_of_samples():
+    assert _spp(Needed(0.5, 27.9, (27.8, 28.0))) == "28"
+    assert _spp(Needed(0.5, 28.0, (20.0, 40.0))) == "28 (20 to 40)"
+    assert _spp(Needed(0.5, 28.0, (20.0, np.inf))) == "28 (20 or more)"
+    assert _spp(Needed(0.5, np.inf, (1.0, np.inf))) == "an unknown number of"
+
+
+@pytest.mark.parametrize(
+    "name", ["independent", "stratified", "multijitter", "orthogonal", "ldsampler"]
+)
+def test_samplers_of_mitsuba_have_their_names(name):
+    mitsuba = load_mitsuba()
+    assert sampler_name(mitsuba.load_dict({"type": name, "sample_count": 25})) == name
+
+
+def test_our_sampler_is_named_with_its_spec():
+    register_samplers()
+    made = load_mitsuba().load_dict({"type": "mcspectra", "spec": "halton | permute"})
+    assert sampler_name(made) == "mcspectra[halton | permute, joint_dims=0, sample_count=4]"
+
+
+def test_frames_and_profile_agree_on_the_samples_for_a_target(tmp_path):
+    """Normal noise of independent samples: both know the quantiles of σ / mean."""
+    spread = np.exp(np.random.default_rng(1).normal(0.0, 0.6, (32, 64)))
+    pixels = np.stack(np.meshgrid(np.arange(64), np.arange(32)), axis=-1).reshape(-1, 2)
+    rendered = Rendered(spread, -1.0)
+    stream = Stream.from_rng(3)
+    values = {n: rendered.estimates("", n, pixels, 1, 24, stream.child(n)) for n in (16, 64)}
+    for n, images in values.items():
+        for k, image in enumerate(images):
+            np.save(tmp_path / f"view_{n}spp_{k}.npy", image.reshape(32, 64).astype(np.float32))
+    found = mcs.rendering.frames(tmp_path, target=0.05, flip=False)
+    frames = np.quantile(found["needed_spp"].values, [0.5, 0.95])
+    work = _Work(rendered, Stream.from_rng(0), 30.0, 0.0)
+    for share, other in zip((0.5, 0.95), frames, strict=True):
+        needed = work._needed("", values, np.ones(len(pixels)), pixels, share, 0.05)
+        true = (np.quantile(spread, share) / 0.05) ** 2
+        assert needed.spp_ci[0] < true < needed.spp_ci[1]
+        # A variance of 24 frames has an error of 29 %, which widens the quantiles of frames
+        assert other == pytest.approx(needed.spp, rel=0.35)
 
 
 def test_target_is_for_scenes():

@@ -7,6 +7,7 @@ from scipy import stats
 from mcspectra.core.streams import Stream
 from mcspectra.rendering import Wavefront, load_mitsuba, render
 from mcspectra.rendering.kernel_nets import NetPoints, Pads, net_of, scramble_key
+from mcspectra.rendering.plugin import register_samplers
 from mcspectra.samplers import as_sampler
 
 pytestmark = pytest.mark.render
@@ -152,3 +153,38 @@ def test_requests_and_neighbors_share_no_set(pads):
     _, times = np.unique(numbers, return_counts=True)
     equal = (times * (times - 1) / 2).sum()
     assert abs(equal - expected) < 5.0 * expected**0.5
+
+
+SHIFTED = "larcher-pillichshammer | digital-shift(jitter=True)"
+
+
+@pytest.mark.parametrize("n", [16, 64])
+def test_shifted_pads_are_the_nets_of_the_sampler(n):
+    """Pads of a kernel are balanced, uniform, and have the variance of the sampler's own points."""
+    register_samplers()
+    mitsuba, sets = load_mitsuba(), 2000
+    made = mitsuba.load_dict({"type": "mcspectra", "spec": SHIFTED, "sample_count": n})
+    made.set_samples_per_wavefront(n)
+    made.seed(mitsuba.UInt32(3), n * sets)
+    pairs = (made.next_2d() for _ in range(2))
+    first, second = (arrays((pair.x, pair.y), sets, n) for pair in pairs)
+    own = as_sampler(SHIFTED, 2).draw(n, realizations=sets, rng=1)
+    m = n.bit_length() - 1
+    for points in (first, second, own):
+        for k in range(m + 1):
+            cells = np.floor(points * [2**k, 2 ** (m - k)]) @ [2 ** (m - k), 1]
+            assert (np.sort(cells, axis=-1) == np.arange(n)).all()
+        # Every point of a set is uniform: the first point over 16 cells, at the level 1e-6
+        counts = np.bincount((points[:, 0] * 4).astype(int) @ [4, 1], minlength=16)
+        assert stats.chisquare(counts).pvalue > 1e-6
+    assert abs(np.corrcoef(first[:, 0, 0], second[:, 0, 0])[0, 1]) < 5 / np.sqrt(sets)
+
+    def variance(points):
+        return np.exp(-((points - [0.37, 0.61]) ** 2).sum(-1) / 0.05).mean(axis=1).var(ddof=1)
+
+    # Each variance has a relative error of about sqrt(2 / sets) = 3 %
+    known = variance(own)
+    assert variance(first) == pytest.approx(known, rel=0.25)
+    assert variance(second) == pytest.approx(known, rel=0.25)
+    # Points that keep their distances integrate a bump better than a scrambled net
+    assert known < 0.6 * variance(as_sampler("sobol | owen", 2).draw(n, realizations=sets, rng=1))

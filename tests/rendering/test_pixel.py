@@ -8,6 +8,7 @@ import pytest
 from tests.rendering.samples import mean_and_error, uniforms
 
 import mcspectra as mcs
+from mcspectra.cli.main import main
 from mcspectra.core.errors import DomainError, ParameterError
 from mcspectra.core.registry import Registry
 from mcspectra.core.spec import parse
@@ -225,6 +226,11 @@ def test_pixels_that_are_not_integrands_raise_with_a_reason(scene_files, scene, 
     with pytest.raises(ParameterError) as caught:
         Pixel(**{"scene": scene_files[scene], "x": 20, "y": 15, **changes})
     assert words in str(caught.value)
+
+
+def test_a_mirror_hints_at_whole_paths(scene_files, capsys):
+    assert main(["pixel", str(scene_files["mirror"]), "20", "15"]) == 2
+    assert "measure whole paths with --integrator scene" in capsys.readouterr().err
 
 
 def test_an_area_light_next_to_a_delta_light_is_allowed(scene_files):

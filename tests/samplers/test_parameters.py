@@ -99,6 +99,8 @@ REFUSED = [
     ("van-der-corput(base=4) | lms", 1, ("prime base", "base 4", "owen")),
     ("antithetic-jittered | lms", 2, ("lms", "pairs", "antithetic-jittered")),
     ("antithetic-jittered | digital-shift | owen", 2, ("owen", "pairs")),
+    ("antithetic-jittered | digital-shift(jitter=True)", 2, ("digital-shift", "pairs")),
+    ("sobol | digital-shift(jitter=2)", 2, ("jitter",)),
     ("korobov | lms", 2, ("lms", "distances")),
     ("korobov | owen", 2, ("owen", "distances", "shift")),
     ("random | strata-shift(offset=[0.1, 0.2, 0.3])", 2, ("offset has 3 values",)),

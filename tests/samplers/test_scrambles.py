@@ -52,6 +52,31 @@ def test_faure_nets_stay_nets_in_their_base(step, base, dims, places):
         assert elementary_intervals(points, base, 0)
 
 
+@pytest.mark.parametrize(("base", "dims", "places"), [(2, 2, 6), (3, 3, 5), (11, 3, 2)])
+def test_shifts_with_jitter_keep_nets(base, dims, places):
+    source = sampler(f"faure(base={base}) | digital-shift(jitter=True)", dims)
+    for points in source.draw(base**places, realizations=20, rng=3):
+        assert elementary_intervals(points, base, 0)
+
+
+def test_jitter_is_uniform_and_independent_in_the_intervals_of_points():
+    source = sampler("larcher-pillichshammer | digital-shift(jitter=True)", 2)
+    assert source.unbiased
+    assert source.spec == "larcher-pillichshammer | digital-shift(jitter=True)"
+    drawn = source.draw(16, realizations=2000, rng=5)
+    np.testing.assert_array_equal(source.draw(16, realizations=2, rng=5, first=7), drawn[7:9])
+    place = drawn * 16.0 % 1.0
+    assert stats.kstest(place.ravel()[:20_000], "uniform").pvalue > LEVEL
+    assert abs(np.corrcoef(place[:, 0, 0], place[:, 1, 0])[0, 1]) < SIGMAS / np.sqrt(2000)
+    # Each axis is stratified: the mean of x has the variance 1 / (12 n³)
+    variance = drawn[..., 0].mean(axis=1).var(ddof=1)
+    assert variance * 12.0 * 16.0**3 == pytest.approx(1.0, abs=SIGMAS * np.sqrt(2.0 / 2000))
+    # All points share one shift: the places of points i and j differ by the same digits
+    cells = np.floor(drawn * 16.0).astype(int)
+    fixed = np.floor(sampler("larcher-pillichshammer", 2).draw(16)[0] * 16.0).astype(int)
+    np.testing.assert_array_equal(cells ^ cells[:, :1], np.tile(fixed ^ fixed[:1], (2000, 1, 1)))
+
+
 @pytest.mark.parametrize("step", SCRAMBLES)
 @pytest.mark.parametrize("base", [2, *PRIMES])
 def test_every_interval_of_an_axis_in_floats(step, base):

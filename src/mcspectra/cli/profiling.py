@@ -13,7 +13,7 @@ from mcspectra.cli.common import Verb, VerbOutput, group, index_or_name, option,
 from mcspectra.cli.texts import data_of, table_of_anything
 from mcspectra.core.analysis import ANALYSES
 from mcspectra.core.decoding import check_decoded_size, check_zarr, opened, read_npy
-from mcspectra.core.display import shown
+from mcspectra.core.display import printable, shown
 from mcspectra.core.errors import (
     FileFormatError,
     McspectraError,
@@ -95,11 +95,15 @@ def _of_scene(options: argparse.Namespace, scene: str) -> VerbOutput:
     from mcspectra.profiler.scene_profile import plan_scene, profile_scene
 
     profiling: Any = ANALYSES.load("profile")
-    own = ("dims", "density", "heuristic", "shares", "mirror", "plus", "weights", "out")
+    own = ("dims", "density", "heuristic", "shares", "mirror", "plus", "weights")
     for name in (*own, *(each.name for each in options_of(profiling))):
         if getattr(options, name) not in (None, []):
             flag = f"--{name.replace('_', '-')}"
             raise ParameterError(f"{flag} is not for scenes; leave it out.")
+    from mcspectra.report.result_files import check_result_file
+
+    for file in options.out:
+        check_result_file(file, (".html",))
     asked = {name: getattr(options, name) for name in _OF_SCENES}
     asked = {name: value for name, value in asked.items() if value not in (None, [])}
     asked["samplers"] = [*asked.pop("compare", []), *([options.sampler] if options.sampler else [])]
@@ -110,7 +114,13 @@ def _of_scene(options: argparse.Namespace, scene: str) -> VerbOutput:
         plan = plan_scene(scene, **asked)
         return VerbOutput(plan.text, plan.to_dict())
     found = profile_scene(scene, **asked)
-    return VerbOutput(found.text, found.to_dict())
+    if options.out:
+        from mcspectra.report.scene_page import write_scene_profile
+
+        for file in options.out:
+            write_scene_profile(found, file)
+    written = [f"wrote {printable(file)}" for file in options.out]
+    return VerbOutput("\n".join([found.text, *written]), found.to_dict())
 
 
 def _of_draws(options: argparse.Namespace, files: list[str]) -> VerbOutput:
@@ -169,7 +179,7 @@ For a scene, a Mitsuba XML file or a built-in name, it compares samplers as they
 pixels from all parts of the image. It prints the sampler to use, the samples per pixel that reach
 --target, the decisions that cause the variance, and the worst pixels. Samplers of this package are
 padded like those of renderers: each request of the integrator has its own points. The first 4
-numbers of a path are joint for scrambled nets (--joint-dims).
+numbers of a path are joint for scrambled nets (--joint-dims). With -o page.html it writes a page.
 
 {_PROFILE.text.partition(chr(10) * 2)[2]}
 

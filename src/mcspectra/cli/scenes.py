@@ -428,7 +428,8 @@ def pixel_(options: argparse.Namespace) -> VerbOutput:
         rates = summary_table(pixel_page.pixel_rows(tree))
         rates = columns_of(rates, rates.columns[:5])
         terms = terms_table(pixel_page.term_rows(tree))
-        parts = ["\n".join(head)]
+        lead = textwrap.fill(pixel_page.pixel_answer(tree), _WIDTH)
+        parts = ["\n".join(head), lead, page_table(pixel_page.answer_table(tree))]
         parts += [page_table(rates, "Strategy"), page_table(terms, "Strategy; basis")]
         data, said = pixel_page.pixel_summary(tree), pixel_page.pixel_sentences(tree)
         write: Any = pixel_page.write_pixel

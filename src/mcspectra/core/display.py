@@ -26,6 +26,7 @@ from typing import Any
 __all__ = [
     "QUOTED",
     "Drawable",
+    "between",
     "counted",
     "csv_cell",
     "escape_html",
@@ -115,6 +116,17 @@ def counted(number: int, one: str) -> str:
     if number == 1:
         return f"1 {one}"
     return f"{number} {one[:-1]}ies" if one.endswith("y") else f"{number} {one}s"
+
+
+def between(low: str, high: str) -> str:
+    """Return the ends of an interval as text: one number if both texts are equal.
+
+    Examples
+    --------
+    >>> between("12", "30"), between("28", "28")
+    ('12 to 30', '28')
+    """
+    return low if low == high else f"{low} to {high}"
 
 
 def needed(number: int, one: str) -> str:

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Literal, final
 
-from mcspectra.core.display import escape_html
+from mcspectra.core.display import between, escape_html
 from mcspectra.core.errors import ParameterError
 from mcspectra.estimators import AbstractEstimator
 from mcspectra.explain.causes import Cause
@@ -339,4 +339,4 @@ def _between(ends: tuple[float, float]) -> str:
         return f" ({rounded(low)} or more)"
     if not (math.isfinite(high - low) and high > low):
         return ""
-    return f" ({rounded(low)} to {rounded(high)})"
+    return f" ({between(rounded(low), rounded(high))})"

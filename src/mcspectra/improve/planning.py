@@ -25,6 +25,7 @@ from msgspec import Meta
 from mcspectra.core.analysis import Counted, Need, Reduction, Subject, compute, whole
 from mcspectra.core.checks import Array
 from mcspectra.core.confidence import student_t
+from mcspectra.core.display import between
 from mcspectra.core.errors import CountError, NoClosedForm, Parameter, ParameterError
 from mcspectra.core.memory import memory_of
 from mcspectra.core.results import dataset
@@ -316,7 +317,7 @@ def _between(low: float, high: float) -> str:
     """Format an interval in parentheses if the interval is wide."""
     if math.isinf(high):
         return f" ({low:.0f} or more)"
-    return f" ({low:.0f} to {high:.0f})" if high > _SETTINGS.wide * low else ""
+    return f" ({between(f'{low:.0f}', f'{high:.0f}')})" if high > _SETTINGS.wide * low else ""
 
 
 # ------------------------------------------------------------------------------------- predictions

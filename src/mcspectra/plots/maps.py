@@ -24,10 +24,11 @@ from mcspectra.plots.description import (
     Plot,
     ReferenceLine,
     Scale,
+    Segments,
 )
 from mcspectra.plots.groups import Group, Styles, abreast, shared
 from mcspectra.plots.scales import log_axis, log_scale
-from mcspectra.plots.style import GRAY, PALETTE
+from mcspectra.plots.style import ACCENT, GRAY, PALETTE
 from mcspectra.plots.text import number, percent
 
 __all__ = [
@@ -35,8 +36,10 @@ __all__ = [
     "STRATEGIES",
     "bounce_name",
     "incident_maps",
+    "located",
     "rms_error",
     "strategy_images",
+    "worst_pixels",
 ]
 
 STRATEGIES = {
@@ -56,6 +59,30 @@ _LARGEST_RATIO = 8.0  # largest ratio at the end of a color scale
 _RATIOS = (0.125, 0.25, 0.5, 0.8, 1.0, 1.25, 2.0, 4.0, 8.0)
 _MOST_STOPS = 64.0
 _DARKEST = 1e-3  # smallest relative power that is shown
+_UNCERTAIN = "the variance is 0, or its standard error exceeds half of it"
+_GRAY = {
+    # Reasons for pixels without a value, by variable
+    "variance": "the variance is 0",
+    "rate": "too little variance, or too few realizations, for a rate",
+    "rate_se": "too little variance, or too few realizations, for a rate",
+    "bottleneck": "a share of MIS has no rate",
+    "dominant_technique": "a share of MIS has no variance",
+    "mis_gain": "a strategy has no variance that is certain",
+    "predicted_ratio": "no prediction, or no measured variance",
+    "bounce_share": _UNCERTAIN,
+    "decision_share": _UNCERTAIN,
+    "largest_bounce": _UNCERTAIN,
+    "largest_decision": _UNCERTAIN,
+    "best_sampler": "a sampler has no variance",
+    "relative_rmse": "the mean or the variance is 0",
+    "needed_spp": "the mean or the variance is 0, or the rate is unknown",
+    "pixel_effective_frames": "the variance is 0",
+    "variance_ratio": "a variance is 0",
+    "mean": "the mean is 0",
+}
+_NO_SURFACE = "no lit surface is seen (a light, a mirror or nothing)"
+_WORST = 5  # number of noisy pixels that are listed and marked
+_RING = 0.02  # radius of the ring around a pixel, relative to the longer side of the picture
 _SMOOTHED = ("rate", "rate_se", "bottleneck")  # these variables are averaged over windows of pixels
 
 
@@ -80,11 +107,16 @@ def _image_map(
         shown = {name: d.dropna("x", how="all").dropna("y", how="all") for name, d in shown.items()}
     if once:
         shown = dict(itertools.islice(shown.items(), 1))
+    if variable in ("bounce_share", "decision_share"):
+        shown, nothing = _without_zeros(shown, variable.removesuffix("_share"))
+        caption += f" Not shown, because all shares are 0: {nothing}." if nothing else ""
     window = next(iter(group.values())).attrs.get("smoothing", 1)
     if window > 1 and variable in _SMOOTHED:
         caption += f" Over windows of {window} × {window} pixels."
     every = np.concatenate([np.ravel(each.values) for each in shown.values()])
     found, panels = scale(every), []
+    if gray := _gray(every, found, variable, next(iter(group.values()))):
+        caption += f" {gray}"
     for name, data in shown.items():
         outer = next((str(dim) for dim in data.dims if dim not in ("y", "x")), None)
         for k, label in enumerate(data[outer].values if outer else [""]):
@@ -107,6 +139,32 @@ def _image_map(
         share=shared(panels),
         wide=wide,
     )
+
+
+def _without_zeros(
+    shown: Mapping[str, xr.DataArray], outer: str
+) -> tuple[dict[str, xr.DataArray], str]:
+    """Omit bounces or decisions whose shares are 0 at all pixels; also return their names."""
+    used = np.any([(d.fillna(0.0) != 0.0).any(("y", "x")).values for d in shown.values()], axis=0)
+    if not used.any():
+        return dict(shown), ""
+    labels = next(iter(shown.values()))[outer].values[~used].tolist()
+    names = [bounce_name(v) if outer == "bounce" else str(v) for v in labels]
+    return {name: data.isel({outer: used}) for name, data in shown.items()}, ", ".join(names)
+
+
+def _gray(values: Array, scale: Scale, variable: str, data: xr.Dataset) -> str:
+    """Explain pixels that have no color in a map; empty if all have one."""
+    lacking = ~np.isfinite(values)
+    if scale.kind == "log":
+        lacking |= values <= 0.0
+    share = float(lacking.mean()) if lacking.size else 0.0
+    if not share:
+        return ""
+    direct = "strategy" in data.coords and "path" not in data["strategy"].values
+    why = [*([_NO_SURFACE] if direct else []), *([_GRAY[variable]] if variable in _GRAY else [])]
+    reason = f": {', or '.join(why)}" if why else ""
+    return f"Gray pixels ({percent(share)}) have no value{reason}."
 
 
 def _over_pixels(
@@ -211,21 +269,72 @@ def _choice(
 
 
 def _picture(group: Group, _: Styles, *, caption: str) -> Plot:
-    """Show the mean image of frames or of the last strategy, exposed so that its mean is gray."""
+    """Show the mean image of frames or of the last strategy, with the noisiest pixels of a map."""
+    data = next(iter(group.values()))
+    if "image" in data:
+        image = np.atleast_3d(data["image"].transpose("y", "x", ...).values)
+        return located(image, np.zeros((0, 2)), caption=caption)
+    image = data["mean"].isel(strategy=-1).transpose("y", "x").values[..., None]
+    variance = data["variance"].isel(strategy=-1, n=-1).transpose("y", "x").values
+    rows, columns = worst_pixels(variance).T
+    if rows.size:
+        caption += f" Rings: the {rows.size} pixels with the largest variance."
+    return located(image, np.stack([columns, rows], axis=-1), caption=caption)
+
+
+def worst_pixels(variance: Array) -> Array:
+    """Return the rows and columns (K, 2) of at most five pixels of largest positive variance."""
+    order = np.argsort(np.nan_to_num(variance, nan=-1.0), axis=None, kind="stable")[::-1]
+    places = np.stack(np.unravel_index(order[:_WORST], variance.shape), axis=-1)
+    return np.asarray(places[variance[tuple(places.T)] > 0])
+
+
+def located(
+    image: Array, pixels: Array, *, size: tuple[int, int] | None = None, caption: str = ""
+) -> Plot:
+    """Show a picture exposed to a middle gray, with rings around pixels.
+
+    Parameters
+    ----------
+    image
+        Linear radiance (height, width, 1) or (height, width, 3), first row on top.
+    pixels
+        Columns and rows (K, 2) of the marked pixels.
+    size
+        Width and height of the film whose pixels are marked; by default those of the image.
+    """
     from mcspectra.rendering.files import encode_srgb
 
-    data = next(iter(group.values()))
-    mean = data["image"] if "image" in data else data["mean"].isel(strategy=-1)
-    image = np.atleast_3d(mean.transpose("y", "x", ...).values)
     values = np.clip(np.broadcast_to(np.nan_to_num(image), (*image.shape[:2], 3)), 0.0, None)
     lit = values.max(axis=-1)
     level = float(np.exp(np.log(lit[lit > 0]).mean())) if (lit > 0).any() else 1.0
     shown = np.rint(255.0 * encode_srgb(values * (_MIDDLE / level))).astype(np.uint8)
     height, width, _ = shown.shape
-    across = Axis(low=0.0, high=width, ticks={})
-    down = Axis(low=0.0, high=height, ticks={})
+    columns, rows = size or (width, height)
+    marks: list[Mark] = [Pixels(rgb=shown)]
+    across = (pixels[:, 0] + 0.5) * width / columns
+    up = height - (pixels[:, 1] + 0.5) * height / rows
+    radius = _RING * max(width, height)
+    turn = np.linspace(0.0, 2.0 * np.pi, 33)
+    ring = np.stack([np.cos(turn), np.sin(turn)], axis=-1) * radius
+    for color, thickness in (("#FFFFFF", 3.0), (ACCENT, 1.4)):
+        marks += [
+            Segments(
+                ends=np.stack([ring[:-1], ring[1:]], axis=1) + np.array([x, y]),
+                color=color,
+                width=thickness,
+            )
+            for x, y in zip(across, up, strict=True)
+        ]
     return Plot(
-        panels=(Panel(marks=(Pixels(rgb=shown),), square=True, x=across, y=down),),
+        panels=(
+            Panel(
+                marks=tuple(marks),
+                square=True,
+                x=Axis(low=0.0, high=width, ticks={}),
+                y=Axis(low=0.0, high=height, ticks={}),
+            ),
+        ),
         caption=caption,
         words=f"Image of {width} × {height} pixels.",
         height=float(np.clip(height / width, 0.1, 2.0)),
@@ -641,7 +750,8 @@ MAPS: Mapping[str, tuple[tuple[str, ...], Callable[[Group, Styles], Plot]]] = {
                 _shares,
                 (
                     "Variance that first appears with the random numbers of a bounce, as a share "
-                    "of the total. Estimates of small shares may be negative."
+                    "of the total: the increase of the cumulative Sobol' index. Estimates of small "
+                    "shares may be negative."
                 ),
             ),
             (
@@ -650,7 +760,7 @@ MAPS: Mapping[str, tuple[tuple[str, ...], Callable[[Group, Styles], Plot]]] = {
                 _shares,
                 (
                     "Variance that first appears with a decision, summed over all bounces, as a "
-                    "share of the total."
+                    "share of the total: increases of the cumulative Sobol' index."
                 ),
             ),
         )

@@ -63,9 +63,11 @@ __all__ = [
     "captured",
     "convergence",
     "estimates",
+    "needed_samples",
     "overlaid",
     "prediction",
     "remedies",
+    "shares",
     "task_curves",
     "technique_rates",
     "techniques",
@@ -89,6 +91,7 @@ _LINEAR_TOP = 4.0  # largest captured share that is shown on a linear axis
 _TEXT_LINE, _TEXT_LETTER = 0.06, 0.018
 _MOST_BINS = 60  # largest number of bars of a histogram; narrower bars would not be visible
 _SMALLER = 2.1  # panels of small pictures are smaller by this factor
+_BEYOND = 100.0  # most by which the axis of ratios extends beyond the ratios, for intervals
 _VERDICTS = {"better": "#009E73", "worse": ACCENT, "given": INK}
 BELOW_ROUNDING = "below rounding"
 """Text instead of a rate, for a curve whose variances are all at rounding level."""
@@ -532,7 +535,7 @@ def anova(group: Group, styles: Styles) -> Plot:
     return Plot(
         panels=tuple(panels),
         columns=min(2, abreast(len(panels))),
-        caption=f"Part of the variance that comes from each {axes} alone"
+        caption=f"Part of the variance that comes from each {axes} alone (first-order)"
         + (" and from the interactions of each set" if sets else "")
         + ", the largest first; whiskers are 95 % intervals."
         + (f" {more} smaller parts are omitted." if more > 0 else ""),
@@ -552,17 +555,21 @@ def anova(group: Group, styles: Styles) -> Plot:
 
 
 def remedies(group: Group, _: Styles) -> Plot:
-    """Plot the variance of each change relative to the given set-up, with intervals."""
+    """Plot the variance of each change relative to the set-up as given, with intervals."""
+    # Every ratio is shown. An interval may be much wider than all ratios: its end leaves the panel
+    ratios = np.concatenate([each["error_ratio"].values for each in group.values()])
+    ratios = ratios[np.isfinite(ratios) & (ratios > 0)]
+    least, most = float(ratios.min(initial=0.5)), float(ratios.max(initial=2.0))
     known = np.concatenate([each["error_ratio_ci"].values.ravel() for each in group.values()])
-    known = known[np.isfinite(known) & (known > 0)]
+    known = known[(known >= least / _BEYOND) & (known <= most * _BEYOND)]
     axis = log_axis(
         "variance / variance as given",
-        float(known.min(initial=0.5)),
-        float(known.max(initial=2.0)),
+        float(known.min(initial=least)),
+        float(known.max(initial=most)),
     )
     panels = []
     for name, each in group.items():
-        ratio, ends = each["error_ratio"].values, np.maximum(each["error_ratio_ci"].values, 1e-12)
+        ratio, ends = each["error_ratio"].values, np.maximum(each["error_ratio_ci"].values, 1e-30)
         rows, verdicts = (each[key].values.astype(str) for key in ("remedy", "verdict"))
         marks: list[Mark] = [ReferenceLine(at=1.0, axis="x", color=GRAY, width=0.7)]
         for verdict in dict.fromkeys(verdicts):
@@ -596,6 +603,83 @@ def remedies(group: Group, _: Styles) -> Plot:
         + for_each(group, lambda d: _named_values(d, "remedy", "error_ratio")),
         height=0.1 + 0.045 * max(each.sizes["remedy"] for each in group.values()),
         share="x",
+    )
+
+
+def shares(names: Sequence[str], values: Array, ends: Array) -> Plot:
+    """Plot shares of the variance (K,) with their 95 % intervals (K, 2), in the given order."""
+    top = float(np.nanmax(ends, initial=float(np.max(values, initial=0.1))))
+    axis = linear_axis("share of the variance", min(float(np.nanmin(ends, initial=0.0)), 0.0), top)
+    texts = [percent(float(value)) for value in values]
+    return Plot(
+        kind="shares",
+        panels=(_bar_panel("", PALETTE[0], list(names), values, ends, texts, axis),),
+        caption="Variance of a random path that first appears with a decision, as a share of the "
+        "total: the increase of the cumulative Sobol' index; whiskers are 95 % intervals.",
+        words="Bars of shares: "
+        + ", ".join(f"{n} {text}" for n, text in zip(names, texts, strict=True))
+        + ".",
+        height=0.12 + 0.05 * max(len(names), 2),
+    )
+
+
+def needed_samples(
+    needed: Mapping[str, Mapping[str, tuple[float, float, float]]], now: int
+) -> Plot:
+    """Plot the samples per pixel that shares of the pixels need, by sampler.
+
+    Parameters
+    ----------
+    needed
+        Samples per pixel with both ends of the interval, by sampler and share of the pixels.
+    now
+        Samples per pixel of the scene, which are marked.
+    """
+    marks: list[Mark] = [
+        ReferenceLine(at=float(now), axis="x", dashes="--", label=f"now: {now}"),
+    ]
+    rows: list[str] = []
+    every = [float(now)]
+    for color, (sampler, found) in zip(PALETTE, needed.items(), strict=False):
+        values = np.array(list(found.values()))
+        at = float(len(rows)) + np.arange(float(len(found)))
+        rows += [f"{shorten(sampler, 34)}: {share}" for share in found]
+        known = np.isfinite(values[:, 0])
+        every += values[np.isfinite(values) & (values < _BEYOND * np.nanmax(values[:, 0]))].tolist()
+        marks.append(
+            Dots(
+                x=values[known, 0],
+                y=at[known],
+                color=color,
+                low=values[known, 1],
+                high=values[known, 2],
+                across=True,
+                size=5.0,
+                hover={
+                    "samples per pixel": numbers(values[known, 0], 3),
+                    "interval": intervals(values[known, 1:], 3),
+                },
+            )
+        )
+    return Plot(
+        kind="needed-samples",
+        panels=(
+            Panel(
+                marks=tuple(marks),
+                x=log_axis("samples per pixel", max(min(every), 1.0), max(every)),
+                y=name_axis(rows),
+            ),
+        ),
+        caption="Samples per pixel that reach the target, with 95 % intervals. The dashed line "
+        "is the scene as it is.",
+        words="Samples per pixel: "
+        + "; ".join(
+            f"{sampler}: "
+            + ", ".join(f"{share} {number(values[0])}" for share, values in found.items())
+            for sampler, found in needed.items()
+        )
+        + ".",
+        height=0.16 + 0.06 * max(len(rows), 2),
     )
 
 

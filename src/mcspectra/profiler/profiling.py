@@ -29,7 +29,7 @@ from msgspec import Meta
 from mcspectra.core.analysis import Analysis, Need, Reduction, Subject, whole
 from mcspectra.core.checks import Array, as_integer, in_unit_cube
 from mcspectra.core.confidence import CONFIDENCE_Z
-from mcspectra.core.display import escape_html
+from mcspectra.core.display import between, escape_html
 from mcspectra.core.errors import (
     CountError,
     DomainError,
@@ -331,7 +331,9 @@ class Profile:
             curve = self.samplers[name]
             low, high = curve.rate_ci
             known = curve.rate_se == 0.0
-            rate = f"{curve.rate:.2f}" + ("" if known else f" ({low:.2f} to {high:.2f})")
+            rate = f"{curve.rate:.2f}" + (
+                "" if known else f" ({between(f'{low:.2f}', f'{high:.2f}')})"
+            )
             if math.isnan(curve.rate):
                 rate = "no error seen" if curve.vanishes <= self.points else "none"
             rmse = self._rmse(curve)

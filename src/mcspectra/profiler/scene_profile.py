@@ -34,7 +34,7 @@ import numpy as np
 
 from mcspectra.core.checks import Array, as_integer, as_real
 from mcspectra.core.confidence import CONFIDENCE_Z
-from mcspectra.core.display import counted, escape_html
+from mcspectra.core.display import between, counted, escape_html
 from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.core.progress import report
 from mcspectra.core.streams import RngLike, Stream
@@ -57,6 +57,7 @@ from mcspectra.rendering.rendered import (
     RenderedPixels,
     chosen_tiles,
     pixels_of,
+    preview,
 )
 from mcspectra.rendering.scenes import Scene, as_scene, load_scene, scene_name, sensor_of
 from mcspectra.samplers import as_sampler
@@ -67,8 +68,11 @@ __all__ = [
     "SceneProfile",
     "SceneSettings",
     "VarianceShare",
+    "pixel_command",
     "plan_scene",
     "profile_scene",
+    "sampler_name",
+    "whole_samples",
 ]
 
 
@@ -121,8 +125,11 @@ class SceneSettings:
 
 
 _SETTINGS = SceneSettings()
+_ENDLESS = 1e12  # numbers of samples above this are not printed
 _MITSUBA = ("independent", "multijitter", "ldsampler")
 _OURS = "sobol | owen"
+# A net whose points are far apart, with its places kept: less variance at edges than scrambled nets
+_APART = "larcher-pillichshammer | digital-shift(jitter=True)"
 _CLASSES = {
     # Class of a sampler in Mitsuba, and name of its plugin
     "IndependentSampler": "independent",
@@ -181,7 +188,9 @@ class SceneProfile:
     confirmed, confirmed_ci
         Variance of the recommended sampler in new renders, divided by the first measurement.
     worst
-        Pixels with the largest relative errors: x, y and the error with `compared_spp` samples.
+        Pixels with the largest relative error: x, y, the error at `compared_spp`.
+    picture
+        A small picture of the scene, linear RGB (height, width, 3).
     """
 
     scene: str
@@ -205,6 +214,7 @@ class SceneProfile:
     seconds: float
     samples: int
     notes: tuple[str, ...] = field(default=())
+    picture: Array | None = field(default=None, repr=False, compare=False)
 
     @property
     def text(self) -> str:
@@ -230,7 +240,7 @@ class SceneProfile:
             )
         lines.append(
             f"confirmed   new renders with {best.name}: variance × {self.confirmed:.2f} "
-            f"({self.confirmed_ci[0]:.2f} to {self.confirmed_ci[1]:.2f}) of the compared one"
+            f"({_ends(*self.confirmed_ci)}) of the compared one"
         )
         lines.append(
             "samplers    variance in relation to the scene's sampler: geometric mean over the "
@@ -238,13 +248,11 @@ class SceneProfile:
         )
         for result in self.answer.results:
             low, high = result.gain_ci
-            ends = "" if result is self.answer.given else f"({1 / high:.2f} to {1 / low:.2f})"
-            lines.append(f"  {result.name:<34} {1.0 / result.gain:.2f} {ends}".rstrip())
+            ends = "" if result is self.answer.given else f"({_ends(1 / high, 1 / low)})"
+            lines.append(f"  {result.name:<60} {1.0 / result.gain:.2f} {ends}".rstrip())
         lines.append("worst pixels")
         for x, y, error in self.worst:
-            own = "scene" if self.integrator == SCENE_INTEGRATOR else self.integrator
-            command = f"mcspectra pixel {shlex.quote(self.scene)} {x} {y} --integrator "
-            lines.append(f"  σ / mean {error:<8.2g} {command}{shlex.quote(own)}")
+            lines.append(f"  σ / mean {error:<8.2g} {pixel_command(self, x, y)}")
         lines += self.notes
         lines.append(
             f"measured    {self.scene}, integrator {self.integrator}, {self.size[0]} × "
@@ -261,13 +269,20 @@ class SceneProfile:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain numbers, texts and lists."""
-        plain = {k: v for k, v in vars(self).items() if k not in ("answer", "causes", "needed")}
+        own = ("answer", "causes", "needed", "picture")
+        plain = {k: v for k, v in vars(self).items() if k not in own}
         plain["answer"] = {**self.answer.to_dict(), "causes": [vars(c) for c in self.causes]}
         plain["causes"] = [vars(cause) for cause in self.causes]
         plain["needed"] = [vars(each) for each in self.needed]
         plain["needed_now"] = [vars(each) for each in self.needed_now]
         plain["samplers"] = [each.to_dict() for each in self.answer.results]
         return plain
+
+
+def pixel_command(found: SceneProfile, x: int, y: int) -> str:
+    """Return the command that analyzes a pixel of a profiled scene."""
+    integrator = shlex.quote(found.integrator)
+    return f"mcspectra pixel {shlex.quote(found.scene)} {x} {y} --integrator {integrator}"
 
 
 def _noisy(values: Sequence[Array]) -> Array:
@@ -282,13 +297,22 @@ def _noisy(values: Sequence[Array]) -> Array:
 
 def _spp(each: Needed) -> str:
     low, high = each.spp_ci
-    if not math.isfinite(each.spp):
+    if not each.spp < _ENDLESS:
         return "an unknown number of"
-    return f"{_digits(each.spp)} ({_digits(low)} to {_digits(high)})"
+    if not high < _ENDLESS:
+        return f"{whole_samples(each.spp)} ({whole_samples(low)} or more)"
+    found, ends = whole_samples(each.spp), between(whole_samples(low), whole_samples(high))
+    return found if found == ends else f"{found} ({ends})"
 
 
-def _digits(value: float) -> str:
+def _ends(low: float, high: float) -> str:
+    return between(f"{low:.2f}", f"{high:.2f}")
+
+
+def whole_samples(value: float) -> str:
     """Format a number of samples with two or three digits, rounded up to a whole number."""
+    if not value < _ENDLESS:
+        return "unknown" if math.isnan(value) else "∞"
     if value < 1.0:
         return "1"
     scale = 10.0 ** max(0, math.floor(math.log10(value)) - 2)
@@ -296,7 +320,8 @@ def _digits(value: float) -> str:
 
 
 def _percent_ci(ends: tuple[float, float]) -> str:
-    return f"({max(ends[0], 0.0):.0%} to {ends[1]:.0%})"
+    low, high = (min(max(end, 0.0), 1.0) for end in ends)
+    return f"({between(f'{low:.0%}', f'{high:.0%}')})"
 
 
 def profile_scene(
@@ -414,12 +439,15 @@ def _prepared(
         load_scene(request)
         find_integrator(request, spec)
         film, own = Film.of(request), sensor_of(request).sampler()
-        now, kind = int(own.sample_count()), str(own.class_name())
-        # The text of a sampler of this package begins with its spec
-        given = _CLASSES.get(kind) or str(own).partition("\n")[0]
+        now, given = int(own.sample_count()), sampler_name(own)
     tracer = Tracer(request, spec, channel, (film.width, film.height))
     work = _Work(RenderedPixels(tracer, film), Stream.from_rng(rng), limit, begin)
     return work, _candidates(given, samplers, joint_dims), given, now
+
+
+def sampler_name(sampler: Any) -> str:
+    """Return the name of a sampler's plugin; a sampler of this package prints its spec."""
+    return _CLASSES.get(str(sampler.class_name())) or str(sampler).partition("\n")[0]
 
 
 @final
@@ -466,6 +494,7 @@ def _candidates(
         for k in dict.fromkeys((joint, 0)):
             name = f"{spec} ({f'joint_dims={k}' if k else 'padded'})"
             found.setdefault(name, {"type": PLUGIN, "spec": spec, "joint_dims": k})
+    found.setdefault(f"{_APART} (padded)", {"type": PLUGIN, "spec": _APART, "joint_dims": 0})
     return found
 
 
@@ -733,6 +762,7 @@ class _Work:
             seconds=time.perf_counter() - self.begin,
             samples=rendered.samples,
             notes=tuple(notes),
+            picture=preview(rendered.tracer.scene, integrator),
         )
 
     @staticmethod
@@ -753,7 +783,7 @@ class _Work:
             low, high = best.gain_ci
             lead = (
                 f"Use {best.name}: {best.gain:.2f} times less variance than {given.name} "
-                f"({low:.2f} to {high:.2f}) at the noisier half of the pixels, with {best.n} "
+                f"({_ends(low, high)}) at the noisier half of the pixels, with {best.n} "
                 "samples per pixel."
             )
         return Answer.of(best.n, results, instead=f"{lead} {spp}")

@@ -8,6 +8,7 @@ The class `NetPoints` computes the points of the sampler from its keys, rounded 
 Renderers request one or two numbers at a time and need point sets in a random order.
 These sets (`Pads`) are scrambled by one round of the hash with 63 random bits,
 and the order of their points is random.
+Nets with ``digital-shift(jitter=True)`` are shifted instead, by m random bits per coordinate.
 """
 
 from __future__ import annotations
@@ -23,9 +24,9 @@ from mcspectra.core.checks import Array
 from mcspectra.core.streams import Stream
 from mcspectra.samplers import Sampler
 from mcspectra.samplers.base import Randomized
-from mcspectra.samplers.scrambles import Owen
+from mcspectra.samplers.scrambles import DigitalShift, Owen
 
-__all__ = ["JointSets", "Net", "NetPoints", "Pads", "net_of", "scramble_key"]
+__all__ = ["JointSets", "Net", "NetPoints", "Pads", "net_of", "scramble_key", "shifted_net_of"]
 
 # The table of permutations has at least this many numbers, which take 256 KiB.
 # The table is larger if 16 permutations, the smallest number allowed, do not fit
@@ -55,6 +56,16 @@ def net_of(sampler: Sampler | None) -> Net | None:
     if others or not isinstance(first, Owen) or not np.all(np.equal(first.base or 2, 2)):
         return None
     return sampler.base
+
+
+def shifted_net_of(sampler: Sampler | None) -> Net | None:
+    """Return the net that `sampler` shifts with jitter alone; None for other samplers."""
+    if not isinstance(sampler, Randomized) or not isinstance(sampler.base, Net):
+        return None
+    first, *others = sampler.steps
+    if others or not isinstance(first, DigitalShift) or not first.jitter:
+        return None
+    return sampler.base if np.all(np.equal(first.base or 2, 2)) else None
 
 
 def scramble_key(stream: Stream) -> int:
@@ -163,6 +174,12 @@ def _hashed(x: Any, *keys: tuple[Any, Any]) -> Any:
     return x ^ (x * 0x53A22864)
 
 
+def _shifted(module: Any, word: Any, key: Any, index: Any, last: int) -> Any:
+    """Shift the first m digits of a word by a random key, and append digits of the point's own."""
+    own = module.UInt32(mix_bits(module, key, ~key, index) >> 16)
+    return ((word ^ module.UInt32(key >> 32)) & last) | (own & module.UInt32(0xFFFFFFFF ^ last))
+
+
 class Pads:
     """Sets of 2^m net points in one and two dims, in random orders, computed one by one.
 
@@ -171,10 +188,18 @@ class Pads:
     Sets are scrambled independently, so images are unbiased for any table of orders.
     """
 
-    def __init__(self, module: Any, nets: tuple[Net, Net], count: int, stream: Stream) -> None:
+    def __init__(
+        self,
+        module: Any,
+        nets: tuple[Net, Net],
+        count: int,
+        stream: Stream,
+        *,
+        shifted: bool = False,
+    ) -> None:
         import drjit
 
-        self._module, self._nets, self._count = module, nets, count
+        self._module, self._nets, self._count, self._shifted = module, nets, count, shifted
         self._key = [drjit.opaque(module.UInt64, int(k)) for k in stream.keys(0, 1)[0]]
         orders = _orders(count)
         self._orders, self._last = module.UInt32(orders.ravel()), len(orders) - 1
@@ -195,7 +220,10 @@ class Pads:
         row = (high & self._last) * self._count
         place = drjit.gather(module.UInt32, self._orders, row + ((index + low) & last))
         words = net_words(module, net, self._count, place ^ ((low >> 16) & last))
-        keys = (mix_bits(module, k0, k1, address + 1 + j) for j in range(len(words)))
+        keys = [mix_bits(module, k0, k1, address + 1 + j) for j in range(len(words))]
+        if self._shifted:
+            both = zip(words[:dims], keys, strict=False)
+            return [_unit(module, _shifted(module, w, k, index, last)) for w, k in both]
         halves = (_halves(module, key) for key in keys)
         made = [_unit(module, _hashed(w, h)) for w, h in zip(words, halves, strict=True)]
         return made[:dims]

@@ -31,15 +31,17 @@ from mcspectra.core.errors import ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.rendering.backend import LOCK, load_mitsuba
 from mcspectra.rendering.paths import Tracer
-from mcspectra.rendering.scenes import mitsuba_reason, sensor_of
+from mcspectra.rendering.scenes import Scene, film_size, mitsuba_reason, sensor_of
 from mcspectra.rendering.techniques import check_finite, chosen_channel, lane_sums
 
-__all__ = ["OWN_SAMPLER", "Film", "RenderedPixels", "chosen_tiles", "pixels_of"]
+__all__ = ["OWN_SAMPLER", "Film", "RenderedPixels", "chosen_tiles", "pixels_of", "preview"]
 
 OWN_SAMPLER = "scene's own"
 """Stands for the sampler of the scene's own camera."""
 
 _LANES = 2**20  # samples in one wavefront, which take some 100 MiB
+# Most pixels of a preview, paths of each, and numbers of a path that are drawn; others are hashed
+_PREVIEW, _PREVIEW_PATHS, _PREVIEW_DIMS = 2**14, 16, 8
 _WIDE_LANES = 2**22  # largest wavefront if a single tile has more samples than `_LANES`
 
 
@@ -235,6 +237,22 @@ class RenderedPixels:
 
         total, weight = lane_sums(len(cells) * side * side, reach * reach * n, 2, of_lane).T
         return np.asarray((total / weight).reshape(len(cells), side * side))
+
+
+def preview(scene: Scene, integrator: str) -> Array:
+    """Return a small picture of a scene, linear RGB (height, width, 3), by few random paths.
+
+    Pixels of the picture are pixels of the film; of a large film, every k-th row and column.
+    """
+    ends = film_size(scene)
+    step = max(1, math.ceil(math.sqrt(ends[0] * ends[1] / _PREVIEW)))
+    columns, rows = (np.arange(min(step // 2, end - 1), end, step) for end in ends)
+    pixels = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
+    tracer = Tracer(scene, integrator, "rgb", ends)
+    u = Stream(0).uniforms(0, len(pixels) * _PREVIEW_PATHS, _PREVIEW_DIMS)
+    u = u.reshape(1, len(pixels), _PREVIEW_PATHS, _PREVIEW_DIMS)
+    means = tracer.means(u, pixels)[0]
+    return np.asarray(means.reshape(len(rows), len(columns), 3))
 
 
 def pixels_of(tiles: Array, side: int) -> Array:

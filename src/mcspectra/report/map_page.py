@@ -15,7 +15,7 @@ import xarray as xr
 from mcspectra.core.checks import Array
 from mcspectra.plots import kinds
 from mcspectra.plots.groups import along
-from mcspectra.plots.maps import STRATEGIES, bounce_name
+from mcspectra.plots.maps import STRATEGIES, bounce_name, worst_pixels
 from mcspectra.plots.text import MISSING, number, percent, rate
 from mcspectra.rendering.files import write_exr
 from mcspectra.rendering.maps import missed
@@ -25,7 +25,6 @@ from mcspectra.report import page as html
 __all__ = ["map_layers", "map_note", "map_sentences", "map_summary", "map_table", "write_map"]
 
 _TELLING = 0.1  # a cause is named if it applies to more than this share of the pixels
-_WORST = 5  # number of pixels that are listed
 _COLUMNS = {
     "mean": "Mean",
     "variance": "Variance",
@@ -46,9 +45,9 @@ _METHODS = {
 """Names of prediction methods, by the value of the attribute ``prediction``."""
 
 _CAUSES = {
-    "bounce": "Variance of one path that first appears with the random numbers of a bounce: its "
-    "share of the image's variance, its median share over pixels, and the share of pixels at which "
-    "it is the largest (by 95 % intervals).",
+    "bounce": "Variance of one path that first appears with the random numbers of a bounce (the "
+    "increase of the cumulative Sobol' index): its share of the image's variance, its median share "
+    "over pixels, and the share of pixels at which it is the largest (by 95 % intervals).",
     "decision": "Variance of one path that first appears with a decision, summed over all bounces.",
 }
 """Captions of the tables of variance shares."""
@@ -277,7 +276,6 @@ def map_summary(result: xr.Dataset) -> dict[str, Any]:
         found["answer"] = _sampler_answer(whole.isel(strategy=-1, n=-1), found)
     # List the pixels at which the last strategy has the largest variance, at the largest n
     variance = result["variance"].isel(strategy=-1, n=-1).values
-    order = np.argsort(np.nan_to_num(variance, nan=-1.0), axis=None, kind="stable")[::-1]
     found["worst_pixels"] = [
         {
             "x": int(result["x"][column]),
@@ -285,8 +283,7 @@ def map_summary(result: xr.Dataset) -> dict[str, Any]:
             "variance": float(variance[row, column]),
             "share": float(variance[row, column]) / float(np.nansum(variance)),
         }
-        for row, column in zip(*np.unravel_index(order[:_WORST], variance.shape), strict=True)
-        if variance[row, column] > 0
+        for row, column in worst_pixels(variance)
     ]
     return found
 

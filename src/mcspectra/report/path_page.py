@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from mcspectra.core.display import between
 from mcspectra.measure.anova import EFFECTIVE_SHARE
 from mcspectra.plots.kinds import describe
 from mcspectra.plots.text import interval, number, percent, rate, typeset
 from mcspectra.report import page as html
-from mcspectra.report.pixel_page import remedies_blocks, remedies_summary
+from mcspectra.report.pixel_page import picture_of, remedies_blocks, remedies_summary
 from mcspectra.report.sentences import Size, answer, compared
 
 __all__ = [
@@ -191,9 +192,9 @@ def path_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
         if np.isfinite(least):
             name = known["dimensions"][int(least) - 1]
             low, high = (f"{end:.0f}" for end in ends)
-            between = "" if low == high else f" (95 %: {low} to {high})"
+            around = "" if low == high else f" (95 %: {low} to {high})"
             text = (
-                f"The first {int(least)} of {known['dims']} coordinates{between}, "
+                f"The first {int(least)} of {known['dims']} coordinates{around}, "
                 f"up to {name}, hold {percent(EFFECTIVE_SHARE)} of the variance of a path."
             )
             said.append(("effective dimension", text))
@@ -217,10 +218,10 @@ def path_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
         pairs = zip(largest["light"].values, largest["light_share"].values, strict=True)
         named = ", ".join(f"{light} ({percent(float(share))})" for light, share in pairs)
         gain = number(float(lights["selection_ratio"]))
-        low, high = map(number, lights["selection_ratio_ci"].values.tolist())
+        gains = between(*map(number, lights["selection_ratio_ci"].values.tolist()))
         text = (
             f"The lights with the largest shares of a path's variance are {named}. Choosing lights "
-            f"by their second moments multiplies the variance by {gain} (95 %: {low} to {high}, "
+            f"by their second moments multiplies the variance by {gain} (95 %: {gains}, "
             "measured on other paths)."
         )
         said.append(("lights", text))
@@ -302,7 +303,9 @@ def write_path(tree: xr.DataTree, folder: str | Path) -> Path:
     parts = {kind: describe("anova", _parts(tree, kind)) for kind in tree["anova"].children}
     plots = {"Rates": curves, "Parts of the variance": parts}
     said = tuple((name[:1].upper() + name[1:], text) for name, text in path_sentences(tree))
-    sections: dict[str, tuple[html.Block, ...]] = {"Explanation": (html.Sentences(rows=said),)}
+    sections: dict[str, tuple[html.Block, ...]] = {
+        "Explanation": (html.Sentences(rows=said), picture_of(tree))
+    }
     for title, table in path_tables(tree).items():
         sections[title] = (table, *html.figures_of(plots.get(title, {})))
     if "remedies" in tree.children:

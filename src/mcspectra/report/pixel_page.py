@@ -8,13 +8,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import xarray as xr
 
 from mcspectra.core.fits import UNRESOLVED, is_resolved
+from mcspectra.improve.answers import Answer
 from mcspectra.plots.kinds import describe
-from mcspectra.plots.maps import incident_maps
+from mcspectra.plots.maps import incident_maps, located
 from mcspectra.plots.style import sampler_styles
-from mcspectra.plots.text import MISSING, number, percent, rate, typeset
+from mcspectra.plots.text import MISSING, interval, number, percent, rate, typeset
 from mcspectra.plots.variance import task_curves
 from mcspectra.report import page as html
 from mcspectra.report.sentences import answer, basis_name, explain
@@ -25,7 +27,9 @@ from mcspectra.studies.summary import rows_of
 __all__ = [
     "STRATEGY_NAMES",
     "about_pixel",
+    "answer_table",
     "bottleneck_sentence",
+    "picture_of",
     "pixel_answer",
     "pixel_rows",
     "pixel_sentences",
@@ -123,6 +127,7 @@ def write_pixel(tree: xr.DataTree, folder: str | Path) -> Path:
     said = tuple((name[:1].upper() + name[1:], text) for name, text in pixel_sentences(tree))
     sees = (
         html.FactList(rows=about),
+        picture_of(tree),
         html.Paragraph(text="Explanation", kind="heading"),
         html.Sentences(rows=said),
     )
@@ -142,7 +147,35 @@ def write_pixel(tree: xr.DataTree, folder: str | Path) -> Path:
 
 
 def pixel_answer(tree: xr.DataTree) -> str:
-    """Recommend a strategy and sampler for equal evaluations, compared with MIS as given."""
+    """Recommend a strategy and sampler at equal evaluations, compared with MIS as given."""
+    return typeset(str(_compared(tree)))
+
+
+def answer_table(tree: xr.DataTree) -> html.Table:
+    """Return the errors of all strategies and samplers that `pixel_answer` compares."""
+    found = _compared(tree)
+    assert found is not None
+    rows = [
+        (
+            each.name,
+            number(each.rmse, 2),
+            interval(*each.rmse_ci),
+            number(each.gain),
+            each.verdict,
+        )
+        for each in sorted(found.results, key=lambda each: each.rmse)
+    ]
+    return html.table_of(
+        f"Errors at {found.budget} evaluations, which MIS divides between its techniques. Gain: "
+        f"variance of {found.given.name} divided by this variance.",
+        ("Set-up", "RMSE", "95 % interval", "Gain", "Verdict"),
+        rows,
+        words=(0, -1),
+    )
+
+
+def _compared(tree: xr.DataTree) -> Answer | None:
+    """Compare all strategies and samplers at equal evaluations with MIS as given."""
     curves, setups = tree["convergence"].to_dataset(), {}
     for strategy, name in STRATEGY_NAMES.items():
         techniques = 1 if strategy in ("light", "bsdf") else 2
@@ -151,7 +184,21 @@ def pixel_answer(tree: xr.DataTree) -> str:
             setups[f"{name} with {sampler}"] = points.sel(sampler=sampler)
     given = f"{STRATEGY_NAMES[_GIVEN]} with {tree.attrs['sampler']}"
     why = str(tree.attrs.get(f"diagnosis_{_GIVEN}", ""))
-    return typeset(str(answer(setups, given, why)))
+    return answer(setups, given, why)
+
+
+def picture_of(tree: xr.DataTree) -> html.Figures:
+    """Return a picture of the scene with a ring around the pixel."""
+    known = tree.attrs
+    place = f"({known['x']}, {known['y']})"
+    image = tree["picture"]["image"].transpose("y", "x", "channel").values
+    plot = located(
+        image,
+        np.array([[known["x"], known["y"]]]),
+        size=known["film"],
+        caption=f"The ring marks the pixel {place} in a small picture of the scene.",
+    )
+    return html.Figures(figures=(html.Figure(plot=plot, name="picture"),))
 
 
 def pixel_rows(tree: xr.DataTree) -> list[SummaryRow]:
@@ -360,6 +407,7 @@ def _sections(tree: xr.DataTree) -> Iterator[tuple[str, tuple[html.Block, ...]]]
     }
     x = "number of samples n of each technique"
     plot = task_curves(by_strategy, styles, by="by each strategy", x=x, alike=True)
+    yield "Strategies at equal cost", (answer_table(tree),)
     yield "Rates and predictions", (table, *html.figures_of({"rates": plot}))
 
     # Show the three terms in the best basis, and the captured variance in all bases

@@ -66,7 +66,7 @@ def check_result_file(file: str, known: tuple[str, ...] = RESULT_FILES) -> None:
         If the file is a page and the extra ``report`` is not installed.
     """
     if Path(file).suffix not in known:
-        allowed = f"{', '.join(known[:-1])} or {known[-1]}"
+        allowed = " or ".join(filter(None, [", ".join(known[:-1]), known[-1]]))
         raise ParameterError(Parameter("out"), f" is {shown(file)}; it must end in {allowed}.")
     path_to_write(file, "a file", known)
     if Path(file).suffix == ".html":

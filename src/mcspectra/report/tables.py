@@ -336,9 +336,10 @@ _TABLES: Mapping[
         "Axes",
         (
             "The ten largest shares of the variance by axes of primary space, averaged over "
-            "channels. An estimate of a small share can be negative."
+            "channels: first-order Sobol' indices of axes, and indices of interactions of sets. An "
+            "estimate of a small share can be negative."
         ),
-        ("Sampler", "Axes", "Share"),
+        ("Sampler", "Axes", "Sobol' index"),
         (0, 1),
         _anova,
     ),

@@ -16,15 +16,18 @@ import numpy as np
 from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.display import counted
 from mcspectra.core.errors import ParameterError
-from mcspectra.core.fields import checked, choice, flag
-from mcspectra.core.streams import Stream
+from mcspectra.core.fields import checked, choice, flag, settle
+from mcspectra.core.streams import Stream, uniforms
 from mcspectra.samplers import _scramble_kernels as kernels
 from mcspectra.samplers._primes import LARGEST_BASE, is_prime
 from mcspectra.samplers.base import MAX_COUNT, FixedSet, Randomization, Sampler, Structure
-from mcspectra.samplers.law import Law, Scramble, scrambled
+from mcspectra.samplers.law import Law, Scramble, Unknown, scrambled
 from mcspectra.samplers.radical import RadicalInverses
 
 __all__ = ["DigitalShift", "Lms", "Owen", "Permute"]
+
+_JITTER = 0x6A09E667F3BCC908  # distinguishes the keys of jitter from those of the shift
+_BELOW_ONE = 1.0 - 2.0**-53
 
 Base: TypeAlias = int | Sequence[int] | None
 
@@ -131,6 +134,14 @@ class _OfDigits(Randomization):
         return self.base in (None, 2) or (isinstance(self.base, tuple) and set(self.base) == {2})
 
 
+def _places(n: int, base: int) -> int:
+    """Return the least number of digits that n numbers have in a base."""
+    places = 0
+    while base**places < n:
+        places += 1
+    return places
+
+
 def _powers_possible(sampler: Sampler, base: int, exponents: range) -> Iterator[int]:
     """Yield powers of `base` that the sampler can make, in the order of the exponents."""
     powers = (base**k for k in exponents if base**k <= MAX_COUNT)
@@ -176,6 +187,17 @@ class DigitalShift(_OfPlaces):
     ----------
     base
         Base of the digits, one number or one per dim; by default the sampler's base, else 2.
+    jitter
+        Whether the digits beyond those of n numbers are random for each point by itself.
+        Points of nets then keep their elementary intervals, and fill these intervals uniformly.
+
+    Notes
+    -----
+    Without `jitter`, all points have one offset in their elementary intervals.
+    The variance of smooth functions is then that of a shifted grid.
+    With `jitter`, it is at most that of strata, and pairs of points keep their places in the net.
+    A net whose points are far apart, such as larcher-pillichshammer, then has less variance than
+    with owen, which moves every point to any place of the higher intervals.
 
     References
     ----------
@@ -184,6 +206,36 @@ class DigitalShift(_OfPlaces):
 
     shift: ClassVar[bool] = True
     base: Base = checked(_as_base, None)
+    jitter: bool = flag(default=False)
+
+    def _check(self) -> None:
+        if self.jitter:
+            settle(self, keeps_pairs=False, pointwise=False)
+
+    def law_of(self, law: Law, n: int) -> Law:
+        """Return the law; with jitter, only the uniform points and the net are known."""
+        if not self.jitter:
+            return _OfPlaces.law_of(self, law, n)
+        return Unknown(n=law.n, dims=law.dims)
+
+    def _scramble(self, keys: Array, bases: Array, points: Array, out: Array) -> None:
+        _OfPlaces._scramble(self, keys, bases, points, out)
+        if not self.jitter:
+            return
+        # Replace all digits beyond the first m, for the smallest b^m of at least n
+        n, dims = out.shape[1:]
+        sides = np.array([float(base) ** _places(n, int(base)) for base in bases])
+        own = uniforms(keys ^ np.uint64(_JITTER), n * dims).reshape(out.shape)
+        # Keep as many digits of the jitter as fit into a float together with the first m
+        fine = 2.0 ** (52.0 - np.ceil(np.log2(sides)))
+        own = np.floor(own * fine) / fine
+        np.floor(out * sides, out=out)
+        out += own
+        out /= sides
+        np.minimum(out, _BELOW_ONE, out=out)
+
+    def _fill(self, keys: Array, sampler: Sampler, n: int, out: Array) -> bool:
+        return not self.jitter and _OfPlaces._fill(self, keys, sampler, n, out)
 
 
 @final

@@ -54,7 +54,8 @@ from mcspectra.rendering.paths import (
     light_selection,
     parts_by_light,
 )
-from mcspectra.rendering.scenes import Scene, emitter_names, scene_name
+from mcspectra.rendering.rendered import preview
+from mcspectra.rendering.scenes import Scene, emitter_names, film_size, scene_name
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.studies.pixel import check_compared, find_pixel
 
@@ -227,12 +228,14 @@ def analyse_path(
     if predicted:
         report("path: predictions", 0.9)
         parts["predict"] = predict(f, sources, ns, **options)
+    parts["picture"] = dataset({"image": (("y", "x", "channel"), preview(f.scene, f.integrator))})
     report("path", 1.0)
     tree: xr.DataTree = xr.DataTree.from_dict(dict(parts))
     tree.attrs = {
         "scene": scene_name(scene).strip("'"),
         "x": f.x,
         "y": f.y,
+        "film": film_size(f.scene),
         "integrator": f.integrator,
         "channel": f.channel,
         "dims": f.dims,

@@ -22,6 +22,7 @@ from mcspectra.core.display import shown
 from mcspectra.core.errors import Parameter, ParameterError, close_match_hint
 from mcspectra.core.parallel import available_workers
 from mcspectra.core.progress import report
+from mcspectra.core.results import dataset
 from mcspectra.core.streams import Stream
 from mcspectra.estimators import AbstractEstimator, Estimator
 from mcspectra.explain.diagnosis import diagnose
@@ -41,11 +42,13 @@ from mcspectra.rendering.pixel import (
     incident_light,
     pixel_mis,
 )
+from mcspectra.rendering.rendered import preview
 from mcspectra.rendering.scene_checks import camera_rays, integrator_note, warn_integrator
 from mcspectra.rendering.scenes import (
     Scene,
     as_scene,
     emitter_names,
+    film_size,
     named_pixels,
     scene_name,
 )
@@ -182,6 +185,7 @@ def analyse_pixel(
         NAME is ``light``, ``bsdf``, or the share of a technique, such as ``balance-light``.
         Steps from float32 rounding are removed.
         ``incident``: `incident_light`.
+        ``picture``: ``image`` of the scene on (y, x, channel), small, by few paths.
         ``remedies``: remedies by `mcspectra.remedies` for the balance heuristic.
         Attributes of the root describe the pixel and its contents, and the sampler of the terms.
         Sentences in ``diagnosis_STRATEGY`` describe the causes for that sampler.
@@ -271,6 +275,8 @@ def analyse_pixel(
                 name = f"{strategy}-{_TECHNIQUES[t]}" if share else strategy
                 picture = primary_picture(estimator, technique=t, resolution=side)
                 parts[f"pictures/{name}"] = _without_rounding(picture)
+        image = preview(request, "direct")
+        parts["picture"] = dataset({"image": (("y", "x", "channel"), image)})
         if searched is not None:
             parts["remedies"] = searched.result()
     report("pixel", 1.0)
@@ -283,6 +289,7 @@ def analyse_pixel(
         "scene": scene_name(request).strip("'"),
         "x": view.x,
         "y": view.y,
+        "film": film_size(request),
         **describe_pixel(request, view.x, view.y),
         "camera": camera_rays(request),
         "scene_note": integrator_note(request),
