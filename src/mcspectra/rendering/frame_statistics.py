@@ -496,7 +496,7 @@ class _Group:
     The array `spread` is the squared standard error of the variance of each pixel.
     A sequence has `frames_per` independent frames for the mean of squares.
     The array `image` is the mean over the sequences of their first frames.
-    The array `left` (sequence, filter) has the variance that each filter leaves.
+    The number `alike` is the sum of squared correlations of pixels over all lags.
     """
 
     spp: int
