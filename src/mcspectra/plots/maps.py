@@ -397,7 +397,7 @@ def _frame_errors(group: Group, _: Styles) -> Plot:
         panels=(
             Panel(
                 marks=(
-                    ReferenceLine(at=0.0, dashes="--", label="no bias"),
+                    ReferenceLine(at=0.0, dashes="--"),
                     Line(x=x, y=bias, color=PALETTE[0], low=ends[0], high=ends[1]),
                 ),
                 x=across,
@@ -414,8 +414,7 @@ def _frame_errors(group: Group, _: Styles) -> Plot:
             ),
         ),
         columns=2,
-        caption="Bias of the image mean and relMSE of each frame of the sequences against its "
-        "reference, with 95 % intervals.",
+        caption="Bias and relMSE of each frame against its reference, with 95 % intervals.",
         words=f"Bias of {x.size} frames, from {number(float(np.nanmin(bias)))} % to "
         f"{number(float(np.nanmax(bias)))} %; relMSE up to {number(float(np.nanmax(square)))} %.",
         height=0.62,
