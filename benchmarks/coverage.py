@@ -1,4 +1,7 @@
-"""Coverage of 95 % intervals: variances, captured parts, spectra, ANOVA shares and integrals."""
+"""Coverage of 95 % intervals: variances, captured parts, spectra, ANOVA shares and integrals.
+
+Run ``python -m benchmarks coverage``. With ``--frames`` it prints only the mean variance of frames.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +18,7 @@ from mcspectra.measure.sums import BATCH_SETTINGS, ratio_factors
 
 REPETITIONS = 2_000
 COUNTS = (20, 100, 1000)
+FRAME_SEEDS = 1_000
 _RUNS = 400  # number of analyses; each gives several intervals
 
 # Distributions of estimates: generator, variance and kurtosis
@@ -181,8 +185,50 @@ def _print(header: str, rows: Iterator[tuple[str, ...]]) -> None:
     print()
 
 
-def main() -> None:
+def _of_frames() -> Iterator[tuple[Any, ...]]:
+    """Yield the coverage of the mean variance over the 48 × 64 pixels of a few frames.
+
+    The standard deviation of a pixel grows from 0.22 to 4.5 over the image.
+    Intervals without an upper end count as covering.
+    For comparison, the error of each variance is also taken from the values of its pixel alone.
+    """
+    from mcspectra.rendering.frame_statistics import _MISSED, _variance_of_variance
+
+    size = np.exp(np.linspace(-1.5, 1.5, 64)) * np.ones((48, 64))
+    z = float(ndtri(0.975))
+    laws = {name: LAWS[name][:2] for name in ("normal", "t(5)", "exponential")}
+    square = np.exp(0.49)
+    laws["lognormal(0.7)"] = (
+        lambda rng, s: np.exp(0.7 * rng.standard_normal(s)),
+        square * (square - 1),
+    )
+    for (name, (draw, variance)), count in product(laws.items(), (2, 3, 6, 12)):
+        truth = variance * float((size**2).mean())
+        covered, opened = np.zeros(2), 0
+        for seed in range(FRAME_SEEDS):
+            values = draw(np.random.default_rng(10_000 + seed), (count, *size.shape)) * size
+            moments = Moments.of(values)
+            total = moments.variance.sum()
+            alone = float(np.sqrt(((moments.relative_se * moments.variance) ** 2).sum()) / total)
+            least = (2 / (count + 1) * moments.variance**2).sum()
+            pooled = float(np.sqrt(max(_variance_of_variance(moments).sum(), least)) / total)
+            farthest = np.abs(values - moments.mean).max() ** 2
+            end = np.inf if farthest > 0.05 * moments.m2.sum() else 1.0
+            opened += end > 1.0
+            mean = total / size.size
+            for k, (error, missed) in enumerate(((alone, 0.0), (pooled, _MISSED))):
+                low, high = mean * np.exp(z * error * np.array([-1.0, 1.0 + missed * error]))
+                covered[k] += low < truth < high * end
+        rates = 100 * np.array([*covered, opened]) / FRAME_SEEDS
+        yield (str(count), name, *(f"{rate:.1f}" for rate in rates))
+
+
+def main(*flags: str) -> None:
     """Print the coverage of each type of interval in percent."""
+    columns = "frames | law | covered, pixels alone | covered | no upper end"
+    _print(columns, _of_frames())
+    if "--frames" in flags:
+        return
     columns = "values | law | kurtosis | covered | truth above | below"
     _print(f"{columns} | no upper end | all equal | upper end / s² (median)", _of_variances())
     _print("realizations | captured | covered | ends' ratio (median)", _of_captured())

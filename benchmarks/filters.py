@@ -10,13 +10,11 @@ Sequences have independent frames, or frames that share renders as if samples we
 A frame that shares renders is the mean of 4 renders; the next frame contains 3 of these.
 The function `mcspectra.rendering.frames` predicts the error from some of the frames.
 The other frames are filtered by scipy.ndimage and by a recursive average.
-With BLENDER_PYTHON set as for the benchmark ``blender``, frames of Cycles are filtered as well.
+The benchmark ``blender`` does the same with frames of Cycles.
 """
 
 from __future__ import annotations
 
-import os
-import subprocess
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -28,7 +26,8 @@ from scipy.ndimage import convolve1d, gaussian_filter
 SIZE, SPP = 96, 4
 MEASURED, HELD = 24, 48  # number of independent frames for the prediction, and of other frames
 SEEDS, HELD_SEEDS, TIMES, REUSED = 4, 8, 24, 4
-BORDER = 16  # width of the border in pixels; errors are measured with and without the border
+FIRST = 0.1  # largest weight of the first frame in an average that is compared
+BORDER = 16  # width in pixels of the border that one of the two measurements leaves out
 SPLINE = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16.0
 
 
@@ -56,24 +55,29 @@ TIME = {
 }
 
 
+HEADER = f"{'errors':34}{'filter':38}{'predicted':>10}{'95 %':>18}{'inside':>9}{'all':>9}"
+HEADER += "  ratio  / white"
+
+
 def main() -> None:
     """Print predicted and measured root mean square errors after each filter."""
-    names = f"{'errors':34}{'filter':38}{'predicted':>10}{'95 %':>18}{'inside':>9}{'all':>9}"
-    print(f"{names}  ratio  / white")
+    print(HEADER)
     ratios = []
     with tempfile.TemporaryDirectory() as folder:
         for name, render in renderers().items():
             frames = (render(seed) for seed in range(MEASURED + HELD))
-            ratios += _space(name, frames, MEASURED, Path(folder) / f"space-{len(ratios)}")
+            ratios += space(name, frames, MEASURED, Path(folder) / f"space-{len(ratios)}")
         white = renderers()["white"]
+
+        def sequence(first: int, reused: int) -> Any:
+            renders = np.stack([white(first + k) for k in range(TIMES + reused - 1)])
+            return np.stack([renders[t : t + reused].mean(axis=0) for t in range(TIMES)])
+
         for reused in (1, REUSED):
             name = "independent frames" if reused == 1 else f"renders reused by {reused} frames"
-            ratios += _time(name, white, reused, Path(folder) / f"time-{reused}")
-        python = os.environ.get("BLENDER_PYTHON")
-        if python is None:
-            print("Blender: not run; set BLENDER_PYTHON to a Python that has the package bpy.")
-        else:
-            ratios += _blender(python, Path(folder) / "blender")
+            every = [sequence(1000 * (s + 1), reused) for s in range(SEEDS + HELD_SEEDS)]
+            held = np.stack(every[SEEDS:])
+            ratios += time(name, every[:SEEDS], held, Path(folder) / f"time-{reused}")
     off = np.abs(np.array(ratios) - 1.0)
     print(f"{off.size} cases: {np.sum(off < 0.05)} within 5 %, the worst {100 * off.max():.1f} %")
 
@@ -107,7 +111,7 @@ def renderers() -> dict[str, Callable[[int], Any]]:
     return {name: rendered(made) for name, made in scenes.items()}
 
 
-def _space(name: str, frames: Iterator[Any], measured: int, folder: Path) -> list[float]:
+def space(name: str, frames: Iterator[Any], measured: int, folder: Path) -> list[float]:
     """Compare filters in space, for independent frames."""
     from mcspectra.rendering import frames as measure
 
@@ -124,45 +128,28 @@ def _space(name: str, frames: Iterator[Any], measured: int, folder: Path) -> lis
     return ratios
 
 
-def _time(name: str, render: Callable[[int], Any], reused: int, folder: Path) -> list[float]:
-    """Compare predicted and measured errors of averages over the frames of sequences."""
+def time(name: str, measured: Any, held: Any, folder: Path) -> list[float]:
+    """Compare predicted and measured errors of averages over the frames of sequences.
+
+    The sequences have the shape (sequence, frame, y, x).
+    """
     from mcspectra.rendering import frames as measure
 
-    def sequence(first: int) -> Any:
-        renders = np.stack([render(first + k) for k in range(TIMES + reused - 1)])
-        return np.stack([renders[t : t + reused].mean(axis=0) for t in range(TIMES)])
-
     folder.mkdir()
-    for seed in range(SEEDS):
-        for t, frame in enumerate(sequence(1000 * (seed + 1))):
+    for seed, sequence in enumerate(measured):
+        for t, frame in enumerate(sequence):
             np.save(folder / f"shot_s{seed}_t{t:02d}.npy", frame.astype(np.float32))
     result = measure(folder, flip=False, filters=list(TIME))
-    held = np.stack([sequence(1000 * (SEEDS + seed + 1)) for seed in range(HELD_SEEDS)])
     errors = held - held.mean(axis=0)
+    times = errors.shape[1]
     ratios = []
-    for spec, (alpha, space) in TIME.items():
+    for spec, (alpha, chain) in TIME.items():
         average, shown = errors[:, 0], []
-        for t in range(1, TIMES):
+        for t in range(1, times):
             average = (1 - alpha) * average + alpha * errors[:, t]
-            if t >= TIMES // 2:  # from then on, the first frame does not affect the average
-                shown.append([SPACE[space](e) for e in average] if space else average)
-        ratios.append(_row(name, spec, result, np.concatenate(shown), HELD_SEEDS))
-    return ratios
-
-
-def _blender(python: str, folder: Path) -> list[float]:
-    """Compare errors after filters in space, for frames of Blender's Cycles with 4 samples."""
-    from benchmarks import blender
-    from mcspectra.core.images import luminance, read_image
-
-    ratios = []
-    for pattern in blender.PATTERNS:
-        out = folder / pattern
-        command = [python, blender.__file__, pattern, str(out)]
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-        files = sorted((out / "spp4").glob("*.exr"))
-        frames = (luminance(read_image(file)[..., :3]) for file in files)
-        ratios += _space(f"Blender {pattern}", frames, len(files) // 2, folder / f"{pattern}-used")
+            if t >= times // 2 and (1 - alpha) ** t < FIRST:
+                shown.append([SPACE[chain](e) for e in average] if chain else average)
+        ratios.append(_row(name, spec, result, np.concatenate(shown), len(held)))
     return ratios
 
 

@@ -530,6 +530,25 @@ COMMAND = _rows(
     ("frames nowhere --filter gaussian(sigma=-1)", "sigma"),
     ("frames nowhere --filter-command denoise", "{input} and {output}"),
     ("frames nowhere --filter-timeout 0", "--filter-timeout"),
+    ("frames frames --reference small/0.npy", "the frames have (8, 8); give a reference"),
+    ("frames frames --reference t{frame}.npy", "these are frames of one view; give one file"),
+    ("frames frames --filter-command denoise-{inputs}-{outputs}", "not sequences; give {input}"),
+    ("frames frames --filter-command denoise-{inputs}-{output}", "{inputs} and {outputs}"),
+    ("gate frames", "give NEW and REFERENCE"),
+    ("gate nowhere frames", "There is no nowhere"),
+    ("gate frames nowhere", "There is no nowhere"),
+    ("gate frames frames --level 2", "--level is 2"),
+    ("gate frames frames --level nan", "--level is nan"),
+    ("gate frames frames --target 0", "--target is 0"),
+    ("gate frames frames --target inf", "--target is inf"),
+    ("gate frames frames --spp 0", "--spp is 0"),
+    ("gate frames frames --spp-reference 1.5", "--spp-reference is"),
+    ("gate frames small", "give frames of one view"),
+    ("gate frames nan", "has no finite pixel"),
+    ("gate frames study.toml", "study.toml"),
+    ("gate frames frames --make-reference x.exr", "leave REFERENCE out"),
+    ("gate nowhere --make-reference x.exr", "There is no nowhere"),
+    ("gate frames broken.npy", "broken.npy"),
     ("run no-such-file.toml", "no-such-file.toml"),
     ("run study.toml --workers 0", "--workers"),
     ("run study.toml --dashboard 1", "--dashboard is for clusters; also give --cluster."),
@@ -632,10 +651,24 @@ def _command_answer(arguments, folder):
     from mcspectra.cli.main import main
 
     (folder / "study.toml").write_text(STUDY, encoding="utf-8")
+    if "frames" in arguments:
+        _write_frames(folder)
     out, err = io.StringIO(), io.StringIO()
     with contextlib.chdir(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         code = main(arguments)
     return str(code), (err.getvalue() or out.getvalue()).strip()
+
+
+def _write_frames(folder):
+    """Write frames of two sizes, frames without finite pixels, and a broken file."""
+    import numpy as np
+
+    rng = np.random.default_rng(1)
+    for name, size, value in (("frames", 8, 1.0), ("small", 4, 1.0), ("nan", 8, np.nan)):
+        (folder / name).mkdir(exist_ok=True)
+        for k in range(2):
+            np.save(folder / name / f"{k}.npy", value * (1 + rng.random((size, size))))
+    (folder / "broken.npy").write_text("no array", encoding="utf-8")
 
 
 def line(row, code, text):

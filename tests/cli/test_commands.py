@@ -14,7 +14,16 @@ from mcspectra.cli.main import _NOW, GROUPS, VERBS
 
 
 @pytest.mark.parametrize(
-    "kind", ["samplers", "randomizations", "densities", "integrands", "scenes"]
+    "kind",
+    [
+        "samplers",
+        "randomizations",
+        "densities",
+        "integrands",
+        "scenes",
+        "filters",
+        "screen-samplers",
+    ],
 )
 def test_list(run, run_json, kind):
     rows = run_json("list", kind)

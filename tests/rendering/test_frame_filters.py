@@ -285,6 +285,7 @@ def test_programs_are_measured(tmp_path, exact):
         ("no-such-program {input} {output}", "cannot be run: No such file"),
         (command("raise ValueError('too dark')"), "exit code 1 .*too dark"),
         (command("pass"), "wrote no file"),
+        ("denoise {inputs} {output}", "with the folders {inputs} and {outputs}"),
         (command("import time; time.sleep(9)"), "took more than 0.2 s"),
     ],
 )
@@ -324,6 +325,112 @@ def test_errors_against_a_reference(tmp_path):
     np.save(tmp_path / "small.npy", truth[:3])
     with pytest.raises(ParameterError, match="reference of the same view"):
         frames(folder, reference=tmp_path / "small.npy")
+
+
+def truths(folder, times, gain=1.0):
+    """Write the true image of each frame of the sequences of `write`."""
+    folder.mkdir()
+    across = np.arange(SHAPE[1]) / SHAPE[1]
+    for t in range(times):
+        mean = 5.0 + np.sin(2 * np.pi * (across - t / 7)) * np.ones(SHAPE)
+        np.save(folder / f"true_{t:03d}.npy", mean * (gain if t == 2 else 1.0))
+    return f"{folder}/true_{{frame}}.npy"
+
+
+def test_sequences_against_references_of_each_frame(tmp_path):
+    """One reference is darker by 9 %, which is the bias of one frame."""
+    folder = write(tmp_path / "a", times=6, seeds=4)
+    result = frames(folder, reference=truths(tmp_path / "t", 6))
+    assert result["frame"].values.tolist() == list(range(6))
+    low, high = result["image_bias_ci"].values[0]
+    assert low < 0.0 < high
+    assert result["image_relmse"].item() == pytest.approx(5 / 24**1.5, rel=0.03)
+    # The square of a mean of 4 values, minus its variance, has the variance 2 / (4 · 3)
+    error = np.sqrt(2 / 12 / result["bias_z"].size / 6)
+    assert abs(result["squared_bias"].item()) < 4 * error
+    assert abs(result["bias_z"].values.std() - 1.0) < 0.05
+    assert "No bias against the reference is significant" in " ".join(frame_findings(result))
+
+    result = frames(folder, reference=truths(tmp_path / "w", 6, gain=1 / 1.1))
+    biases = result["frame_bias"].values[0]
+    assert np.argmax(biases) == 2
+    low, high = result["frame_bias_ci"].values[0, 2]
+    assert low < 0.1 < high
+    assert result["squared_bias"].item() == pytest.approx(
+        25.5 * (0.1 / 1.1) ** 2 / 6, abs=4 * error
+    )
+    assert "of the frames, " in " ".join(frame_findings(result))
+    plot = describe("frames-errors", result)
+    assert "Bias of 6 frames" in plot.words
+
+
+def test_one_reference_of_a_still_sequence(tmp_path):
+    folder = write(tmp_path / "a", times=4, moving=False)
+    across = np.arange(SHAPE[1]) / SHAPE[1]
+    np.save(tmp_path / "truth.npy", 5.0 + np.sin(2 * np.pi * across) * np.ones(SHAPE))
+    result = frames(folder, reference=tmp_path / "truth.npy")
+    assert result["frame_bias"].shape == (1, 4)
+    assert result.attrs["reference_biased_pixels"] == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "error", "match"),
+    [
+        ("true_{frame}.npy", FileFormatError, "There is no reference"),
+        ("t/true_{frame}.npy", ParameterError, "Frame 3 of the sequences has no reference"),
+        ("t/{frame}_{frame}.npy", ParameterError, "a name with one {frame}"),
+    ],
+)
+def test_references_of_sequences_are_checked(tmp_path, name, error, match):
+    folder = write(tmp_path / "a", times=4, seeds=2)
+    truths(tmp_path / "t", 3)
+    with pytest.raises(error, match=match):
+        frames(folder, reference=f"{tmp_path}/{name}")
+    with pytest.raises(ParameterError, match="these are frames of one view; give one file"):
+        frames(independent(tmp_path / "b", count=2), reference=f"{tmp_path}/{name}"[-16:])
+
+
+def test_programs_filter_frames_of_sequences(tmp_path):
+    """The program leaves a quarter of the variance and adds a bias of ½ at every frame."""
+    result = frames(
+        write(tmp_path / "a", times=2, seeds=3, moving=False), filter_command=command(HALVE)
+    )
+    low, high = result["denoised_variance_ci"].values
+    assert low < 0.25 < high
+    assert high - low < 0.1
+    # The bias is 0.5 − (truth − 5) / 2
+    low, high = result["denoised_square_ci"].values
+    assert low < 0.25 + 0.125 < high
+    low, high = result["denoised_boiling_ci"].values
+    assert low < 1.0 < high
+
+
+ACCUMULATE = (
+    "import sys, numpy as np; from pathlib import Path; old = None\n"
+    "for file in sorted(Path(sys.argv[1]).iterdir()):\n"
+    "    image = np.load(file)\n"
+    "    old = image if old is None else 0.5 * old + 0.5 * image\n"
+    "    np.save(Path(sys.argv[2]) / file.name, old)"
+)
+
+
+def test_programs_filter_whole_sequences(tmp_path):
+    """An average over frames leaves α / (2 − α) = ⅓ of white noise, and makes it boil."""
+    times, seeds = 16, 3
+    folder = write(tmp_path / "a", times=times, seeds=seeds, moving=False)
+    given = shlex.join([sys.executable, "-c", ACCUMULATE, "{inputs}", "{outputs}"])
+    result = frames(folder, filter_command=given)
+    # The variance of frame t is ⅓ + ⅔ / 4^t
+    wanted_variance = 1 / 3 + 2 / 3 * (1 - 0.25**times) / (1 - 0.25) / times
+    low, high = result["denoised_variance_ci"].values
+    assert low < wanted_variance < high
+    assert high / low < 1.2
+    assert result["denoised_square"].item() == pytest.approx(0.0, abs=0.02)
+    assert result["denoised_boiling_ci"].values[0] > 1.5
+    assert result["denoised_correlation"].sel(lag_t=1).item() == pytest.approx(0.5, abs=0.1)
+    assert "After the command the noise boils" in " ".join(frame_findings(result))
+    with pytest.raises(ParameterError, match="are not sequences; give {input} and {output}"):
+        frames(independent(tmp_path / "b", count=2), filter_command=given)
 
 
 GIVEN = ("gaussian(sigma=1.0) | ema(alpha=0.5)", "box(width=3)")

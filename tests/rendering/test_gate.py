@@ -14,11 +14,11 @@ from mcspectra import rendering
 from mcspectra.core.errors import FileFormatError, ParameterError
 from mcspectra.plots.kinds import describe, kinds_of
 from mcspectra.rendering import gate, write_png, write_reference
+from mcspectra.rendering.gate_relabelings import relabelled
+from mcspectra.rendering.gate_t_tests import cautious
 from mcspectra.rendering.gate_tests import (
     Contrast,
-    cautious,
     levels_of,
-    relabelled,
     relabelling_count,
 )
 from mcspectra.report.gate_page import gate_findings

@@ -45,6 +45,7 @@ _REGISTRIES = {
     "integrands": ("mcspectra.integrands", "INTEGRANDS"),
     "scenes": ("mcspectra.rendering", "SCENES"),
     "filters": ("mcspectra.rendering.frame_filters", "FILTERS"),
+    "screen-samplers": ("mcspectra.rendering.screen_samplers", "SCREEN_SAMPLERS"),
     "analyses": ("mcspectra.core.analysis", "ANALYSES"),
 }
 

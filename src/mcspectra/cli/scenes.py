@@ -606,11 +606,15 @@ def _as_rendered(options: argparse.Namespace, crop: Any) -> Any:
     ),
     option(
         "--filter-command COMMAND",
-        "program that filters a frame, such as 'denoise {input} -o {output}'; its error is "
-        "measured",
+        "program that filters a frame, such as 'denoise {input} -o {output}', or the folder of a "
+        "sequence with {inputs} and {outputs}; its error is measured",
     ),
     option("--filter-timeout S", "longest time of the program (default: 300)", real(above=0.0)),
-    option("--reference FILE", "true image: report bias, relMSE and SMAPE by region"),
+    option(
+        "--reference FILE",
+        "true image, or 'truth/t{frame}.exr' for sequences: report bias, relMSE and SMAPE by "
+        "region and frame",
+    ),
     option("--against PATH", "frames of another renderer or setting of the same view"),
     option("--target E", "relative error, σ / mean, that pixels should reach", real(above=0.0)),
     option("--seconds S", "render time per frame (default: from headers)", real(above=0.0)),

@@ -8,6 +8,7 @@ from mcspectra.core.checks import Array
 
 __all__ = [
     "CONFIDENCE_Z",
+    "deviations_t",
     "log_mean_interval",
     "rounding_floor",
     "standard_error",
@@ -33,6 +34,17 @@ def student_t(count: int) -> float:
     from scipy.special import stdtrit
 
     return float(stdtrit(max(1, count - 1), 0.975))
+
+
+def deviations_t(count: int) -> float:
+    """Return the half width of a 95 % interval of a mean of squared deviations, as `student_t`.
+
+    The deviations are those of `count` values from their own mean.
+    For normal values, the squares of two deviations have the correlation 1/(count − 1)².
+    Their spread therefore makes the standard error too small, by the factor
+    √((count − 2)/(count − 1)). Two values show no spread, because both squares are equal.
+    """
+    return student_t(count) * (1.0 if count < 3 else ((count - 1) / (count - 2)) ** 0.5)
 
 
 def log_mean_interval(mean: Array, se: Array, count: int) -> Array:

@@ -266,12 +266,17 @@ average_variance | f | f² | n alpha | variance after an exponential moving aver
 average_ratio | f | 1 | n alpha | that variance / the same of white noise of the same variance
 denoised_variance | f | f² | | variance after a program, mean over the pixels
 denoised_square | f | f² | | squared bias of a program, mean over the pixels
+denoised_boiling | f | 1 | | power of errors below 1/8 cycle per frame after a program; white: 1
+denoised_correlation | f | 1 | lag_t | correlation of errors at a lag after a program
 bias_z | f | 1 | y x | mean minus reference over its standard error, as a normal deviate
 squared_bias | f | f² | n | mean over the pixels of the squared bias against the reference
 tile_bias | f | 1 | n tile_y tile_x | mean error / mean of the reference
 tile_relmse | f | 1 | n tile_y tile_x | mean of (x − r)² / (r² + 0.01) against the reference r
 tile_smape | f | 1 | n tile_y tile_x | mean of |x − r| / (|x| + |r| + 0.01)
 tile_flip | f | 1 | n tile_y tile_x | mean FLIP of one frame against the reference
+frame_bias | f | 1 | n frame | mean error of a frame of the sequences / mean of its reference
+frame_relmse | f | 1 | n frame | relMSE of a frame of the sequences against its reference
+frame_smape | f | 1 | n frame | SMAPE of a frame of the sequences against its reference
 image_bias | f | 1 | n | mean error of the image / mean of the reference
 image_relmse | f | 1 | n | relMSE of the image against the reference
 image_smape | f | 1 | n | SMAPE of the image against the reference

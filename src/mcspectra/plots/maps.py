@@ -491,6 +491,45 @@ def _over_time(group: Group, _: Styles) -> Plot:
     )
 
 
+def _frame_errors(group: Group, _: Styles) -> Plot:
+    """Plot the bias and relMSE of each frame of the sequences."""
+    data = next(iter(group.values())).isel(n=-1)
+    x = data["frame"].values.astype(float)
+    bias, square = (data[f"frame_{name}"].values * 100.0 for name in ("bias", "relmse"))
+    ends, square_ends = (data[f"frame_{name}_ci"].values.T * 100.0 for name in ("bias", "relmse"))
+    across = Axis(label="frame", low=float(x[0]), high=float(x[-1]))
+    # Few sequences have long intervals, which would hide the values
+    far = 4.0 * max(float(np.nanmax(np.abs(bias))), 1e-3)
+    reach = 1.1 * float(np.clip(np.nanmax(np.abs(ends)), None, far))
+    top = 1.1 * float(np.clip(np.nanmax(square_ends), None, 4.0 * np.nanmax(square)))
+    return Plot(
+        panels=(
+            Panel(
+                marks=(
+                    ReferenceLine(at=0.0, dashes="--"),
+                    Line(x=x, y=bias, color=PALETTE[0], low=ends[0], high=ends[1]),
+                ),
+                x=across,
+                y=Axis(label="bias in % of the mean", low=-reach, high=reach),
+                grid=True,
+            ),
+            Panel(
+                marks=(
+                    Line(x=x, y=square, color=PALETTE[0], low=square_ends[0], high=square_ends[1]),
+                ),
+                x=across,
+                y=Axis(label="relMSE in %", low=0.0, high=top or 1.0),
+                grid=True,
+            ),
+        ),
+        columns=2,
+        caption="Bias and relMSE of each frame against its reference, with 95 % intervals.",
+        words=f"Bias of {x.size} frames, from {number(float(np.nanmin(bias)))} % to "
+        f"{number(float(np.nanmax(bias)))} %; relMSE up to {number(float(np.nanmax(square)))} %.",
+        height=0.62,
+    )
+
+
 def _deviates(values: Array) -> Scale:
     """Return the color scale for normal deviates, clipped at ± 8."""
     finite = np.abs(values[np.isfinite(values)])
@@ -506,8 +545,12 @@ def _tile_map(
     values = data[variable].transpose("y", "x").values.astype(float)
     x, y = (data[dim].values.astype(float) for dim in ("x", "y"))
     if variable == "difference":
-        caption = caption.replace("reference", "reference, in units of its mean")
-        values = values / abs(float(np.nanmean(data["mean"].values)) or 1.0)
+        mean = np.abs(data["mean"].transpose("y", "x").values)
+        least = 0.01 * float(np.nanmedian(mean)) if np.isfinite(mean).any() else 0.0
+        if data.attrs["finest"] == 1:
+            caption = caption.replace(".", ", both averaged over 5 × 5 pixels.")
+            values, mean = _averaged(values), _averaged(mean)
+        values = values / (np.maximum(mean, least) + 1e-300)
     size = data.attrs["finest"]
     found = scale(values)
     panel = _over_pixels(values, x, y, found, variable.replace("_", " "))
@@ -527,6 +570,15 @@ def _tile_map(
     )
 
 
+def _averaged(values: Array) -> Array:
+    """Return means over squares of 5 × 5 pixels; pixels that are not finite are left out."""
+    from scipy.ndimage import uniform_filter
+
+    known = np.isfinite(values)
+    near, count = uniform_filter(np.stack([np.where(known, values, 0.0), known]), (0, 5, 5))
+    return np.asarray(np.divide(near, count, out=np.full_like(near, np.nan), where=known))
+
+
 def _p_values(values: Array) -> Scale:
     """Return a logarithmic color scale for p-values. White means 1."""
     finite = values[np.isfinite(values) & (values > 0)]
@@ -535,11 +587,11 @@ def _p_values(values: Array) -> Scale:
 
 
 def _relative(values: Array) -> Scale:
-    """Return a symmetric color scale for differences in units of the mean."""
+    """Return a symmetric color scale for relative differences."""
     sizes = np.abs(values[np.isfinite(values)])
     top = float(np.percentile(sizes, _SPREAD[1])) if sizes.size else 0.0
     top = top or 1e-3
-    return Scale(label="difference / mean", low=-top, high=top, palette="diverging")
+    return Scale(label="difference / reference", low=-top, high=top, palette="diverging")
 
 
 def _p_histogram(group: Group, _: Styles) -> Plot:
@@ -581,6 +633,7 @@ MAPS: Mapping[str, tuple[tuple[str, ...], Callable[[Group, Styles], Plot]]] = {
     ),
     "frames-joint": (("joint_spectrum",), _joint),
     "frames-time": (("frame_correlation", "frame_correlation_ci"), _over_time),
+    "frames-errors": (("frame_bias", "frame_relmse"), _frame_errors),
     **{
         f"frames-{kind}": (
             ("relative_rmse", variable),
@@ -665,7 +718,7 @@ MAPS: Mapping[str, tuple[tuple[str, ...], Callable[[Group, Styles], Plot]]] = {
             _tile_map,
             variable="difference",
             scale=_relative,
-            caption="New minus reference.",
+            caption="Difference of the new frames relative to the reference.",
         ),
     ),
     "gate-histogram": (("p_share",), _p_histogram),

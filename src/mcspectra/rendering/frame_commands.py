@@ -4,7 +4,10 @@ A nonlinear filter has no transfer function, so its error cannot be predicted fr
 Every frame is filtered instead. The error has two parts: variance and squared bias.
 The variance is measured over the filtered frames.
 The bias is the mean of the filtered frames minus a reference.
-Without a reference, the mean of the unfiltered frames is used, because this mean is unbiased.
+Without a reference, the mean of the unfiltered frames replaces it, which is unbiased.
+
+Filters that use earlier frames, such as temporal denoisers, get all frames of a sequence.
+Each sequence is then filtered alone. Errors are deviations from the mean over the sequences.
 """
 
 from __future__ import annotations
@@ -12,6 +15,7 @@ from __future__ import annotations
 import math
 import os
 import re
+import shutil
 import signal
 import subprocess
 import tempfile
@@ -24,23 +28,33 @@ from typing import Any, final
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.core.confidence import student_t
+from mcspectra.core.confidence import deviations_t, student_t
 from mcspectra.core.display import shown
 from mcspectra.core.errors import Parameter, ParameterError, reason_of
+from mcspectra.core.images import Rings
 from mcspectra.core.progress import report
 from mcspectra.core.trust import words_of
-from mcspectra.rendering.frame_files import FrameReader
+from mcspectra.rendering.frame_files import FrameFiles, FrameReader
+from mcspectra.rendering.frame_filters import Chain, SpatialPower
+from mcspectra.rendering.frame_references import References
+from mcspectra.rendering.frame_sequences import (
+    Temporal,
+    TimeStatistics,
+    stored_array,
+    temporal_of,
+)
 
-__all__ = ["Denoised", "command_words", "denoised"]
+__all__ = ["Denoised", "command_words", "denoised", "takes_sequences"]
 
 _PLACEHOLDER = re.compile(r"\{(\w*)\}")
+_ONE, _ALL = ("input", "output"), ("inputs", "outputs")
 _FEWEST = 3  # smallest number of frames for which an interval is computed
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class Denoised:
-    """Error after a program, as means over the pixels, with 95 % intervals.
+    """Error after a program, as means over pixels and frames, with 95 % intervals.
 
     Attributes
     ----------
@@ -48,12 +62,15 @@ class Denoised:
         Variance of a filtered frame.
     bias, bias_ci
         Mean over the pixels of the squared bias; the estimate is unbiased and may be negative.
+    temporal
+        Correlations over time of the errors after the program; None without sequences.
     """
 
     variance: float
     variance_ci: Array
     bias: float
     bias_ci: Array
+    temporal: Temporal | None
 
 
 def command_words(command: object) -> list[str]:
@@ -66,30 +83,40 @@ def command_words(command: object) -> list[str]:
     """
     words = words_of(command) if isinstance(command, str) else None
     named = {name for word in words or () for name in _PLACEHOLDER.findall(word)}
-    if not words or named != {"input", "output"}:
+    if not words or named not in (set(_ONE), set(_ALL)):
         raise ParameterError(
             Parameter("filter_command"),
             f" is {shown(command)}; give a program with {{input}} and {{output}}, "
-            "such as 'denoise --hdr {input} -o {output}', with quotes closed.",
+            "such as 'denoise --hdr {input} -o {output}', with quotes closed, or with the folders "
+            "{inputs} and {outputs} of a sequence.",
         )
     return list(words)
 
 
+def takes_sequences(words: Sequence[str]) -> bool:
+    """Whether a command filters all frames of a sequence at once."""
+    return any(f"{{{_ALL[0]}}}" in word for word in words)
+
+
 def denoised(
-    words: Sequence[str], files: Sequence[Path], read: FrameReader, truth: Array | None, wait: float
+    words: Sequence[str],
+    group: FrameFiles,
+    read: FrameReader,
+    truth: References | None,
+    wait: float,
 ) -> Denoised:
-    """Filter every frame with a program, without a shell, and measure the error that remains.
+    """Filter all frames with a program, without a shell, and measure the error that remains.
 
     Parameters
     ----------
     words
         Words of the command, from `command_words`.
-    files
-        Frames of one view.
+    group
+        Frames of one view, or sequences.
     read
         Reader of image files, for the frames and for the output of the program.
     truth
-        Reference (y, x), or None for the mean of the frames.
+        References, or None for the mean of the frames.
     wait
         Longest time of one run in seconds.
 
@@ -97,55 +124,164 @@ def denoised(
     ------
     ParameterError
         If the program fails, takes longer, or writes no frame of the size of its input.
+        If it needs sequences and there are none.
     """
-    count = len(files)
+    files, times = group.files, group.times
+    count = len(files) // times
+    if takes_sequences(words) and times == 1:
+        raise ParameterError(
+            Parameter("filter_command"),
+            f" has {{inputs}}, the folder of a sequence, but {files[0]} and the others are not "
+            "sequences; give {input} and {output}, or ",
+            Parameter("sequence"),
+            ".",
+        )
     with tempfile.TemporaryDirectory(prefix="mcspectra-") as folder:
-        outputs = [Path(folder) / f"{k}{file.suffix}" for k, file in enumerate(files)]
-        total: Any = 0.0
-        apart: Any = 0.0
-        for k, (file, output) in enumerate(zip(files, outputs, strict=True)):
-            _run(words, file, output, wait)
-            raw, color = read.plane(file, None)
-            plane = read.plane(output, color.shape)[0]
-            total = total + plane / count
-            apart = apart + (plane - (raw if truth is None else truth)) / count
-            report("filter", (k + 1) / (2 * count))
-        # Sum squared deviations for the variance.
-        # Also sum products, from which the jackknife computes the error of the squared bias
-        squares, own, cross = np.empty((3, count))
-        for k, (file, output) in enumerate(zip(files, outputs, strict=True)):
-            plane = read.plane(output, None)[0]
-            difference = plane - (read.plane(file, None)[0] if truth is None else truth)
-            squares[k] = np.nanmean((plane - total) ** 2) * count / (count - 1)
-            own[k] = np.nanmean(difference**2)
-            cross[k] = np.nanmean(difference * apart)
-            report("filter", (count + k + 1) / (2 * count))
-    mean_square = float(np.nanmean(apart**2))
+        outputs = _filtered(words, group, Path(folder), wait)
+        # Squared deviations, and products for the jackknife of the squared bias
+        squares, own, cross = np.empty((3, count, times))
+        mean_square = 0.0
+        centers: Any = None
+        for t in range(times):
+            true = None if truth is None else truth.plane(t)
+            total: Any = 0.0
+            apart: Any = 0.0
+            for k in range(count):
+                raw, color = read.plane(files[k * times + t], None)
+                plane = read.plane(outputs[k * times + t], color.shape)[0]
+                total = total + plane / count
+                apart = apart + (plane - (raw if true is None else true)) / count
+            if centers is None:
+                centers = stored_array((times, *total.shape), np.float64)
+            centers[t] = total
+            mean_square += float(np.nanmean(apart**2)) / times
+            for k in range(count):
+                plane = read.plane(outputs[k * times + t], None)[0]
+                known = read.plane(files[k * times + t], None)[0] if true is None else true
+                squares[k, t] = np.nanmean((plane - total) ** 2) * count / (count - 1)
+                own[k, t] = np.nanmean((plane - known) ** 2)
+                cross[k, t] = np.nanmean((plane - known) * apart)
+            report("filter", 0.5 + 0.5 * (t + 1) / times)
+        temporal = None if times == 1 else _over_time(outputs, read, centers, count)
+    squares, own, cross = (each.mean(axis=1) for each in (squares, own, cross))
+    return _measured(squares, own, cross, mean_square, temporal)
+
+
+def _measured(
+    squares: Array, own: Array, cross: Array, mean_square: float, temporal: Temporal | None
+) -> Denoised:
+    """Return variance and bias with intervals, from means over the pixels for each sequence.
+
+    Parameters
+    ----------
+    squares
+        Squared deviations from the mean of the filtered frames, with divisor count − 1.
+    own, cross
+        Square of the difference from the truth, and its product with the mean difference.
+    mean_square
+        Square of the mean difference.
+    temporal
+        Correlations over time.
+    """
+    count = len(squares)
     bias = (count**2 * mean_square - own.sum()) / (count * (count - 1))
     variance = float(squares.mean())
     if count < _FEWEST:
+        unknown = np.array([0.0, np.inf])
         return Denoised(
             variance=variance,
-            variance_ci=np.array([0.0, np.inf]),
+            variance_ci=unknown,
             bias=float(bias),
-            bias_ci=np.array([0.0, np.inf]),
+            bias_ci=unknown,
+            temporal=temporal,
         )
-    # Jackknife: estimates that leave out one frame each
+    # Jackknife: estimates that leave out one sequence each
     left = (count**2 * mean_square - 2 * count * cross + own) - (own.sum() - own)
     left /= (count - 1) * (count - 2)
     error = math.sqrt((count - 1) / count * float(((left - left.mean()) ** 2).sum()))
-    half = student_t(count) * squares.std(ddof=1) / math.sqrt(count) / (variance or 1.0)
+    half = deviations_t(count) * squares.std(ddof=1) / math.sqrt(count) / (variance or 1.0)
     return Denoised(
         variance=variance,
         variance_ci=variance * np.exp([-half, half]),
         bias=float(bias),
         bias_ci=bias + student_t(count) * error * np.array([-1.0, 1.0]),
+        temporal=temporal,
     )
 
 
-def _run(words: Sequence[str], file: Path, output: Path, wait: float) -> None:
-    """Run the program on one frame, and end all of its processes if it takes too long."""
-    values = {"input": str(file.resolve()), "output": str(output)}
+def _over_time(
+    outputs: Sequence[Path], read: FrameReader, centers: Array, count: int
+) -> Temporal | None:
+    """Return correlations over time of errors after a program, or None if there are no errors."""
+    times, height, width = centers.shape
+
+    def error(k: int, t: int) -> Array:
+        return np.asarray(np.nan_to_num(read.plane(outputs[k * times + t], None)[0] - centers[t]))
+
+    m2 = np.zeros((height, width))
+    for k, t in np.ndindex(count, times):
+        m2 += error(k, t) ** 2
+    if not m2.any():
+        return None
+    space = SpatialPower([Chain(())], height, width)
+    rings = Rings(height, width)
+    found = TimeStatistics(times, space, rings, m2 / (times * (count - 1)))
+    for k, t in np.ndindex(count, times):
+        each = error(k, t)
+        found.add(t, space.transform(each), each)
+        if t == times - 1:
+            found.finish()
+    return temporal_of(found, m2, count)
+
+
+def _filtered(words: Sequence[str], group: FrameFiles, folder: Path, wait: float) -> list[Path]:
+    """Run the program on each frame or each sequence; return its output for every frame."""
+    files, times = group.files, group.times
+    outputs = []
+    if not takes_sequences(words):
+        for k, file in enumerate(files):
+            output = folder / f"{k}{file.suffix}"
+            _run(
+                words, dict(zip(_ONE, (str(file.resolve()), str(output)), strict=True)), file, wait
+            )
+            outputs.append(_written(words, file, output, "{output}"))
+            report("filter", (k + 1) / (2 * len(files)))
+        return outputs
+    for first in range(0, len(files), times):
+        own = files[first : first + times]
+        inner, outer = folder / f"{first}-in", folder / f"{first}-out"
+        inner.mkdir()
+        outer.mkdir()
+        names = [f"{t:04d}{file.suffix}" for t, file in enumerate(own)]
+        for file, name in zip(own, names, strict=True):
+            try:
+                (inner / name).symlink_to(file.resolve())
+            except OSError:  # some file systems and Windows have no links
+                shutil.copyfile(file, inner / name)
+        _run(words, dict(zip(_ALL, (str(inner), str(outer)), strict=True)), own[0], wait)
+        outputs += [
+            _written(words, file, outer / name, f"{{outputs}}/{name}")
+            for file, name in zip(own, names, strict=True)
+        ]
+        report("filter", (first + times) / (2 * len(files)))
+    return outputs
+
+
+def _written(words: Sequence[str], file: Path, output: Path, name: str) -> Path:
+    """Check that the program has written a file."""
+    if not output.exists():
+        raise ParameterError(
+            f"{shown(words[0])} wrote no file for {file}; it must write {name}, which has the "
+            "extension of the frame."
+        )
+    return output
+
+
+def _run(words: Sequence[str], values: dict[str, str], file: Path, wait: float) -> None:
+    """Run the program once, and end all of its processes if it takes too long.
+
+    The values replace the names in braces. The file is named in messages.
+    """
     filled = [_PLACEHOLDER.sub(lambda found: values[found[1]], word) for word in words]
     try:
         process = subprocess.Popen(
@@ -179,9 +315,4 @@ def _run(words: Sequence[str], file: Path, output: Path, wait: float) -> None:
         said = reason_of(ValueError(lines[-1]), 200) if lines else "it printed no reason"
         raise ParameterError(
             f"{shown(words[0])} ended with exit code {process.returncode} for {file}: {said}."
-        )
-    if not output.exists():
-        raise ParameterError(
-            f"{shown(words[0])} wrote no file for {file}; it must write {{output}}, which has the "
-            "extension of the frame."
         )

@@ -121,12 +121,15 @@ class FrameFiles:
     times
         Number of frames of each sequence. The files of a sequence are adjacent in the list.
         Frames without a sequence count as sequences of one frame.
+    numbers
+        Numbers of the frames of a sequence; empty without a sequence.
     """
 
     spp: int | None
     files: list[Path]
     seconds: float | None
     times: int = 1
+    numbers: tuple[int, ...] = ()
 
 
 def frame_files(paths: Frames, read: FrameReader, *, least: int = 2) -> list[FrameFiles]:

@@ -26,7 +26,7 @@ from typing import ClassVar, final
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.core.confidence import CONFIDENCE_Z, student_t
+from mcspectra.core.confidence import CONFIDENCE_Z, deviations_t, student_t
 from mcspectra.core.display import shown
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.fields import real, whole
@@ -371,7 +371,7 @@ def filtered_of(
             more[k] = scale * rest * max(most, 0.0)
     variance = values.mean(axis=0)
     known = np.where(variance > 0, variance, np.nan)
-    factor, floor = student_t(count) / math.sqrt(count), CONFIDENCE_Z * np.sqrt(least)
+    factor, floor = deviations_t(count) / math.sqrt(count), CONFIDENCE_Z * np.sqrt(least)
     half = np.fmax(factor * values.std(axis=0, ddof=1) / known, floor)
     apart = (values / known - values[:, :1] / known[0]).std(axis=0, ddof=1)
     ratio_half = np.fmax(factor * apart, floor)

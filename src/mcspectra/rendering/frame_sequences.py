@@ -19,7 +19,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 
 from mcspectra.core.checks import Array
-from mcspectra.core.confidence import CONFIDENCE_Z, student_t
+from mcspectra.core.confidence import CONFIDENCE_Z, deviations_t
 from mcspectra.core.display import counted, shown
 from mcspectra.core.errors import FileFormatError, Parameter, ParameterError
 from mcspectra.core.images import Rings
@@ -124,6 +124,7 @@ def _arranged(group: FrameFiles, search: re.Pattern[str], pattern: str | None) -
         group,
         files=[own[number] for _, own in sorted(found.items()) for number in frames],
         times=len(frames),
+        numbers=tuple(frames),
     )
 
 
@@ -212,7 +213,7 @@ def temporal_of(found: TimeStatistics, m2: Array, count: int) -> Temporal:
         """Return ratios to the total power, and half widths of their intervals."""
         mean = values.mean(axis=0)
         apart = values - np.multiply.outer(whole[:, 0], mean)
-        half = student_t(count) * apart.std(axis=0, ddof=1) / math.sqrt(count)
+        half = deviations_t(count) * apart.std(axis=0, ddof=1) / math.sqrt(count)
         return mean, np.maximum(half, CONFIDENCE_Z * floor)
 
     rho, half = ends(whole, one * np.sqrt(times / frames_for_squares / (times - lags)))

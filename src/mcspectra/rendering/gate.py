@@ -26,15 +26,15 @@ from mcspectra.rendering.gate_frames import (
     source_of,
     write_reference,
 )
+from mcspectra.rendering.gate_relabelings import relabelled
+from mcspectra.rendering.gate_t_tests import cautious
 from mcspectra.rendering.gate_tests import (
     Contrast,
     Found,
     Level,
     Outcome,
-    cautious,
     frame_features,
     levels_of,
-    relabelled,
     relabelling_count,
 )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -72,12 +73,17 @@ def frame_summary(result: xr.Dataset) -> dict[str, Any]:
                 row |= {f"{name}_ci": one[f"image_{name}_ci"].values.tolist()}
         rows.append(row)
     found: dict[str, Any] = {**told, "samples": rows}
-    for name in ("denoised_variance", "denoised_square"):
+    for name in ("denoised_variance", "denoised_square", "denoised_boiling"):
         if name in result:
             found |= {name: float(result[name]), f"{name}_ci": result[f"{name}_ci"].values.tolist()}
     last = result.isel(n=-1)
     if "squared_bias" in last:
         found["squared_bias"] = float(last["squared_bias"])
+    if "frame" in last.dims:
+        found["frame_errors"] = [
+            {"frame": frame, **_errors(last.sel(frame=frame))}
+            for frame in last["frame"].values.tolist()
+        ]
     for name in ("boiling", "effective_frames"):
         if name in last:
             found |= {name: float(last[name]), f"{name}_ci": last[f"{name}_ci"].values.tolist()}
@@ -102,6 +108,18 @@ def frame_summary(result: xr.Dataset) -> dict[str, Any]:
         if seen.size:
             found["reached_share"] = float((seen <= told["target"]).mean())
     return found
+
+
+def _errors(one: xr.Dataset) -> dict[str, Any]:
+    """Return the errors of one frame of the sequences against its reference."""
+    return {
+        key: value
+        for name in ("bias", "relmse", "smape")
+        for key, value in (
+            (name, float(one[f"frame_{name}"])),
+            (f"{name}_ci", one[f"frame_{name}_ci"].values.tolist()),
+        )
+    }
 
 
 def _left(one: xr.Dataset, name: str) -> dict[str, Any]:
@@ -203,15 +221,23 @@ def _referred(result: xr.Dataset, found: dict[str, Any]) -> Iterator[_Finding]:
         + (f", FLIP {number(last['mean_flip'])}" if "mean_flip" in last else "")
         + f"; the tile with the largest bias is at x = {float(worst['tile_x']):.0f}, "
         f"y = {float(worst['tile_y']):.0f}: {_signed(float(worst))} (95 %: "
-        f"{_signed(float(ends[0]))} … {_signed(float(ends[1]))})."
+        f"{_signed(float(ends[0]))} … {_signed(float(ends[1]))})"
     )
+    if "frame_errors" in found:
+        row = max(found["frame_errors"], key=lambda each: each["relmse"])
+        about += (
+            f"; of the frames, {row['frame']} has the largest relMSE, {number(row['relmse'])}, and "
+            f"the bias {_signed(row['bias'])} (95 %: {_signed(row['bias_ci'][0])} … "
+            f"{_signed(row['bias_ci'][1])})"
+        )
+    about += "."
     if biased or sure:
         yield _Finding(
             max(_lost(square / (square + variance)), 0.05),
             f"The frames are biased against the reference: the image mean by {_signed(whole)} "
             f"(95 %: {_signed(low)} … {_signed(high)}), and {biased} of {pixels} pixels differ by "
             f"more than {number(found['reference_z_limit'])} standard errors. Bias makes "
-            f"{percent(square / (square + variance))} of the squared error of a frame; {about}",
+            f"{_share(square / (square + variance))} of the squared error of a frame; {about}",
         )
     else:
         yield _Finding(
@@ -219,6 +245,10 @@ def _referred(result: xr.Dataset, found: dict[str, Any]) -> Iterator[_Finding]:
             f"No bias against the reference is significant: image mean {_signed(whole)} (95 %: "
             f"{_signed(low)} … {_signed(high)}); {about}",
         )
+
+
+def _share(share: float) -> str:
+    return percent(share) if share >= 0.005 else "less than 1 %"
 
 
 def _commanded(found: dict[str, Any]) -> Iterator[_Finding]:
@@ -236,9 +266,20 @@ def _commanded(found: dict[str, Any]) -> Iterator[_Finding]:
         f"After the command the variance is {number(variance / whole)} (95 %: {interval(*ends)}) "
         f"times that of the frames, and the squared bias against {against} is "
         f"{number(max(square, 0.0) / whole)} (95 %: {interval(*bias)}) times that variance. The "
-        "filter was run on every frame, because the error of a denoiser cannot be predicted from "
+        "filter was run on all frames, because the error of a denoiser cannot be predicted from "
         "a spectrum.",
     )
+    if "denoised_boiling" in found:
+        level, (low, high) = found["denoised_boiling"], found["denoised_boiling_ci"]
+        said = (
+            f"below 1/8 cycle per frame the errors have {number(level)} (95 %: "
+            f"{interval(low, high)}) times the power of white noise, and "
+            f"{number(found['boiling'])} times before the command."
+        )
+        if low > 1.0:
+            yield _Finding(math.log(level), f"After the command the noise boils: {said}")
+        else:
+            yield _Finding(0.0, f"After the command no boiling is significant: {said}")
 
 
 def _compare(ratio: float) -> str:
@@ -392,13 +433,35 @@ def _signed(change: float) -> str:
     return ("+" if change > 0 else "−") + percent(abs(change))
 
 
+def _steps(samples: list[dict[str, Any]]) -> str | None:
+    """Describe the exponents between neighboring numbers of samples, if they are all resolved."""
+    said = []
+    for a, b in pairwise(samples):
+        step = math.log(b["n"] / a["n"]) if a["n"] and b["n"] else 1.0
+        slope = math.log(b["picture_variance"] / a["picture_variance"]) / step
+        # Intervals of variances are nearly symmetric on a logarithmic scale
+        halves = (math.log(e["picture_variance_ci"][1] / e["picture_variance"]) for e in (a, b))
+        half = math.hypot(*halves) / step
+        if not is_resolved(slope - half, slope + half):
+            return None
+        said.append(f"{rate(slope, slope - half, slope + half)} from {a['n']} to {b['n']} samples")
+    if len(said) < 2:
+        return None
+    return (
+        "The variance of the image follows no single power of the number of samples: the exponent "
+        f"is {' and '.join(said)}."
+    )
+
+
 def _noise(result: xr.Dataset, found: dict[str, Any]) -> Iterator[_Finding]:
     """Describe the rate, the target, and correlations of errors between pixels."""
     if "picture_rate" in found:
         slope, (low, high) = found["picture_rate"], found["picture_rate_ci"]
         if not is_resolved(low, high):
             yield _Finding(
-                0.0, f"The rate of the image's variance is not resolved: {interval(low, high)}."
+                0.0,
+                _steps(found["samples"])
+                or f"The rate of the image's variance is not resolved: {interval(low, high)}.",
             )
         elif low > 0.0:
             yield _Finding(
@@ -510,7 +573,7 @@ def frame_table(found: dict[str, Any]) -> html.Table:
         image = "reference" if "reference" in found else "mean image"
         caption += f"; mean FLIP between one frame and the {image}"
     columns = (*_COLUMNS, *(_MEASURES[name] for name in others))
-    return html.table_of(f"{caption}.", columns, rows, words=())
+    return html.table_of(f"{caption}.", columns, rows, words=(), stacked=True)
 
 
 def filter_table(found: dict[str, Any]) -> html.Table | None:
@@ -540,7 +603,7 @@ def filter_table(found: dict[str, Any]) -> html.Table | None:
         "white noise of the same variance"
     )
     caption += "; ratio to the filtered variance of the other frames" if compared else ""
-    return html.table_of(f"{caption}.", tuple(columns), shown, words=(0,))
+    return html.table_of(f"{caption}.", tuple(columns), shown, words=(0,), stacked=True)
 
 
 def frame_layers(result: xr.Dataset) -> dict[str, Array]:

@@ -305,7 +305,7 @@ def gate_table(found: dict[str, Any]) -> html.Table:
     if known:
         caption += " The last column is the relative bias that is found with 90 % probability."
     shown = len(_COLUMNS) - (not known)
-    return html.table_of(caption, _COLUMNS[:shown], [row[:shown] for row in rows])
+    return html.table_of(caption, _COLUMNS[:shown], [row[:shown] for row in rows], stacked=True)
 
 
 def write_gate(result: xr.Dataset, folder: str | Path) -> Path:
