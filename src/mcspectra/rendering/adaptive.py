@@ -37,7 +37,7 @@ from mcspectra.core.streams import Stream
 from mcspectra.rendering.backend import LOCK, load_mitsuba
 from mcspectra.rendering.files import write_exr
 from mcspectra.rendering.paths import SCENE_INTEGRATOR, Tracer, find_integrator
-from mcspectra.rendering.plugin import MOST_SAMPLES, PLUGIN, PaddedSets, register_samplers
+from mcspectra.rendering.plugin import MOST_SAMPLES, PLUGIN, padded_sets, register_samplers
 from mcspectra.rendering.scenes import (
     Scene,
     as_scene,
@@ -306,7 +306,7 @@ def render_adaptive(
         plugin["joint_dims"] = as_integer("joint_dims", joint_dims, least=0)
     for count in np.unique(levels):
         # Refuse impossible samplers here, because errors in Mitsuba have other messages
-        PaddedSets(spec=points, count=int(count), joint=joint_dims)
+        padded_sets(points, int(count), joint_dims)
     tracer = Tracer(request, spec, "rgb", (width, height))
     with LOCK:
         try:
