@@ -56,7 +56,7 @@ def against_raw():
 
 
 def adaptive(width=32, height=24, renders=24):
-    """Print errors of adaptive images in relation to equal samples at equal cost."""
+    """Print errors of adaptive images, divided by errors with equal samples at equal cost."""
     for name, target in (("room", 0.1), ("sky", 0.03), ("lens", 0.05), ("fog", 0.1)):
         scene = SCENES[name](width=width, height=height)
         found = variance_map(
@@ -81,9 +81,8 @@ def adaptive(width=32, height=24, renders=24):
         equal = np.exp((1 - share) * np.log(both[0]) + share * np.log(both[1]))
         told = ", ".join(f"{v:.2f}" for v in own / equal)
         print(
-            f"{name:5} target {target}: {wanted.spp.min()} to {wanted.spp.max()} samples, cost "
-            f"{cost:.0f} per pixel; error / error with equal samples at 50, 95, 99 % and RMS: "
-            f"{told}; error at 95 % {own[1]:.3f}",
+            f"{name:5} target {target:<4}: {wanted.spp.min()} to {wanted.spp.max():4} samples, cost "
+            f"{cost:3.0f}; errors at 50, 95 and 99 % and RMS: {told}; error at 95 % {own[1]:.3f}",
             flush=True,
         )
 
