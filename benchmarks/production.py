@@ -20,6 +20,7 @@ from mcspectra.rendering.maps import Map
 from mcspectra.samplers import as_sampler
 
 CROP, COUNTS, REALIZATIONS, ROUNDS = (240, 135), (4, 16, 64), 4, 5
+SHARES = (0.5, 0.95, 0.99)  # shares of the pixels whose largest errors are compared
 LUMINANCE = (0.212671, 0.715160, 0.072169)
 
 
@@ -71,9 +72,7 @@ def adaptive(width=32, height=24, renders=24):
             values = np.stack(made) @ LUMINANCE
             seen = values.mean(axis=0) > 0
             relative = values.std(axis=0, ddof=1)[seen] / values.mean(axis=0)[seen]
-            return np.array(
-                [*np.quantile(relative, (0.5, 0.95, 0.99)), np.mean(relative**2) ** 0.5]
-            )
+            return np.array([*np.quantile(relative, SHARES), np.mean(relative**2) ** 0.5])
 
         own = errors(wanted.spp, 0)
         both = [errors(np.full((height, width), n), 1000 * n) for n in (low, 2 * low)]
