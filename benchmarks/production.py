@@ -79,9 +79,10 @@ def adaptive(width=32, height=24, renders=24):
         share = math.log2(cost / low)
         equal = np.exp((1 - share) * np.log(both[0]) + share * np.log(both[1]))
         told = ", ".join(f"{v:.2f}" for v in own / equal)
+        ends = f"{wanted.spp.min()} to {wanted.spp.max():4} samples, cost {cost:3.0f}"
         print(
-            f"{name:5} target {target:<4}: {wanted.spp.min()} to {wanted.spp.max():4} samples, cost "
-            f"{cost:3.0f}; errors at 50, 95 and 99 % and RMS: {told}; error at 95 % {own[1]:.3f}",
+            f"{name:5} target {target:<4}: {ends}; errors at 50, 95 and 99 % and RMS: {told}; "
+            f"error at 95 % {own[1]:.3f}",
             flush=True,
         )
 
