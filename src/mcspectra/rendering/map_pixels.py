@@ -232,7 +232,7 @@ class _Field:
             from scipy.spatial import cKDTree
 
             places = self._places[known]
-            tree = cKDTree(places)
+            tree: Any = cKDTree(places)
             count = min(_NEIGHBORS, len(places))
             distance, index = tree.query(self._grid, k=range(1, count + 1), workers=-1)
             weights = _weights(distance).astype(np.float32)
