@@ -33,6 +33,7 @@ NAMES = (
     "maps",
     "paths",
     "scenes",
+    "production",
     "images",
     "masks",
     "gate",

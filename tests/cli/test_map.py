@@ -1,6 +1,7 @@
 """The verb ``map``: files, numbers, resumption, and one sentence for bad input."""
 
 import json
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 import xarray as xr
 
 from mcspectra.cli.main import main
+from mcspectra.core.images import exr_attributes, read_image
 from mcspectra.plots.backend_matplotlib import draw
 from mcspectra.plots.kinds import describe, kinds_of
 from mcspectra.report.map_page import map_layers, map_summary
@@ -284,6 +286,60 @@ def test_a_map_of_black_pixels_has_a_page(capsys, tmp_path):
     code, _, err = run(capsys, *asked)
     assert code == 0, err
     assert "variance by bounce: unknown." in (tmp_path / "report.html").read_text()
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_map_of_a_subset_says_so_and_resumes(tmp_path, capsys):
+    asked = [
+        "map", "penumbra(width=24, height=18)", "--integrator", "path(max_depth=2)",
+        "--counts", "4,16", "-m", "8",
+        "--chains", "0", "--pixels", "20%", "--sampler", "random", "--sampler", "sobol | owen",
+        "--out", str(tmp_path / "out"),
+    ]  # fmt: skip
+    assert main(asked) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("A map of a subset: ")
+    assert "one at random in each stratum" in out
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "A map of a subset: " in page
+    summary = json.loads((tmp_path / "out" / "map.json").read_text(encoding="utf-8"))
+    subset = summary["subset"]
+    assert subset["pixels"] == 432
+    assert summary["pixels_measured"] == subset["measured"]
+    assert sum(summary["best_sampler"]["path"].values()) == pytest.approx(1.0)
+    before = (tmp_path / "out" / "maps.exr").read_bytes()
+    assert b"interpolation_factor.random.path" in before
+    assert main([*asked, "--resume"]) == 0
+    assert (tmp_path / "out" / "maps.exr").read_bytes() == before
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_map_writes_samples_that_render_reads(tmp_path, capsys, monkeypatch):
+    scene = "penumbra(width=16, height=12)"
+    # The comparison of samplers has its own tests
+    advice = SimpleNamespace(text="advice", to_dict=dict)
+    monkeypatch.setattr("mcspectra.cli.scenes._as_rendered", lambda *_: advice)
+    file, image = tmp_path / "spp.exr", tmp_path / "image.exr"
+    asked = ["map", scene, "--integrator", "path(max_depth=2)", "--counts", "4,16", "-m", "8",
+             "--chains", "0", "-o", str(tmp_path / "map"), "-o", str(file)]  # fmt: skip
+    assert main(asked) == 2
+    assert "give --target" in capsys.readouterr().err
+    assert main([*asked, "--target", "0.1", "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)["samples_per_pixel"]
+    assert data["files"] == [str(file)]
+    spp = read_image(file)[..., 0]
+    assert spp.shape == (12, 16)
+    assert spp.min() == data["least"] >= 4
+    low, high = (read_image(file, layer=name)[..., 0] for name in ("low", "high"))
+    assert (low <= spp).all()
+    assert (spp <= high).all()
+    assert json.loads(exr_attributes(file)["comments"])["target"] == 0.1
+    render = ["render", scene, "--integrator", "path(max_depth=2)", "--spp-map", str(file)]
+    assert main([*render, "-o", str(image)]) == 0
+    assert "rounded up to powers of two" in capsys.readouterr().out
+    assert read_image(image).shape == (12, 16, 3)
+    assert main([*render, "--spp", "4"]) == 2
+    assert "--spp does not go with --spp-map" in capsys.readouterr().err
 
 
 def compared_maps(first, second):

@@ -30,6 +30,7 @@ def variance_map(**changes):
         "dominant_technique": (pixels, np.arange(12.0).reshape(3, 4) % 2),
         "mis_gain": (pixels, values[0] + 0.5),
         "predicted_ratio": (("strategy", *pixels), np.where(np.arange(4) % 2, np.nan, values)),
+        "interpolation_factor": (("strategy", *pixels), 1.0 + values),
         "bounce_share": (("bounce", *pixels), values[:2] - 0.1),
         "decision_share": (("decision", *pixels), values[:2] - 0.1),
         "largest_bounce": (pixels, np.arange(12.0).reshape(3, 4) % 3 - 1),

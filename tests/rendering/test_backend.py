@@ -5,6 +5,7 @@ import json
 import os
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from tests.processes import python
@@ -60,6 +61,28 @@ def test_describe_finds_a_library_and_leaves_mitsuba_alone():
     assert Path(found["library"]).is_file()
     assert found["mitsuba"]
     assert found["drjit"]
+
+
+@pytest.mark.parametrize(
+    ("driver", "output", "listed"),
+    [
+        (None, "works True", False),
+        ("libcuda.so.1", "", False),
+        ("libcuda.so.1", "works True", True),
+    ],
+)
+def test_cuda_is_listed_only_if_it_works(monkeypatch, own_cache, driver, output, listed):
+    monkeypatch.setattr("ctypes.util.find_library", lambda _: driver)
+
+    def tried(program, variables=None):
+        del variables
+        told = output if backend.CUDA_VARIANT in program else "works True\nversion 19.1.7"
+        return SimpleNamespace(returncode=0, stdout=told, stderr="")
+
+    monkeypatch.setattr(backend, "_tried", tried)
+    found = describe()
+    assert (backend.CUDA_VARIANT in found["variants"]) == listed
+    assert ("cuda" in json.dumps(found)) == listed
 
 
 def test_a_second_search_uses_the_stored_verdict(monkeypatch, own_cache):

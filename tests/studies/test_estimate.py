@@ -107,6 +107,42 @@ def test_divisible_cells_have_tasks_of_about_a_second(tmp_path):
     assert min(counted.values()) > 1000
 
 
+MAPS = """
+title = "t"
+samplers = ["sobol | owen"]
+[[maps]]
+name = "whole"
+scene = "penumbra(width=40, height=30)"
+integrator = "path(max_depth=2)"
+chains = 0
+[[maps]]
+name = "crop"
+scene = "penumbra(width=40, height=30)"
+integrator = "path(max_depth=2)"
+chains = 0
+crop = [0, 0, 40, 30]
+[[maps]]
+name = "subset"
+scene = "penumbra(width=40, height=30)"
+integrator = "path(max_depth=2)"
+chains = 0
+pixels = "10%"
+"""
+
+
+@pytest.mark.render
+def test_maps_of_a_film_and_of_the_whole_crop_have_the_same_estimate(tmp_path):
+    whole, crop, subset = estimate_study(_plan(tmp_path, MAPS), probe_seconds=3.0)
+    assert whole.storage == crop.storage > 0
+    assert whole.memory == crop.memory
+    # Both times are measured; other programs may slow one of them down
+    assert 1 / 4 < whole.seconds / crop.seconds < 4
+    assert subset.storage < whole.storage
+    # Maps use all processors, so that several workers take as long as one
+    cells = [whole, crop, subset]
+    assert wall_time(cells, 4) == wall_time(cells, 1) == sum(each.seconds for each in cells)
+
+
 def test_wall_time():
     cells = [
         CellEstimate(path=f"{s}", estimator="a", sampler="b", analysis="terms", seconds=s,

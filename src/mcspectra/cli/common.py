@@ -25,6 +25,7 @@ __all__ = [
     "Read",
     "Verb",
     "VerbOutput",
+    "folder_name",
     "given_of",
     "group",
     "index_or_name",
@@ -114,7 +115,7 @@ def option(
     """
     *names, last = (word.rstrip(",") for word in usage.split())
     if names and last == "DIR":
-        read = _folder
+        read = folder_name
     if not names and last.startswith("-"):
         return lambda parser: parser.add_argument(last, action="store_true", help=help)
     further |= {"metavar": last, "action": Read, "read": read, "help": help}
@@ -185,7 +186,7 @@ def real(**limits: float) -> Callable[[str, str], float]:
     return read
 
 
-def _folder(name: str, text: str) -> str:
+def folder_name(name: str, text: str) -> str:
     """Read the name of a folder, and reject extensions of pages and pictures."""
     if Path(text).suffix.lower() in _PAGES and not Path(text).is_dir():
         raise ParameterError(

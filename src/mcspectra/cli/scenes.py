@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from mcspectra.cli.common import (
     VerbOutput,
+    folder_name,
     given_of,
     group,
     index_or_name,
@@ -40,6 +41,9 @@ __all__ = ["frames_", "map_", "pixel_", "render_"]
 _WIDTH = 100  # width of wrapped sentences in columns
 _AROUND = 8  # side, in pixels, of the square of pixels for which samplers are compared
 _SPP, _COMPARED_SPP, _REFERENCE_SPP = 16, 4, 1024
+_PAGE_BYTES = 1_000_000  # page and pictures of a map
+_PIXEL_BYTES = 12  # bytes of three float32 numbers of a pixel of an image
+_DRY_RUN = option("--dry-run", "only print the size, the time and the storage, from a short run")
 
 
 _DIRECT = (
@@ -53,7 +57,7 @@ _DIRECT = (
     "light",
     "heuristic",
 )
-_WHOLE = ("variant", "joint_dims", "sensor", "define")
+_WHOLE = ("variant", "joint_dims", "sensor", "define", "spp_map")
 
 
 @verb(
@@ -82,6 +86,7 @@ _WHOLE = ("variant", "joint_dims", "sensor", "define")
         default=0.0,
     ),
     out(".exr: linear radiance; .png: the image in sRGB"),
+    _DRY_RUN,
     group(
         lambda parser: parser.add_argument_group("direct light"),
         option("--strategy STRATEGY", "light, bsdf, mis (default), mis-light or mis-bsdf"),
@@ -115,6 +120,11 @@ _WHOLE = ("variant", "joint_dims", "sensor", "define")
             "own points (padded) (default 4 for scrambled nets, else 0)",
             whole(0),
         ),
+        option(
+            "--spp-map FILE",
+            "samples of each pixel, an image of whole numbers, as written by mcspectra map "
+            "--target E -o FILE.exr; rounded up to powers of two",
+        ),
         option("--sensor I", "index of the camera (default 0)", whole(0)),
         option("-D, --define KEY=VALUE", "value of $KEY in the file; repeatable", repeated="all"),
     ),
@@ -136,6 +146,7 @@ def render_(options: argparse.Namespace) -> VerbOutput:
     The verb prints the error of each image.
 
     With --integrator Mitsuba renders whole paths, and --sampler replaces the scene's own sampler.
+    With --spp-map each pixel has its own number of samples, by default of 'sobol | owen'.
     Our samplers are padded: each request of the integrator has its own points.
     With scrambled nets, the first 4 numbers of a path come from one point set (--joint-dims).
     A scene file can also name a sampler of this package:
@@ -173,6 +184,8 @@ def render_(options: argparse.Namespace) -> VerbOutput:
                 f"the film of {shown(scene)} is set in the file."
             )
         scene = sized(scene, **sizes)
+    if options.dry_run:
+        return _render_cost(options, scene, settings)
     if whole_paths:
         return _whole_paths(options, scene, files)
     if options.compare:
@@ -221,6 +234,61 @@ def render_(options: argparse.Namespace) -> VerbOutput:
         *(f"wrote {file}" for file in files),
     ]
     return VerbOutput("\n".join(lines), data)
+
+
+def _render_cost(
+    options: argparse.Namespace, scene: str, settings: Mapping[str, Any]
+) -> VerbOutput:
+    """Estimate the size, time and storage of an image from images with few samples."""
+    from mcspectra.core.images import read_image
+    from mcspectra.rendering.costs import SceneCost, timed_work
+    from mcspectra.rendering.image import render
+    from mcspectra.rendering.scenes import as_scene, film_size, render_file, sensor_of
+
+    begin = time.perf_counter()
+    request = as_scene(scene)
+    size = film_size(request)
+    whole, spp = options.integrator is not None, options.spp
+    own = None if options.integrator == "scene" else options.integrator
+    if options.spp_map is not None:
+        spp = max(round(float(read_image(options.spp_map, linear=True).mean())), 1)
+    if whole:
+        spp = spp or int(sensor_of(request).sampler().sample_count())
+        images, each = 1, 1
+    else:
+        each = 1 if options.strategy not in (None, "mis") else 2
+        images = 1 if options.reference else options.realizations or 1
+        spp = spp or (_REFERENCE_SPP if options.reference else _SPP)
+        if options.compare:
+            # The reference and MIS take samples of both techniques; two images take one of each
+            spp, each = 2 * (options.reference_spp or _REFERENCE_SPP) + 4 * (options.spp or 4), 1
+        size = size if options.crop is None else (options.crop[2], options.crop[3])
+    loaded = time.perf_counter() - begin
+
+    def work(count: int) -> None:
+        if whole:
+            keys: dict[str, Any] = given_of(options, "sampler", "joint_dims", "sensor")
+            render_file(scene, options.variant, integrator=own, spp=count, **keys)
+        else:
+            strategy = options.strategy or "mis"
+            render(scene, spp=count, strategy=strategy, **settings)
+
+    paced = timed_work(work, spp * images, first=4, most=max(4, min(spp, 1024)))
+    pixels = size[0] * size[1]
+    sampler = options.sampler or ("the scene's sampler" if whole else "sobol | owen")
+    if options.spp_map is not None:
+        sampler = options.sampler or "sobol | owen"
+    found = SceneCost(
+        scene=scene,
+        what=f"{spp} samples of each with {sampler}" + (f", {images} images" if images > 1 else ""),
+        size=size,
+        pixels=pixels,
+        samples=pixels * spp * images * each,
+        samples_per_second=pixels * each / max(paced.each, 1e-12),
+        seconds=loaded + paced.seconds,
+        storage=_PIXEL_BYTES * pixels * len(options.out),
+    )
+    return VerbOutput(found.text, found.to_dict())
 
 
 def _samples(told: Mapping[Any, Any]) -> int:
@@ -286,6 +354,8 @@ def _whole_paths(options: argparse.Namespace, scene: str, files: list[Path]) -> 
             raise ParameterError(f"--define is {shown(text)}; give KEY=VALUE.")
         definitions[key] = value
     films = [file for file in files if file.suffix.lower() == ".exr"]
+    if options.spp_map is not None:
+        return _by_map(options, scene, files)
     start = time.perf_counter()
     image = render_file(
         scene,
@@ -323,6 +393,55 @@ def _whole_paths(options: argparse.Namespace, scene: str, files: list[Path]) -> 
         "width": width,
         "height": height,
         "mean": means,
+        "seconds": seconds,
+        "files": files,
+    }
+    return VerbOutput("\n".join(lines), data)
+
+
+def _by_map(options: argparse.Namespace, scene: str, files: list[Path]) -> VerbOutput:
+    """Render a scene with the samples per pixel of a file."""
+    from mcspectra.core.images import read_image
+    from mcspectra.rendering.adaptive import render_adaptive
+    from mcspectra.rendering.files import write_exr, write_png
+
+    for name in ("spp", "variant", "sensor", "define"):
+        if getattr(options, name) is not None:
+            raise ParameterError(f"--{name} does not go with --spp-map; leave it out.")
+    spp = read_image(options.spp_map, linear=True)
+    start = time.perf_counter()
+    image = render_adaptive(
+        scene,
+        spp,
+        integrator=None if options.integrator == "scene" else options.integrator,
+        sampler=options.sampler,
+        joint_dims=options.joint_dims,
+        seed=options.seed or 0,
+    )
+    seconds = time.perf_counter() - start
+    for file in files:
+        if file.suffix.lower() == ".exr":
+            write_exr(file, {"": image}, comment=f"samples per pixel: {options.spp_map}")
+        else:
+            write_png(file, image, exposure=options.exposure)
+    height, width, _ = image.shape
+    sampler, mean = options.sampler or "sobol | owen", image.mean(axis=(0, 1))
+    size = f"{width} × {height} pixels, {seconds:.1f} s"
+    ends = f"{spp.min():.0f} to {spp.max():.0f}, mean {spp.mean():.1f}"
+    lines = [
+        f"{scene}, integrator: {options.integrator}, sampler: {sampler}: {size}",
+        f"samples per pixel by {options.spp_map}: {ends}, rounded up to powers of two",
+        f"mean radiance  {_colour(mean)}",
+        *(f"wrote {file}" for file in files),
+    ]
+    data = {
+        "scene": scene,
+        "integrator": options.integrator,
+        "sampler": sampler,
+        "width": width,
+        "height": height,
+        "spp": {"least": spp.min(), "most": spp.max(), "mean": spp.mean()},
+        "mean": mean,
         "seconds": seconds,
         "files": files,
     }
@@ -488,6 +607,11 @@ def pixel_(options: argparse.Namespace) -> VerbOutput:
     return VerbOutput("\n\n".join(parts), data)
 
 
+def _folder_or_exr(name: str, text: str) -> str:
+    """Read the name of a folder, or of a file .exr."""
+    return text if Path(text).suffix.lower() == ".exr" else folder_name(name, text)
+
+
 def _map_options(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the map analysis, which is imported only if needed."""
     from mcspectra.cli.analysis import declared
@@ -501,7 +625,14 @@ def _map_options(parser: argparse.ArgumentParser) -> None:
 
 @verb(
     option("SCENE", "scene, e.g. veach, or a Mitsuba XML file"),
-    option("-o, --out DIR", "output folder (default out/map)", repeated="once"),
+    option(
+        "-o, --out PATH",
+        "output folder (default out/map); with --target also a file .exr, which gets samples per "
+        "pixel for mcspectra render --spp-map; repeatable",
+        _folder_or_exr,
+        repeated="all",
+        default=[],
+    ),
     option("--resume", "continue the map in the output folder"),
     option(
         "--sampler SPEC",
@@ -516,6 +647,7 @@ def _map_options(parser: argparse.ArgumentParser) -> None:
         "pixel for this relative error, as mcspectra profile does",
         real(above=0.0),
     ),
+    _DRY_RUN,
     _map_options,
 )
 def map_(options: argparse.Namespace) -> VerbOutput:
@@ -525,13 +657,17 @@ def map_(options: argparse.Namespace) -> VerbOutput:
     With --integrator it measures whole paths and the shares of bounces and decisions.
     Writes DIR/report.html, DIR/maps.exr (all layers), DIR/map.json and pictures.
     DIR/study.sqlite keeps finished tiles, so that --resume can continue.
+
+    With --pixels 1% a random pixel of each stratum is measured, and all others are interpolated.
+    With --target and a file -o FILE.exr the map also writes samples per pixel for this error.
     """
     from mcspectra.core.analysis import Subject
     from mcspectra.core.options import checked, options_of
     from mcspectra.core.trust import process_trust
     from mcspectra.plots.groups import labelled
+    from mcspectra.rendering.files import check_image_path
     from mcspectra.rendering.maps import Map, compared
-    from mcspectra.report.map_page import map_summary, map_table, write_map
+    from mcspectra.report.map_page import map_summary, map_table, subset_note, write_map
     from mcspectra.report.page import check_page_packages
     from mcspectra.studies import StudyConfig, open_results, run_study
     from mcspectra.studies.files import SceneConfig
@@ -542,10 +678,21 @@ def map_(options: argparse.Namespace) -> VerbOutput:
         raise ParameterError(
             "--target is for whole paths at the scene's own size; give --integrator and no --size."
         )
+    files = [Path(each) for each in options.out if each.lower().endswith(".exr")]
+    folders = [each for each in options.out if Path(each) not in files]
+    if len(folders) > 1:
+        raise ParameterError(f"--out names {len(folders)} folders; give one, and files .exr.")
+    if files and options.target is None:
+        raise ParameterError(
+            f"{shown(str(files[0]))} would hold samples per pixel for an error; give --target."
+        )
+    files = [check_image_path(file, (".exr",)) for file in files]
     analysis = checked(Map(**given_of(options, *(each.name for each in options_of(Map)))))
     samplers = options.sampler or [analysis.default_sampler]
     subjects = [Subject(None, read_sampler(each, analysis.points_dims)) for each in samplers]
     parts = analysis.of_samplers(subjects)
+    if options.dry_run:
+        return _map_cost(options, parts, subjects)
 
     # Run a study with one map per sampler, and write its results
     entries = tuple(
@@ -555,7 +702,7 @@ def map_(options: argparse.Namespace) -> VerbOutput:
     study = StudyConfig(title=f"Map of {options.scene}", seed=options.seed or 0, scenes=entries)
     # The user gave the scene on the command line, so its files may be in any folder
     trust = process_trust().widened(folders=(Path(Path.cwd().anchor),))
-    folder = options.out or "out/map"
+    folder = folders[0] if folders else "out/map"
     run_study(study, folder, resume=options.resume, workers=options.workers, trust=trust)
     tree = open_results(folder)
     found = [node.to_dataset() for node in tree.subtree if node.name == "map" and node.data_vars]
@@ -564,11 +711,57 @@ def map_(options: argparse.Namespace) -> VerbOutput:
     page, summary = write_map(result, folder), map_summary(result)
     table = map_table(summary)
     text = f"{page_table(table)}\n{table.caption}\nmap: {printable(page)}"
+    if "subset" in summary:
+        text = f"{textwrap.fill(subset_note(summary), _WIDTH)}\n\n{text}"
     data = {**summary, "report": page}
+    if files:
+        from mcspectra.rendering.adaptive import samples_per_pixel
+
+        wanted = samples_per_pixel(result, options.target)
+        for file in files:
+            wanted.write(file)
+        lines = [textwrap.fill(wanted.text, _WIDTH), *(f"wrote {file}" for file in files)]
+        text = f"{text}\n\n" + "\n".join(lines)
+        data["samples_per_pixel"] = {**wanted.to_dict(), "files": files}
     if options.target is not None:
         advice = _as_rendered(options, options.crop)
         text, data["profile"] = f"{advice.text}\n\n{text}", advice.to_dict()
     return VerbOutput(text, data)
+
+
+def _map_cost(options: argparse.Namespace, parts: Any, subjects: Any) -> VerbOutput:
+    """Estimate the size, time and storage of a map and of its page from a few pixels."""
+    from dataclasses import replace
+
+    from mcspectra.core.streams import Stream
+    from mcspectra.report.map_page import page_seconds
+
+    seed = options.seed or 0
+    costs = [
+        part.cost(subject, Stream.from_rng(seed))
+        for part, subject in zip(parts, subjects, strict=True)
+    ]
+    first = costs[0]
+    seconds, samples = (sum(getattr(c, k) for c in costs) for k in ("seconds", "samples"))
+    # Maps of mean, variance, rate, its error, and the picture; then shares, and the choices
+    figures = 5 + (4 if parts[0].integrator is None or parts[0].chains != 0 else 0)
+    figures += (parts[0].pixels is not None) + (len(parts) > 1)
+    profile = 0.0
+    if options.target is not None:
+        from mcspectra.profiler.scene_profile import plan_scene
+
+        whose = None if options.integrator == "scene" else options.integrator
+        profile = plan_scene(options.scene, integrator=whose, rng=seed).seconds
+    others = "".join(f", {each.sampler.spec}" for each in subjects[1:])
+    found = replace(
+        first,
+        what=first.what + others,
+        samples=samples,
+        samples_per_second=samples / sum(c.samples / c.samples_per_second for c in costs),
+        seconds=seconds + page_seconds(figures, first.size) + profile,
+        storage=sum(c.storage for c in costs) + _PAGE_BYTES,
+    )
+    return VerbOutput(found.text, found.to_dict())
 
 
 def _as_rendered(options: argparse.Namespace, crop: Any) -> Any:

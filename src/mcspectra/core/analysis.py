@@ -231,6 +231,19 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             "computation."
         )
 
+    def trial(
+        self,
+        subject: Subject,  # noqa: ARG002
+        stream: Stream,  # noqa: ARG002
+        seconds: float,  # noqa: ARG002
+    ) -> tuple[float, int] | None:
+        """Return the estimated seconds and stored bytes, from short runs of about `seconds`.
+
+        The default is None: runs with few realizations estimate the time.
+        Analyses whose time depends on other sizes, such as pixels, override this method.
+        """
+        return None
+
     def part(self, subject: Subject, stream: Stream, key: str) -> Reduction[Any]:
         """Return the reduction with this key: a sum over blocks of realizations.
 

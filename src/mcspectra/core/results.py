@@ -240,6 +240,9 @@ sum over bounces of what a decision adds to the variance that those before it ma
 largest_bounce | f | 1 | y x | number of the bounce of the largest share; −1: undecided
 largest_decision | f | 1 | y x | number of the decision of the largest share; −1: undecided
 best_sampler | f | 1 | strategy y x | number of the sampler of the least variance; −1: no difference
+measured | f | 1 | y x | whether the pixel is measured (1: yes) or interpolated (0)
+interpolation_factor | f | 1 | strategy y x | \
+factor by which 95 % of the variances differ at most from the interpolated ones
 wraparound_discrepancy | f | 1 | any | wrap-around L2 discrepancy
 relative_rmse | f | 1 | n y x | σ / mean of one frame
 largest_share | f | 1 | n y x | \

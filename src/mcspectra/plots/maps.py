@@ -239,6 +239,17 @@ def _ratios(label: str) -> Callable[[Array], Scale]:
     return scale
 
 
+def _factors(values: Array) -> Scale:
+    """Return a logarithmic scale of factors from 1, without outliers."""
+    found = values[np.isfinite(values)]
+    top = float(np.percentile(found, _SPREAD[1])) if found.size else 2.0
+    ticks = {t: f"{t:g}" for t in (1.0, 1.25, 1.5, 2.0, 3.0, 5.0, 10.0, 30.0, 100.0, 1000.0)}
+    top = max(top, 1.5)
+    label = "factor of the 95 % interval"
+    ticks = {t: text for t, text in ticks.items() if t <= top}
+    return Scale(label=label, kind="log", low=1.0, high=top, ticks=ticks, palette="sequential")
+
+
 def _which(values: Array) -> Scale:
     """Return the color scale for the better of two techniques. One color means undecided."""
     del values
@@ -796,6 +807,15 @@ MAPS: Mapping[str, tuple[tuple[str, ...], Callable[[Group, Styles], Plot]]] = {
                 "predicted_ratio",
                 _ratios("predicted / measured variance"),
                 "Predicted divided by measured variance, at the largest number of samples.",
+            ),
+            (
+                "interpolation",
+                "interpolation_factor",
+                _factors,
+                (
+                    "Factor within which 95 % of the variances of interpolated pixels are, by "
+                    "leaving measured pixels out. Measured pixels have 1."
+                ),
             ),
             (
                 "bounces",

@@ -40,6 +40,7 @@ from mcspectra.core.progress import report
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.improve.answers import Answer, CandidateResult, simultaneous_z
 from mcspectra.rendering.backend import LOCK
+from mcspectra.rendering.costs import SceneCost
 from mcspectra.rendering.map_statistics import path_shares
 from mcspectra.rendering.map_tiles import Lighting, Measurement
 from mcspectra.rendering.paths import (
@@ -64,7 +65,6 @@ from mcspectra.samplers import as_sampler
 
 __all__ = [
     "Needed",
-    "ScenePlan",
     "SceneProfile",
     "SceneSettings",
     "VarianceShare",
@@ -389,7 +389,7 @@ def plan_scene(
     pixels: int | None = None,
     seconds: float = 30.0,
     rng: RngLike = 0,
-) -> ScenePlan:
+) -> SceneCost:
     """Return what `profile_scene` with these parameters would do, and how long it would take.
 
     The function loads the scene and renders a few pixels to measure the speed.
@@ -448,38 +448,6 @@ def _prepared(
 def sampler_name(sampler: Any) -> str:
     """Return the name of a sampler's plugin; a sampler of this package prints its spec."""
     return _CLASSES.get(str(sampler.class_name())) or str(sampler).partition("\n")[0]
-
-
-@final
-@dataclass(frozen=True)
-class ScenePlan:
-    """The planned renders of a profile of a scene, and the estimated time in seconds."""
-
-    scene: str
-    size: tuple[int, int]
-    pixels: int
-    renders: int
-    samplers: tuple[str, ...]
-    samples: int
-    samples_per_second: float
-    seconds: float
-
-    @property
-    def text(self) -> str:
-        """The plan as text."""
-        return (
-            f"{self.scene}, {self.size[0]} × {self.size[1]} pixels: {self.pixels} pixels, "
-            f"{self.renders} renders of each with {len(self.samplers)} samplers, "
-            f"{self.samples / 1e6:.1f} million samples at {self.samples_per_second / 1e6:.2g} "
-            f"million per second: about {self.seconds:.0f} s; nothing is stored."
-        )
-
-    def __str__(self) -> str:
-        return self.text
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain numbers and texts."""
-        return dict(vars(self))
 
 
 def _candidates(
@@ -585,7 +553,7 @@ class _Work:
 
     def plan(
         self, candidates: Mapping[str, str | Mapping[str, Any]], most: int, given: str
-    ) -> ScenePlan:
+    ) -> SceneCost:
         """Measure the speed, and return what the profile would do."""
         tiles, renders, speed = self.planned(candidates, most, given)
         tracer, film = self.rendered.tracer, self.rendered.film
@@ -600,12 +568,11 @@ class _Work:
         near = _SETTINGS.nearby * self.limit
         paths = _SETTINGS.cause_pixels * _SETTINGS.cause_chains * 32
         seconds = (samples + paths) / speed + near + _SETTINGS.compilation * len(candidates)
-        return ScenePlan(
+        return SceneCost(
             scene=scene_name(tracer.scene).strip("'\""),
+            what=f"{renders} renders of each with {len(candidates)} samplers",
             size=(film.width, film.height),
             pixels=len(tiles) * self.side**2,
-            renders=renders,
-            samplers=tuple(candidates),
             samples=int(samples + paths + near * speed),
             samples_per_second=speed,
             seconds=time.perf_counter() - self.begin + seconds,

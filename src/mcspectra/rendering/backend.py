@@ -14,6 +14,7 @@ Only the first start therefore runs the test.
 from __future__ import annotations
 
 import contextlib
+import ctypes.util
 import functools
 import hashlib
 import importlib.util
@@ -34,6 +35,7 @@ from mcspectra.core.cache import cache_folder
 from mcspectra.core.errors import MissingDependency
 
 __all__ = [
+    "CUDA_VARIANT",
     "LARGEST_SAMPLE",
     "LOCK",
     "SCALAR_VARIANT",
@@ -51,6 +53,9 @@ VARIANT = "llvm_ad_rgb"
 
 SCALAR_VARIANT = "scalar_rgb"
 """The variant without LLVM: Mitsuba's integrators render whole images, one ray at a time."""
+
+CUDA_VARIANT = "cuda_ad_rgb"
+"""The variant for NVIDIA's processors; `describe` lists it if it works."""
 
 LARGEST_SAMPLE = 1.0 - 2.0**-24
 """The largest float32 below 1. Rounding a coordinate up to 1 would leave the unit square."""
@@ -87,20 +92,27 @@ mi.file_resolver().append(os.path.dirname(mi.__file__))
 """  # Mitsuba would search the current folder first, which may be untrusted
 # This program tests three operations that fail with unsuitable versions of LLVM.
 # The operations are the minimum of two numbers, tracing rays, and sampling a rough metal
-_PROBE = f"""{_OWN_PLUGINS}
-mi.set_variant({VARIANT!r})
+_RAYS = """
 import drjit as dr
-scene = mi.load_dict({{"type": "scene", "ball": {{
-    "type": "sphere", "bsdf": {{"type": "roughconductor"}}, "emitter": {{"type": "area"}}}}}})
+scene = mi.load_dict({"type": "scene", "ball": {
+    "type": "sphere", "bsdf": {"type": "roughconductor"}, "emitter": {"type": "area"}}})
 x = dr.linspace(mi.Float, 0.1, 0.9, 64)
 hit = scene.ray_intersect(mi.Ray3f(mi.Point3f(0, 0, -5), mi.Vector3f(0, 0, 1)))
 wo = hit.bsdf().sample(mi.BSDFContext(), hit, x, mi.Point2f(x, dr.minimum(x, 0.5)))[0].wo
 dr.eval(wo)
 print("works", dr.isfinite(wo.x)[0])
+"""
+_PROBE = f"""{_OWN_PLUGINS}
+mi.set_variant({VARIANT!r})
+{_RAYS}
 import ctypes, os
 numbers = [ctypes.c_uint() for _ in range(3)]
 ctypes.CDLL(os.environ[{_LIBRARY_VARIABLE!r}]).LLVMGetVersion(*map(ctypes.byref, numbers))
 print("version", ".".join(str(number.value) for number in numbers))
+"""
+_CUDA_PROBE = f"""{_OWN_PLUGINS}
+mi.set_variant({CUDA_VARIANT!r})
+{_RAYS}
 """
 _SCALAR_PROBE = f"""{_OWN_PLUGINS}
 mi.set_variant({SCALAR_VARIANT!r})
@@ -200,11 +212,22 @@ def describe() -> dict[str, Any]:
         scalar = [SCALAR_VARIANT] if _worked(_tried(_SCALAR_PROBE)) else []
     except (OSError, subprocess.TimeoutExpired):
         scalar = []
+    scalar += [CUDA_VARIANT] if _cuda_works() else []
     found |= {"variants": scalar, "refused": _reasons(refused) or None}
     if best is None:
         return found | {"reason": _no_library(refused)}
     found |= {"library": best.library, "llvm": best.version or None, "variant": VARIANT}
     return found | {"variants": [VARIANT, *scalar]}
+
+
+def _cuda_works() -> bool:
+    """Whether the CUDA variant traces rays; false without a driver, which is not a problem."""
+    if ctypes.util.find_library("nvcuda" if platform.system() == "Windows" else "cuda") is None:
+        return False
+    try:
+        return _worked(_tried(_CUDA_PROBE))
+    except (OSError, subprocess.TimeoutExpired):
+        return False
 
 
 def import_mitsuba() -> Any:

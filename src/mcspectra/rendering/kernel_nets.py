@@ -26,7 +26,16 @@ from mcspectra.samplers import Sampler
 from mcspectra.samplers.base import Randomized
 from mcspectra.samplers.scrambles import DigitalShift, Owen
 
-__all__ = ["JointSets", "Net", "NetPoints", "Pads", "net_of", "scramble_key", "shifted_net_of"]
+__all__ = [
+    "JointPoints",
+    "JointSets",
+    "Net",
+    "NetPoints",
+    "Pads",
+    "net_of",
+    "scramble_key",
+    "shifted_net_of",
+]
 
 # The table of permutations has at least this many numbers, which take 256 KiB.
 # The table is larger if 16 permutations, the smallest number allowed, do not fit
@@ -239,18 +248,38 @@ class JointSets:
         keys = stream.child(3).keys(0, 1)[0]
         self._key = [drjit.opaque(module.UInt64, int(k)) for k in keys]
 
-    def draw(self, dims: int, pixel: Any, start: Any, index: Any, _: Any = True) -> list[Any]:
-        """Return `dims` coordinates of point `index` in the set of a pixel, starting at `start`."""
-        import drjit
-
+    def at(self, pixel: Any, index: Any) -> JointPoints:
+        """Return the points `index` of the sets of pixels, with all their coordinates."""
         module, (k0, k1) = self._module, self._key
         address = module.UInt64(pixel) << 32
         made = []
         for j, word in enumerate(net_words(module, self._net, self._count, index)):
             both = [mix_bits(module, k0, k1, address + 2 * j + part) for part in (0, 1)]
             made.append(_unit(module, _hashed(word, *(_halves(module, key) for key in both))))
+        return JointPoints(self, made)
+
+
+class JointPoints:
+    """One point of a joint set for each lane.
+
+    The coordinates are computed before the loop over the bounces of a path.
+    Otherwise each request would compute all coordinates again.
+    """
+
+    def __init__(self, sets: JointSets, coordinates: list[Any]) -> None:
+        self.dims, self._sets, self._made = sets.dims, sets, coordinates
+
+    def at(self, pixel: Any, index: Any) -> JointPoints:
+        """Return other points of the same sets."""
+        return self._sets.at(pixel, index)
+
+    def draw(self, dims: int, _: Any, start: Any, __: Any, ___: Any = True) -> list[Any]:
+        """Return `dims` coordinates of the points, starting at `start`."""
+        import drjit
+
+        made = self._made
         # In a recorded loop, the index `start` of the first coordinate is known only at run time.
-        # Compute all coordinates, and select the requested ones
+        # Select the requested coordinates among all of them
         found = []
         for k in range(dims):
             value = made[k]

@@ -9,8 +9,9 @@ The standard error of a variance of 64 normal estimates is 18 %.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import fields
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, final
 
@@ -19,7 +20,7 @@ from msgspec import Meta, structs
 
 from mcspectra.core.analysis import Analysis, Need, Reduction, Subject, compute
 from mcspectra.core.checks import MAX_DIMS, Array, as_integer
-from mcspectra.core.errors import Parameter, ParameterError
+from mcspectra.core.errors import McspectraError, Parameter, ParameterError
 from mcspectra.core.memory import memory_of
 from mcspectra.core.options import COUNTS, REALIZATIONS, Counts, Text, checked
 from mcspectra.core.registry import DEFAULT_DIMS
@@ -27,6 +28,13 @@ from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.rendering import map_statistics as statistics
 from mcspectra.rendering.backend import LOCK, load_mitsuba
+from mcspectra.rendering.costs import SceneCost, timed_work
+from mcspectra.rendering.map_pixels import (
+    chosen_pixels,
+    nearest_pixels,
+    number_of_pixels,
+    spread,
+)
 from mcspectra.rendering.map_tiles import (
     MAP_STRATEGIES,
     RECEIVER,
@@ -83,7 +91,15 @@ _DIMS = {
     "largest_bounce": ("y", "x"),
     "largest_decision": ("y", "x"),
     "best_sampler": ("strategy", "y", "x"),
+    "measured": ("y", "x"),
+    "interpolation_factor": ("strategy", "y", "x"),
 }
+# Labels of the random streams that choose the measured pixels, and those of a trial
+_CHOICE, _TRIAL = 0x9C401, 0x7D1A1
+_TRIED = 4096  # maximum number of pixels that a trial measures
+# Seconds and bytes for each number of a result: fits, files of results and layers
+_PIXEL_SECONDS, _PIXEL_BYTES = 3e-7, 10
+_STATE_BYTES = 8  # bytes for each measured number that is kept for a resumption
 
 _DIRECT_COUNTS, _PATH_COUNTS = (4, 9, 16, 36, 64), (4, 16, 64)
 _SHARES_OF_PATHS = tuple(
@@ -122,6 +138,14 @@ class Map(Analysis, frozen=True, kw_only=True):
         Meta(description="x0, y0, width and height of the part to measure.",
              extra={"metavar": "X0,Y0,W,H"}),
     ] = None  # fmt: skip
+    pixels: Annotated[
+        Annotated[int, Meta(ge=1)] | Text | None,
+        Meta(
+            description="Measure this number or share of the pixels, such as 1%, in strata of the "
+            "image, and interpolate the others; by default all pixels are measured.",
+            extra={"metavar": "N|P%"},
+        ),
+    ] = None
     size: Annotated[
         tuple[_Side, _Side] | None,
         Meta(
@@ -191,7 +215,10 @@ class Map(Analysis, frozen=True, kw_only=True):
     ] = None
 
     def need(self, subject: Subject) -> Need:
-        """Return an estimate of the needed resources without reading the scene."""
+        """Return an estimate of the needed resources.
+
+        The size of the film is read from the scene if the scene can be loaded.
+        """
         check_channel(self.channel, ("luminance",))
         direct = {"light": None, "strategies": MAP_STRATEGIES, "heuristic": "balance"}
         refused, way = direct, "is for direct light; leave it out if you give an integrator"
@@ -212,25 +239,40 @@ class Map(Analysis, frozen=True, kw_only=True):
             raise ParameterError(
                 Parameter("smoothing"), f" is {self.smoothing}; give an odd number of pixels."
             )
-        grid = self.size or _FILM
-        width, height = grid if self.crop is None else self.crop[2:]
+        if self.pixels is not None and self.smoothing > 1:
+            raise ParameterError(
+                Parameter("smoothing"), " is for maps that measure all pixels; leave out one of ",
+                Parameter("pixels"), " and ", Parameter("smoothing"), ".",
+            )  # fmt: skip
+        grid = self.size
+        if grid is None and self.crop is None:
+            with suppress(McspectraError), LOCK:
+                grid = film_size(as_scene(self.scene))
+        width, height = grid or _FILM if self.crop is None else self.crop[2:]
         if self.size is not None:
             _, _, width, height = self._window(self.size)
         pixels = max(width, 1) * max(height, 1)
+        if self.pixels is not None:
+            pixels = number_of_pixels(self.pixels, pixels)
         return Need(
             cost=float(pixels * sum(counts) * self.realizations * 4),
             memory=memory_of(counts[-1], subject.sampler.dims, 2, pixels),
         )
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[Maps]:
-        """Measure all pixels, row by row. A block of the computation is a tile of pixels."""
+        """Measure all chosen pixels, row by row. A block of the computation is a tile of pixels."""
         measurement, window = self.measurement(subject, stream)
         x0, y0, width, height = window
-        pixels, step = width * height, measurement.tile_pixels
+        count, chosen, step = width * height, None, measurement.tile_pixels
+        if self.pixels is not None and (asked := number_of_pixels(self.pixels, count)) < count:
+            chosen = chosen_pixels(window, asked, stream.child(_CHOICE))
+            count = len(chosen)
         prediction = measurement.prediction()
 
         def tile(index: int) -> Maps:
-            place = np.arange(index * step, min((index + 1) * step, pixels))
+            place = np.arange(index * step, min((index + 1) * step, count))
+            if chosen is not None:
+                return measurement.tile(chosen[place], prediction)
             each = np.stack([x0 + place % width, y0 + place // width], axis=-1)
             return measurement.tile(each, prediction)
 
@@ -244,15 +286,57 @@ class Map(Analysis, frozen=True, kw_only=True):
                     " ".join([nothing, *check_scene(self.scene, light=self.light)])
                 )
             each = {f.name: getattr(found, f.name) for f in fields(found)}
-            shaped = {k: v.reshape(*v.shape[:-1], height, width) for k, v in each.items()}
-            return labelled(measurement, prediction, window, Maps(**shaped), self.smoothing)
+            rows = (height, width) if chosen is None else (1, count)
+            shaped = Maps(**{k: v.reshape(*v.shape[:-1], *rows) for k, v in each.items()})
+            return labelled(measurement, prediction, window, shaped, self.smoothing, chosen)
 
         return Reduction(
             kind=Maps,
             block=tile,
-            blocks=-(-pixels // step),
-            cost=float(pixels * sum(measurement.counts) * self.realizations * 4),
+            blocks=-(-count // step),
+            cost=float(count * sum(measurement.counts) * self.realizations * 4),
             result=result,
+        )
+
+    def trial(self, subject: Subject, stream: Stream, seconds: float) -> tuple[float, int] | None:
+        """Estimate seconds and stored bytes from measurements of a few pixels."""
+        found = self.cost(subject, stream, seconds)
+        return found.seconds, found.storage
+
+    def cost(self, subject: Subject, stream: Stream, seconds: float = 4.0) -> SceneCost:
+        """Estimate size, time and storage from measurements of a few pixels of all strata."""
+        begin = time.perf_counter()
+        measurement, window = self.measurement(subject, stream)
+        width, height = window[2:]
+        total = width * height
+        count = total if self.pixels is None else number_of_pixels(self.pixels, total)
+        own = stream.child(_TRIAL)
+        some = chosen_pixels(window, min(total, _TRIED), own)
+        some = some[np.argsort(own.uniforms(0, len(some), 1)[:, 0], kind="stable")]
+        prediction, step = measurement.prediction(), measurement.tile_pixels
+        loaded = time.perf_counter() - begin
+
+        def work(size: int) -> None:
+            for first in range(0, size, step):
+                measurement.tile(some[first : min(first + step, size)], prediction)
+
+        paced = timed_work(work, count, first=16, most=len(some), seconds=seconds)
+        samples = len(measurement.techniques or ("path",)) * sum(measurement.counts)
+        samples = samples * self.realizations + measurement.chains * (
+            len(measurement._requests) + 1
+        )
+        numbers = len(measurement.strategies) * (2 * len(measurement.counts) + 8)
+        numbers += 3 * sum(map(len, measurement.partitions)) + 6
+        at = ", ".join(map(str, measurement.counts))
+        return SceneCost(
+            scene=scene_name(self.scene).strip("'\""),
+            what=f"{self.realizations} realizations at n = {at} with {measurement.sampler.spec}",
+            size=(width, height),
+            pixels=count,
+            samples=samples * count,
+            samples_per_second=samples / max(paced.each, 1e-12),
+            seconds=loaded + paced.seconds + _PIXEL_SECONDS * total * numbers,
+            storage=(_PIXEL_BYTES * total + _STATE_BYTES * count) * numbers,
         )
 
     def measurement(self, subject: Subject, stream: Stream) -> tuple[Measurement, _Window]:
@@ -381,6 +465,7 @@ def variance_map(
     realizations: int = 64,
     *,
     crop: Sequence[int] | None = None,
+    pixels: int | str | None = None,
     size: Sequence[int] | None = None,
     light: int | str | None = None,
     heuristic: str = "balance",
@@ -417,6 +502,10 @@ def variance_map(
     crop
         x0, y0, width and height of the measured part; by default all pixels.
         A crop gives the same numbers as the whole image.
+    pixels
+        Number of pixels that are measured, at least 64, or their share as a text such as ``"1%"``.
+        They are chosen at random, one in each stratum of the image or crop.
+        All other pixels are interpolated, see Notes. By default, all pixels are measured.
     size
         Width and height of a grid of pixels laid over the film; by default the film's own.
         Another aspect ratio does not change the camera's view, but stretches the pixels.
@@ -496,6 +585,11 @@ def variance_map(
         ``largest_bounce`` and ``largest_decision`` are the indices of the largest shares.
         An index is −1 if the share does not differ significantly from another share.
 
+        With `pixels`: ``measured`` is 1 at measured pixels, otherwise 0.
+        ``interpolation_factor(strategy)`` is a factor f, and 1 at measured pixels:
+        at 95 % of the pixels the variance is between 1/f and f times the interpolated one.
+        Standard errors and intervals of all variables include the error of interpolation.
+
         With several samplers, all variables except the shares have the dim (sampler).
         The counts are those that all samplers can make.
         ``best_sampler(strategy)`` is the index of the sampler with the least variance at largest n.
@@ -514,6 +608,12 @@ def variance_map(
     All shares come from the same pairs of paths and are sensitive to outliers.
     With 128 pairs, a share of a few per cent that rare paths cause is mostly too small.
     The interval of such a share is also too small.
+
+    With `pixels`, another pixel gets the mean of its 8 nearest measured pixels.
+    Weights are inverse squares of distances [Shepard1968]_; variances are averaged as logarithms.
+    Choices such as ``bottleneck`` are those of the nearest measured pixel.
+    The error of interpolation is measured by leaving out each measured pixel once.
+    Intervals are as wide as needed for 95 % of these pixels; features between pixels may be missed.
 
     Pixels are measured in tiles. For any image, memory is therefore about 200 MiB plus the result.
     A study keeps finished tiles and can resume.
@@ -534,6 +634,9 @@ def variance_map(
             source = as_sampler(each, None if whole else analysis.points_dims)
             subjects.append(Subject(None, source))
         single = len(subjects) == 1
+        if pixels is not None and not (single or isinstance(rng, int)):
+            # All samplers measure the same pixels, also with a generator or without a seed
+            rng = np.random.SeedSequence(Stream.from_rng(rng).key)
         parts = [analysis] if single else checked(analysis).of_samplers(subjects)
         maps = [
             compute(part, subject, rng, workers=1)
@@ -571,8 +674,12 @@ def labelled(
     window: tuple[int, int, int, int],
     maps: Maps,
     smoothing: int,
+    chosen: Array | None = None,
 ) -> xr.Dataset:
-    """Make the dataset of a map from arrays (…, y, x) that hold all tiles."""
+    """Make the dataset of a map from arrays (…, y, x) that hold all tiles.
+
+    If only the `chosen` pixels (P, 2) are measured, arrays are (…, 1, P).
+    """
     x0, y0, width, height = window
     lighting, tracer = measurement.lighting, measurement.tracer
     variance, relative_se = maps.variance, maps.relative_se
@@ -612,6 +719,8 @@ def labelled(
             found |= {name: share, f"{name}_ci": np.stack(ends, axis=-1)}
     if np.isfinite(maps.predicted).any():
         found |= _predicted(maps, largest_se, lost)
+    if chosen is not None:
+        found = spread(found, chosen, window)
     bounces, decisions = (list(each) for each in measurement.partitions)
     return dataset(
         {name: (_DIMS[name], values) for name, values in found.items()},
@@ -659,7 +768,7 @@ def compared(maps: Sequence[xr.Dataset]) -> xr.Dataset:
     """Combine the maps of several samplers, and find the best sampler at each pixel."""
     import xarray as xr
 
-    shares = [name for name in _SHARES_OF_PATHS if name in maps[0]]
+    shares = [name for name in (*_SHARES_OF_PATHS, "measured") if name in maps[0]]
     names = [str(each.attrs["sampler"]) for each in maps]
     found = xr.concat(
         [each.drop_vars(shares, errors="ignore") for each in maps],
@@ -669,6 +778,10 @@ def compared(maps: Sequence[xr.Dataset]) -> xr.Dataset:
     )
     last = found.isel(n=-1)
     best = statistics.least(last["variance"].values, last["variance_relative_se"].values)
+    if "measured" in maps[0]:
+        # Interpolation errors are common to all samplers, so only measured pixels are compared
+        rows, columns = nearest_pixels(maps[0]["measured"].values == 1.0)
+        best = best[:, rows, columns]
     made = dataset({"best_sampler": (_DIMS["best_sampler"], best)})
     return found.assign({**maps[0][shares].data_vars, **made.data_vars}).assign_attrs(
         sampler=", ".join(names)

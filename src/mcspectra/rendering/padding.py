@@ -13,7 +13,6 @@ Mitsuba's own samplers are also padded, because they shuffle the points at each 
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar, final
@@ -26,7 +25,7 @@ from mcspectra.core.fields import settle
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.streams import Stream
 from mcspectra.rendering.paths import Dimension, in_dims
-from mcspectra.rendering.plugin import PaddedSets, joint_dims_of, joint_sampler
+from mcspectra.rendering.plugin import joint_dims_of, joint_sampler, padded_sets
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.samplers.law import Independent
 
@@ -132,7 +131,7 @@ class Padded(Sampler):
         return self
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
-        sets = _sets(self.source.spec, n, self.joint)
+        sets = padded_sets(self.source.spec, n, self.joint)
         out = np.empty((count, n, self.dims))
         place = 0
         for number, width in enumerate(self.requests):
@@ -156,11 +155,6 @@ class Padded(Sampler):
 
     def _count_warning(self, n: int) -> str | None:
         return self.source._count_warning(n)
-
-
-@functools.lru_cache(maxsize=32)
-def _sets(spec: str, count: int, joint: int) -> PaddedSets:
-    return PaddedSets(spec=spec, count=count, joint=joint)
 
 
 def padding_note(sampler: Sampler) -> str:

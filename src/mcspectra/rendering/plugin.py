@@ -44,7 +44,14 @@ from mcspectra.core.jit import kernel
 from mcspectra.core.parallel import available_workers, map_in_order
 from mcspectra.core.streams import Stream, mix_bits
 from mcspectra.rendering.backend import LARGEST_SAMPLE, LOCK, import_mitsuba, load_mitsuba
-from mcspectra.rendering.kernel_nets import JointSets, Net, Pads, net_of, shifted_net_of
+from mcspectra.rendering.kernel_nets import (
+    JointPoints,
+    JointSets,
+    Net,
+    Pads,
+    net_of,
+    shifted_net_of,
+)
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.samplers.nets import JoinedPairs
 
@@ -59,6 +66,7 @@ __all__ = [
     "Rounds",
     "joint_dims_of",
     "joint_sampler",
+    "padded_sets",
     "register_samplers",
     "seed_lanes",
 ]
@@ -144,7 +152,7 @@ class _Options:
             raise ParameterError(
                 f"samples_per_pass is {most}; give a divisor of sample_count, {count}, or 0."
             )
-        return PaddedSets(spec=self.spec, count=count, joint=self.joint_dims)
+        return padded_sets(self.spec, count, self.joint_dims)
 
     def stream(self, seed: int) -> Stream:
         """Return the random stream of a seed."""
@@ -358,9 +366,11 @@ def seed_lanes(
         if nets is None
         else Pads(module, nets, sets.count, stream, shifted=sets.shifted)
     )
-    joint: _DeviceSets | JointSets | None = None
+    pixel = lane // width
+    index = lane - pixel * width
+    joint: _DeviceSets | JointPoints | None = None
     if sets.joint_net is not None:
-        joint = JointSets(module, sets.joint_net, sets.count, stream)
+        joint = JointSets(module, sets.joint_net, sets.count, stream).at(pixel, index)
     elif sets.joint:
         joint = _DeviceSets(module, sets.joints(stream, 0, min(pixels, rounds.size)))
     return LaneState(
@@ -370,8 +380,8 @@ def seed_lanes(
         done=0,
         pads=pads,
         joint=joint,
-        pixel=lane // width,
-        index=lane % width,
+        pixel=pixel,
+        index=index,
         **{name: drjit.opaque(module.UInt32, 0) for name in _TAKEN},
     )
 
@@ -387,6 +397,10 @@ class _DeviceSets:
 
         self.dims, self._numbers = sets.shape[2], module.Float(sets.ravel())
         self.size, self._count = (drjit.opaque(module.UInt32, k) for k in sets.shape[:2])
+
+    def at(self, _: Any, __: Any) -> _DeviceSets:
+        """Return the sets, from which each request gathers its numbers."""
+        return self
 
     def draw(self, dims: int, number: Any, start: Any, index: Any, active: Any) -> list[Any]:
         """Return `dims` coordinates of point `index` in set `number` modulo `size`."""
@@ -441,7 +455,7 @@ class LaneState:
     per_pass: int
     done: int
     pads: _TablePads | Pads
-    joint: _DeviceSets | JointSets | None
+    joint: _DeviceSets | JointPoints | None
     pixel: Any
     index: Any
     coordinate: Any
@@ -459,6 +473,8 @@ class LaneState:
         zero = self.module.UInt32(0)
         self.done += self.per_pass
         self.index = self.index + self.per_pass
+        if self.joint is not None:
+            self.joint = self.joint.at(self.pixel, self.index)
         self.coordinate, self.single_offset, self.pair_offset = zero, zero, zero
 
     def schedule(self) -> None:
@@ -623,3 +639,9 @@ class PaddedSets:
         for _ in map_in_order(fill, range(0, sets, size), workers):
             pass
         return out
+
+
+@functools.lru_cache(maxsize=64)
+def padded_sets(spec: str, count: int, joint: int | None) -> PaddedSets:
+    """Return the point sets of a sampler; an image makes several copies of its sampler object."""
+    return PaddedSets(spec=spec, count=count, joint=joint)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import shlex
+import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -22,9 +23,19 @@ from mcspectra.rendering.maps import missed
 from mcspectra.rendering.scenes import SCENES, sized
 from mcspectra.report import page as html
 
-__all__ = ["map_layers", "map_note", "map_sentences", "map_summary", "map_table", "write_map"]
+__all__ = [
+    "map_layers",
+    "map_note",
+    "map_sentences",
+    "map_summary",
+    "map_table",
+    "page_seconds",
+    "subset_note",
+    "write_map",
+]
 
 _TELLING = 0.1  # a cause is named if it applies to more than this share of the pixels
+_DRAWN = 512  # longest side of a map that is drawn to estimate the time of a page
 _COLUMNS = {
     "mean": "Mean",
     "variance": "Variance",
@@ -143,6 +154,7 @@ def write_map(result: xr.Dataset, folder: str | Path) -> Path:
         title=f"Variance map of {Path(known['scene']).name}",
         what="map",
         lead=(
+            *([html.Paragraph(text=subset_note(summary))] if "subset" in summary else []),
             *([html.Paragraph(text=summary["answer"])] if "answer" in summary else []),
             html.Paragraph(text=settings, kind="soft"),
         ),
@@ -157,6 +169,26 @@ def write_map(result: xr.Dataset, folder: str | Path) -> Path:
         ),
     )
     return html.write_page(page, root / "report.html", root)
+
+
+def page_seconds(figures: int, size: tuple[int, int]) -> float:
+    """Estimate the seconds to write a page with this number of maps, from drawing one map twice."""
+    from mcspectra.plots.backend_matplotlib import draw, encode
+
+    height, width = (min(side, _DRAWN) for side in size[::-1])
+    y, x = np.mgrid[:height, :width]
+    values = (1.0 + x + y)[None]
+    place = ("strategy", "y", "x")
+    made = xr.Dataset(
+        {"mean": (place, values), "rate": (place, values)},
+        {"strategy": ["path"], "y": np.arange(height), "x": np.arange(width)},
+    )
+    spent = []
+    for _ in range(2):  # the first drawing also loads fonts
+        start = time.perf_counter()
+        encode(draw(kinds.describe("map-mean", made)))
+        spent.append(time.perf_counter() - start)
+    return spent[0] + figures * spent[1]
 
 
 def map_table(summary: Mapping[str, Any]) -> html.Table:
@@ -230,6 +262,10 @@ def map_summary(result: xr.Dataset) -> dict[str, Any]:
     With several samplers, the entry of a strategy is called "STRATEGY, SAMPLER".
     All other entries describe the first sampler, except the entry about the best sampler.
     """
+    subset = _subset(result)
+    if subset:
+        # Interpolated pixels are less noisy than measured ones, and are left out
+        result = result.where(result["measured"] == 1.0)
     whole, several, parts = result, "sampler" in result.dims, list(along(result, "sampler"))
     strategies = {
         f"{strategy}, {name}" if several else str(strategy): _strategy_summary(
@@ -243,6 +279,7 @@ def map_summary(result: xr.Dataset) -> dict[str, Any]:
     last = result.isel(n=-1)
     found: dict[str, Any] = {**result.attrs, "counts": result["n"].values.tolist()}
     found |= {name: json.loads(found[name]) for name in ("size", "crop") if name in found}
+    found |= {"subset": subset} if subset else {}
     found["strategies"] = strategies
     for name in ("bottleneck", "dominant_technique"):
         if name in result:
@@ -276,16 +313,54 @@ def map_summary(result: xr.Dataset) -> dict[str, Any]:
         found["answer"] = _sampler_answer(whole.isel(strategy=-1, n=-1), found)
     # List the pixels at which the last strategy has the largest variance, at the largest n
     variance = result["variance"].isel(strategy=-1, n=-1).values
+    part = subset["measured"] / subset["pixels"] if subset else 1.0
     found["worst_pixels"] = [
         {
             "x": int(result["x"][column]),
             "y": int(result["y"][row]),
             "variance": float(variance[row, column]),
-            "share": float(variance[row, column]) / float(np.nansum(variance)),
+            "share": part * float(variance[row, column]) / float(np.nansum(variance)),
         }
         for row, column in worst_pixels(variance)
     ]
     return found
+
+
+def _subset(result: xr.Dataset) -> dict[str, float]:
+    """Return the number of measured pixels, of all pixels, and the error of interpolation.
+
+    The factor is the median over interpolated pixels, for the last strategy of the first sampler.
+    """
+    if "measured" not in result:
+        return {}
+    measured = result["measured"].values == 1.0
+    factor = result["interpolation_factor"].isel(strategy=-1)
+    factor = factor.isel(sampler=0) if "sampler" in factor.dims else factor
+    return {
+        "measured": int(measured.sum()),
+        "pixels": measured.size,
+        "interpolation_factor": _median(factor.values[~measured]),
+    }
+
+
+def subset_note(summary: Mapping[str, Any]) -> str:
+    """Return the sentences on the measured pixels and the error of interpolation, if any."""
+    subset = summary.get("subset")
+    if subset is None:
+        return ""
+    count, total = subset["measured"], subset["pixels"]
+    factor = subset["interpolation_factor"]
+    measured = f"{count:,} of {total:,} pixels ({percent(count / total)})"
+    told = (
+        "the error of interpolation is unknown, because too few pixels have a variance."
+        if not math.isfinite(factor)
+        else f"the variance of 95 % of these pixels is within a factor of {number(factor)} of the "
+        "interpolated one (median over pixels, measured by leaving pixels out)."
+    )
+    return (
+        f"A map of a subset: {measured} are measured, one at random in each stratum of the image. "
+        f"All others are interpolated: {told}"
+    )
 
 
 def _causes(result: xr.Dataset, kind: str) -> dict[str, dict[str, float]]:
@@ -406,8 +481,9 @@ def map_note(summary: Mapping[str, Any]) -> str:
     """Describe the numbers of `map_summary`, and warn if pixels have correlated errors."""
     paths = any(name.partition(",")[0] == "path" for name in summary["strategies"])
     seen = "" if paths else " that show a lit surface"
+    which = "measured pixels" if "subset" in summary else "pixels"
     note = (
-        f"Medians over the {summary['pixels_measured']} pixels{seen}; mean and "
+        f"Medians over the {summary['pixels_measured']} {which}{seen}; mean and "
         f"variance at n = {summary['counts'][-1]}."
     )
     if summary.get("prediction") in _METHODS:
@@ -433,6 +509,8 @@ def map_note(summary: Mapping[str, Any]) -> str:
 def map_sentences(result: xr.Dataset) -> Iterator[str]:
     """Yield the findings of a map: answer, medians by strategy, their meaning, and their causes."""
     summary = map_summary(result)
+    if "subset" in summary:
+        yield subset_note(summary)
     if "answer" in summary:
         yield summary["answer"]
     for strategy, row in summary["strategies"].items():

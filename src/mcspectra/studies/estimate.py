@@ -1,6 +1,7 @@
 """Estimate the time, memory and storage of every cell of a study from short trial runs.
 
-A cell with many realizations is run twice with few realizations, and once with more.
+Analyses of scenes measure a few pixels (`Analysis.trial`).
+Any other cell with many realizations is run twice with few realizations, and once with more.
 The difference of the times gives the time per realization.
 The time of a cell without a trial run is estimated in proportion to the cell's cost.
 """
@@ -46,6 +47,8 @@ class CellEstimate(msgspec.Struct, frozen=True, kw_only=True):
         Approximate number of tasks: one per second of work, or a single one for a short cell.
     error
         Reason why the cell will fail, if planning found one.
+    alone
+        Whether the cell uses all processors by itself, as renderers do.
     """
 
     path: str
@@ -58,6 +61,7 @@ class CellEstimate(msgspec.Struct, frozen=True, kw_only=True):
     tried: bool
     tasks: int = 1
     error: str | None = None
+    alone: bool = False
 
 
 def estimate_study(plan: StudyPlan, *, probe_seconds: float = 10.0) -> list[CellEstimate]:
@@ -128,6 +132,7 @@ def estimate_study(plan: StudyPlan, *, probe_seconds: float = 10.0) -> list[Cell
                 tried=cell.path in tried,
                 tasks=math.ceil(seconds / target) if seconds > target and cut[name] else 1,
                 error=cell.error,
+                alone=cell.analysis.about == "scene",
             )
         )
     return estimates
@@ -138,17 +143,22 @@ def wall_time(estimates: Sequence[CellEstimate], workers: int) -> float:
 
     The estimate is at least the time of the longest cell.
     """
-    seconds = [each.seconds for each in estimates]
-    return max(sum(seconds) / workers, max(seconds, default=0.0))
+    alone = sum(each.seconds for each in estimates if each.alone)
+    seconds = [each.seconds for each in estimates if not each.alone]
+    return alone + max(sum(seconds) / workers, max(seconds, default=0.0))
 
 
 def _measured(cell: StudyCell, seed: int, left: float) -> tuple[float, int] | None:
     """Return seconds of all realizations and stored bytes, or None if a cell fails or is large."""
     realizations: int = cell.analysis.realizations  # type: ignore[attr-defined]
-    if cell.need.cost / realizations * _FEW * _NOMINAL > left:
+    scene = cell.analysis.about == "scene"
+    if not scene and cell.need.cost / realizations * _FEW * _NOMINAL > left:
         return None
     few = min(_FEW, realizations)
     try:
+        found = cell.analysis.trial(cell.subject, Stream.from_rng(seed), 0.5 * left)
+        if found is not None:
+            return found
         first, size = _timed(cell, few, seed)  # The first run may include compilation
         again, _ = _timed(cell, few, seed)
         if 2 * again > left:

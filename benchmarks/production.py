@@ -1,0 +1,122 @@
+"""Work on scenes at production size: maps against raw renders, adaptive images, estimated times.
+
+Without a flag, a crop of 240 × 135 pixels is mapped (paths of depth 6, n = 4, 16 and 64).
+The same samples are rendered by ``mi.render`` with the stock sampler, in turn with the map.
+``--adaptive`` compares images with samples per pixel of a map with equal samples at equal cost.
+``--dry-run`` compares estimated times of maps and images with measured ones.
+"""
+
+import math
+import time
+
+import numpy as np
+from tests.rendering.small_scenes import SCENES
+
+from mcspectra.core.analysis import Subject
+from mcspectra.core.streams import Stream
+from mcspectra.rendering import load_mitsuba, variance_map
+from mcspectra.rendering.adaptive import render_adaptive, samples_per_pixel
+from mcspectra.rendering.maps import Map
+from mcspectra.samplers import as_sampler
+
+CROP, COUNTS, REALIZATIONS, ROUNDS = (240, 135), (4, 16, 64), 4, 5
+SHARES = (0.5, 0.95, 0.99)  # shares of the pixels whose largest errors are compared
+LUMINANCE = (0.212671, 0.715160, 0.072169)
+
+
+def against_raw():
+    """Print the time of a map in relation to raw renders of the same samples."""
+    mitsuba = load_mitsuba()
+    scene = SCENES["room"](width=CROP[0], height=CROP[1])
+    loaded = mitsuba.load_dict(scene)
+
+    def mapped():
+        variance_map(scene, integrator="scene", counts=COUNTS, realizations=REALIZATIONS, chains=0)
+
+    def raw():
+        for n in COUNTS:
+            for seed in range(REALIZATIONS):
+                np.array(mitsuba.render(loaded, spp=n, seed=mitsuba.UInt32(seed)))
+
+    mapped(), raw()  # compile
+    pairs = []
+    for _ in range(ROUNDS):
+        start = time.perf_counter()
+        mapped()
+        middle = time.perf_counter()
+        raw()
+        pairs.append((middle - start, time.perf_counter() - middle))
+    ratios = sorted(a / b for a, b in pairs)
+    samples = CROP[0] * CROP[1] * sum(COUNTS) * REALIZATIONS / 1e6
+    print(
+        f"map / mi.render of the same {samples:.1f} million samples: median "
+        f"{ratios[len(ratios) // 2]:.2f}, from {ratios[0]:.2f} to {ratios[-1]:.2f} in {ROUNDS} "
+        f"pairs; {samples / min(a for a, _ in pairs):.2f} and "
+        f"{samples / min(b for _, b in pairs):.2f} million samples/s"
+    )
+
+
+def adaptive(width=32, height=24, renders=24):
+    """Print errors of adaptive images, divided by errors with equal samples at equal cost."""
+    for name, target in (("room", 0.1), ("sky", 0.03), ("lens", 0.05), ("fog", 0.1)):
+        scene = SCENES[name](width=width, height=height)
+        found = variance_map(
+            scene, integrator="scene", counts=COUNTS, realizations=32, chains=0, rng=1
+        )
+        wanted = samples_per_pixel(found, target)
+        cost = float((2 ** np.ceil(np.log2(wanted.spp))).mean())
+        low = 2 ** math.floor(math.log2(cost))
+
+        def errors(spp, first, scene=scene):
+            made = [render_adaptive(scene, spp, seed=first + k) for k in range(renders)]
+            values = np.stack(made) @ LUMINANCE
+            seen = values.mean(axis=0) > 0
+            relative = values.std(axis=0, ddof=1)[seen] / values.mean(axis=0)[seen]
+            return np.array([*np.quantile(relative, SHARES), np.mean(relative**2) ** 0.5])
+
+        own = errors(wanted.spp, 0)
+        both = [errors(np.full((height, width), n), 1000 * n) for n in (low, 2 * low)]
+        share = math.log2(cost / low)
+        equal = np.exp((1 - share) * np.log(both[0]) + share * np.log(both[1]))
+        told = ", ".join(f"{v:.2f}" for v in own / equal)
+        ends = f"{wanted.spp.min()} to {wanted.spp.max():4} samples, cost {cost:3.0f}"
+        print(
+            f"{name:5} target {target:<4}: {ends}; errors at 50, 95 and 99 % and RMS: {told}; "
+            f"error at 95 % {own[1]:.3f}",
+            flush=True,
+        )
+
+
+def estimated():
+    """Print estimated and measured seconds of maps."""
+    for scene, options in (
+        ("veach", {"crop": (100, 100, 60, 40)}),
+        ("penumbra(width=96, height=72)", {"integrator": "path(max_depth=4)", "counts": (4, 16)}),
+        (
+            "penumbra(width=96, height=72)",
+            {"integrator": "path(max_depth=4)", "crop": (20, 9, 40, 40)},
+        ),
+    ):
+        analysis = Map(scene=scene, realizations=16, **options)
+        sampler = as_sampler(analysis.default_sampler, 2)
+        cost = analysis.cost(Subject(None, sampler), Stream.from_rng(0))
+        start = time.perf_counter()
+        variance_map(scene, realizations=16, **options)
+        seconds = time.perf_counter() - start
+        print(
+            f"{scene} {options}: estimated {cost.seconds:.1f} s, measured {seconds:.1f} s, ratio "
+            f"{cost.seconds / seconds:.2f}",
+            flush=True,
+        )
+
+
+def main(*flags):
+    """Print one of the three comparisons."""
+    mitsuba = load_mitsuba()
+    mitsuba.set_log_level(mitsuba.LogLevel.Error)
+    if "--adaptive" in flags:
+        adaptive()
+    elif "--dry-run" in flags:
+        estimated()
+    else:
+        against_raw()

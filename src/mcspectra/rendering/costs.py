@@ -1,0 +1,139 @@
+"""Size, time and storage of work on a scene, estimated from short measured runs.
+
+All verbs of scenes use the same method.
+The work is run at growing sizes until a run takes long enough.
+Sizes are numbers of pixels, or of samples per pixel.
+The first run also compiles kernels, so it is repeated.
+The time is a fixed part and a part in proportion to the size, by the last two runs.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, final
+
+from mcspectra.core.display import counted
+
+__all__ = ["SceneCost", "TimedWork", "timed_work"]
+
+_GROWTH = 4  # ratio of the sizes of successive runs
+_ENOUGH = 0.25  # share of the time for all runs that ends the growth of sizes
+
+
+@final
+@dataclass(frozen=True)
+class SceneCost:
+    """Estimated size, time and storage of work on a scene; print it for a sentence.
+
+    Attributes
+    ----------
+    what
+        The work in words, after the number of pixels.
+    size
+        Width and height of the image or crop, in pixels.
+    pixels
+        Number of pixels that are measured or rendered.
+    samples
+        Number of samples of all pixels.
+    samples_per_second
+        Speed that was measured.
+    seconds
+        Estimated time, with the time for loading, compiling and writing.
+    storage
+        Estimated bytes of all written files; 0 if nothing is stored.
+    """
+
+    scene: str
+    what: str
+    size: tuple[int, int]
+    pixels: int
+    samples: int
+    samples_per_second: float
+    seconds: float
+    storage: int = 0
+
+    @property
+    def text(self) -> str:
+        """The estimate as a sentence."""
+        stored = f"about {_bytes(self.storage)} are stored" if self.storage else "nothing is stored"
+        return (
+            f"{self.scene}, {self.size[0]} × {self.size[1]} pixels: "
+            f"{counted(self.pixels, 'pixel')}, {self.what}, {self.samples / 1e6:.1f} million "
+            f"samples at {self.samples_per_second / 1e6:.2g} million per second: about "
+            f"{_duration(self.seconds)}; {stored}."
+        )
+
+    def __str__(self) -> str:
+        return self.text
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain numbers and texts."""
+        return dict(vars(self))
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 300.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 3 * 3600.0 else f"{seconds / 3600.0:.1f} h"
+
+
+def _bytes(number: float) -> str:
+    power = min(max(int(math.log(max(number, 1.0), 1000.0)), 1), 4)
+    return f"{number / 1000.0**power:.2g} {('kB', 'MB', 'GB', 'TB')[power - 1]}"
+
+
+@final
+@dataclass(frozen=True)
+class TimedWork:
+    """Seconds of the whole work, and of one unit of its size."""
+
+    seconds: float
+    each: float
+
+
+def timed_work(
+    work: Callable[[int], object],
+    total: int,
+    *,
+    first: int,
+    most: int | None = None,
+    seconds: float = 4.0,
+) -> TimedWork:
+    """Estimate the seconds of ``work(total)`` from runs of growing sizes.
+
+    Parameters
+    ----------
+    work
+        Function of the size of the work, whose time grows in proportion to the size.
+    total
+        Size of the whole work.
+    first, most
+        Sizes of the first and of the largest run.
+    seconds
+        Approximate time for all runs, without the first, which compiles.
+    """
+    largest = min(total, most or total)
+    size, runs = min(first, largest), []
+    start = time.perf_counter()
+    work(size)
+    compiled = time.perf_counter() - start
+    while True:
+        start = time.perf_counter()
+        work(size)
+        spent = time.perf_counter() - start
+        runs.append((size, spent))
+        if size >= largest or spent > _ENOUGH * seconds:
+            break
+        size = min(_GROWTH * size, largest)
+    size, spent = runs[-1]
+    each = spent / size
+    if len(runs) > 1:
+        before, shorter = runs[-2]
+        # The slope is between half of the mean time and the mean time, whatever a busy machine does
+        slope = (spent - shorter) / (size - before)
+        each = min(max(slope, 0.5 * each), each)
+    fixed = max(spent - each * size, 0.0) + max(compiled - runs[0][1], 0.0)
+    return TimedWork(fixed + each * total, each)
