@@ -12,7 +12,7 @@ ROOMS = ("measure", "explain", "improve", "improve/designs", "profiler")
 # streams, the tile of a kernel, a definition
 FACTS = {
     *("_EDGE", "_LEVEL", "_SIDE", "_RATES", "_TILE", "_START", "_PARTNER", "_ORDER", "_UNIFORM"),
-    *("EFFECTIVE_SHARE", "UNDECIDED", "SHARED_SETS", "_PILOTS", "_PARTS", "_VERSION"),
+    *("EFFECTIVE_SHARE", "UNDECIDED", "SHARED_SETS", "_PILOTS", "_PARTS", "_VERSION", "_ENDLESS"),
 }
 MODULES = [
     path for room in ROOMS for path in sorted((Path(mcspectra.__file__).parent / room).glob("*.py"))
