@@ -659,6 +659,10 @@ def _command_answer(arguments, folder):
     return str(code), (err.getvalue() or out.getvalue()).strip()
 
 
+GIVEN = {"study.toml", "bad.toml", "frames", "small", "nan", "broken.npy"}
+"""Names of the input files and folders of the rows."""
+
+
 def _write_frames(folder):
     """Write frames of two sizes, frames without finite pixels, and a broken file."""
     import numpy as np
