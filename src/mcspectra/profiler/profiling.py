@@ -484,7 +484,7 @@ def profile(
     >>> import mcspectra as mcs
     >>> found = mcs.profile(lambda x: abs(x.sum(axis=-1) - 0.8), dims=2)
     >>> found.causes[0].name, found.answer.best.name
-    ('kink', 'sobol | owen')
+    ('kink', "rank1-lattice | shift | mirror(mode='fold')")
     """
     if _is_scene(f):
         from mcspectra.profiler.scene_profile import profile_scene
