@@ -1036,12 +1036,13 @@ def _measured_rivals(
             if lattice and curve.counts[-1:].sum() < _SETTINGS.few_points:
                 curve = replace(curve, rate=max(curve.rate, _SETTINGS.steepest_rate))
             elif name in steep:
-                # Few counts hardly show the rate.
-                # The rate lies between −1, the rate of random points, and the theoretical rate.
-                # Assume the mean of both, with a quarter of their difference as standard error
+                # Few counts hardly show the rate. It is at most as steep as in theory, and at least
+                # a quarter of this, which are two standard errors from their mean
                 limit = -2.0 * CANDIDATE_SETTINGS.order * (1.0 - _growth(causes))
-                curve = curve.towards(0.5 * (limit - 1.0), abs(0.25 * (limit + 1.0)))
-                curve = replace(curve, rate=max(curve.rate, limit))
+                error = -0.1875 * limit
+                curve = curve.towards(0.625 * limit, error)
+                rate, rate_se = max(curve.rate, limit), min(curve.rate_se, error)
+                curve = replace(curve, rate=rate, rate_se=rate_se)
             # If g jumps, all estimates of small sets may be equal, although larger sets differ
             if not (jumps and math.isfinite(curve.vanishes)):
                 curves[name] = curve
