@@ -12,7 +12,9 @@ import time
 import numpy as np
 from tests.rendering.small_scenes import SCENES
 
+from benchmarks.timing import compare
 from mcspectra.core.analysis import Subject
+from mcspectra.core.images import REC709
 from mcspectra.core.streams import Stream
 from mcspectra.rendering import load_mitsuba, variance_map
 from mcspectra.rendering.adaptive import render_adaptive, samples_per_pixel
@@ -21,7 +23,6 @@ from mcspectra.samplers import as_sampler
 
 CROP, COUNTS, REALIZATIONS, ROUNDS = (240, 135), (4, 16, 64), 4, 5
 SHARES = (0.5, 0.95, 0.99)  # shares of the pixels whose largest errors are compared
-LUMINANCE = (0.212671, 0.715160, 0.072169)
 
 
 def against_raw():
@@ -38,21 +39,11 @@ def against_raw():
             for seed in range(REALIZATIONS):
                 np.array(mitsuba.render(loaded, spp=n, seed=mitsuba.UInt32(seed)))
 
-    mapped(), raw()  # compile
-    pairs = []
-    for _ in range(ROUNDS):
-        start = time.perf_counter()
-        mapped()
-        middle = time.perf_counter()
-        raw()
-        pairs.append((middle - start, time.perf_counter() - middle))
-    ratios = sorted(a / b for a, b in pairs)
+    best, reference, ratio = compare(mapped, raw, ROUNDS)
     samples = CROP[0] * CROP[1] * sum(COUNTS) * REALIZATIONS / 1e6
     print(
-        f"map / mi.render of the same {samples:.1f} million samples: median "
-        f"{ratios[len(ratios) // 2]:.2f}, from {ratios[0]:.2f} to {ratios[-1]:.2f} in {ROUNDS} "
-        f"pairs; {samples / min(a for a, _ in pairs):.2f} and "
-        f"{samples / min(b for _, b in pairs):.2f} million samples/s"
+        f"map / mi.render of the same {samples:.1f} million samples: median {ratio:.2f} of "
+        f"{ROUNDS} pairs; {samples / best:.2f} and {samples / reference:.2f} million samples/s"
     )
 
 
@@ -69,7 +60,7 @@ def adaptive(width=32, height=24, renders=24):
 
         def errors(spp, first, scene=scene):
             made = [render_adaptive(scene, spp, seed=first + k) for k in range(renders)]
-            values = np.stack(made) @ LUMINANCE
+            values = np.stack(made) @ REC709
             seen = values.mean(axis=0) > 0
             relative = values.std(axis=0, ddof=1)[seen] / values.mean(axis=0)[seen]
             return np.array([*np.quantile(relative, SHARES), np.mean(relative**2) ** 0.5])

@@ -10,10 +10,8 @@ from __future__ import annotations
 
 import contextlib
 import os
-import tempfile
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
@@ -53,9 +51,12 @@ def _locked(name: str) -> Iterator[None]:
     try:
         import fcntl
 
-        folder = Path(tempfile.gettempdir()) / f"mcspectra-kernels-{os.getuid()}"
-        folder.mkdir(mode=0o700, exist_ok=True)
-        file = (folder / name).open("w")
+        from mcspectra.core.cache import cache_folder
+
+        # Other users could place links in a folder that they share with this user
+        folder = cache_folder() / "kernels"
+        folder.mkdir(parents=True, exist_ok=True)
+        file = (folder / name).open("a")
     except (ImportError, OSError):
         yield
         return

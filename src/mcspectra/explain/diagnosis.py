@@ -130,7 +130,9 @@ class Diagnosis:
                     "subtracted."
                 )
             case "periodized":
-                return "Its g is 0 at the border and periodic, so lattices have a steep rate."
+                return (
+                    "Its g is constant at the border and periodic, so lattices have a steep rate."
+                )
             case "heuristic" if self.slow:
                 return f"It changes the contribution of {self.slow}, most of the variance."
             case "techniques" if self.slow and name != f"only {self.slow}":

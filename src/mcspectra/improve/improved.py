@@ -21,7 +21,8 @@ The changes of these kinds keep the integral, whatever the evaluations of g are:
 
 `Cubic` needs no pilot: it subtracts polynomials from g.
 These polynomials go through the values of g at the centers of cells.
-`Periodized` needs no pilot either: a substitution makes g periodic and 0 at the border.
+`Periodized` substitutes the variables, so that g is constant at the border and periodic.
+It needs only a constant near the integral.
 
 The expected gain of a change is computed from evaluations that were not used in its fit.
 """

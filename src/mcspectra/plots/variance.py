@@ -556,20 +556,16 @@ def anova(group: Group, styles: Styles) -> Plot:
 
 def remedies(group: Group, _: Styles) -> Plot:
     """Plot the variance of each change relative to the set-up as given, with intervals."""
-    # Every ratio is shown. An interval may be much wider than all ratios: its end leaves the panel
-    ratios = np.concatenate([each["error_ratio"].values for each in group.values()])
-    ratios = ratios[np.isfinite(ratios) & (ratios > 0)]
-    least, most = float(ratios.min(initial=0.5)), float(ratios.max(initial=2.0))
-    known = np.concatenate([each["error_ratio_ci"].values.ravel() for each in group.values()])
-    known = known[(known >= least / _BEYOND) & (known <= most * _BEYOND)]
-    axis = log_axis(
-        "variance / variance as given",
-        float(known.min(initial=least)),
-        float(known.max(initial=most)),
-    )
     panels = []
     for name, each in group.items():
+        # Every ratio is shown. If an interval is much wider than all ratios, its end is cut off.
+        # Each set-up has its own axis, because the ratios of one may span many decades
         ratio, ends = each["error_ratio"].values, np.maximum(each["error_ratio_ci"].values, 1e-30)
+        used = ratio[np.isfinite(ratio) & (ratio > 0)]
+        least, most = float(used.min(initial=0.5)), float(used.max(initial=2.0))
+        known = ends[(ends >= least / _BEYOND) & (ends <= most * _BEYOND)]
+        low, high = float(known.min(initial=least)), float(known.max(initial=most))
+        axis = log_axis("variance / variance as given", low, high)
         rows, verdicts = (each[key].values.astype(str) for key in ("remedy", "verdict"))
         marks: list[Mark] = [ReferenceLine(at=1.0, axis="x", color=GRAY, width=0.7)]
         for verdict in dict.fromkeys(verdicts):
@@ -602,7 +598,6 @@ def remedies(group: Group, _: Styles) -> Plot:
         words="Ratios of variances. "
         + for_each(group, lambda d: _named_values(d, "remedy", "error_ratio")),
         height=0.1 + 0.045 * max(each.sizes["remedy"] for each in group.values()),
-        share="x",
     )
 
 
