@@ -336,3 +336,20 @@ def test_titles_of_narrow_panels_have_two_lines_before_they_are_shortened():
     assert "relative minimum\ndistance" in shown
     assert not any(names[1] in text for text in shown)
     assert any(text.startswith("points(") and "…" in text for text in shown)
+
+
+def test_whiskers_at_a_single_point_of_logarithmic_axes_are_drawn_without_a_warning():
+    n, measured, predicted = (
+        np.array([256.0]),
+        np.array([1.56231299e-05]),
+        np.array([1.50162976e-05]),
+    )
+    panel = Panel(
+        marks=(
+            Dots(x=n, y=measured, color=FAINT, low=0.9 * measured, high=1.1 * measured),
+            Dots(x=n, y=predicted, color=FAINT, low=predicted - 4e-13, high=predicted + 4e-13),
+        ),
+        x=Axis(label="n", kind="log", low=128.0, high=512.0),
+        y=Axis(label="variance", kind="log", low=1.3e-5, high=1.8e-5),
+    )
+    encode(draw(plot(panel, height=0.95, small=True)))

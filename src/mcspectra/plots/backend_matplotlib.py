@@ -500,6 +500,9 @@ def _panel(axes: Axes, panel: Panel, look: Look) -> Iterator[tuple[Scale, Scalar
         elif axis.kind == "signed":
             options = {"linthresh": axis.threshold, "linscale": _LINEAR}
             getattr(axes, f"set_{which}scale")("symlog", **options)
+        if axis.low is not None and axis.high is not None:
+            # Otherwise whiskers at a single point of a logarithmic axis divide by a width of 0
+            getattr(axes, f"set_{which}lim")(axis.low, axis.high)
     found: dict[Scale, ScalarMappable] = {}
     for k, mark in enumerate(panel.marks):
         drawn = _mark(axes, mark, 1.0 + 0.01 * k, look)
