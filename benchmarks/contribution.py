@@ -1,7 +1,7 @@
 """Time of `variance_terms` with 64 given bands, relative to drawing and transforming the points.
 
 The reference draws and transforms the points, and does nothing else.
-Every analysis of this kind needs these two steps.
+Every analysis of spectra must draw and transform its points.
 The seconds are the least of all rounds. The ratio is the median of the ratios of each round.
 The ratio of least times is also printed, because the machine may have been busy.
 """

@@ -5,11 +5,11 @@ The design with the least variance over 400 integrands is measured over 2,000 ot
 The integrands form 20 groups, each with its own 32 realizations.
 Rivals are sobol | owen, pmj02, and shifted Korobov, rank-1 and Fibonacci lattices.
 ``MCSPECTRA_NETS`` may name a folder with direction numbers of OneTwo and quad-optimized nets.
-With such a folder, nets in base 3, scrambled by owen, are also rivals.
+If this folder is given, designs are also compared with nets in base 3, scrambled by owen.
 
 The last lines compare designs with folded lattices, on Gaussians of random orientation.
-In this class, half of the mean variance comes from a few narrow Gaussians.
-Therefore 20,000 Gaussians are measured, with 128 realizations per group.
+Among these Gaussians, a few narrow ones cause half of the mean variance.
+Therefore the benchmark measures 20,000 Gaussians, with 128 realizations per group.
 """
 
 from __future__ import annotations

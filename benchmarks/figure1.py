@@ -1,4 +1,7 @@
-"""The paper's Figure 1: eight rates of two pixels under a square light, with jittered points."""
+"""The paper's Figure 1: eight convergence rates, for two pixels under a square area light.
+
+The points are jittered.
+"""
 
 from __future__ import annotations
 

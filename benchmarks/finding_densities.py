@@ -23,7 +23,7 @@ __all__ = ["channels", "infinite_weights", "mis_slowest", "warps"]
 Plots = dict[str, Plot]
 
 COUNTS, LARGE, LONG = (16, 64, 256, 1024), (64, 256, 1024, 4096), (4, 16, 64, 256, 1024, 4096)
-LIGHT = "piecewise-constant(values=[0, 0, 0, 1, 1, 0, 0, 0, 0, 0])"  # a light on [0.3, 0.5]
+LIGHT = "piecewise-constant(values=[0, 0, 0, 1, 1, 0, 0, 0, 0, 0])"  # on the interval [0.3, 0.5]
 PIXELS = np.array(
     [[0.3, 0.4, 0.9], [0.2, 0.5, 1.0], [6.0, 1.0, 0.4], [14.0, 12.0, 7.0],
      [0.6, 5.0, 0.8], [0.4, 0.7, 4.0], [0.1, 0.9, 0.3], [1.2, 0.3, 0.2]]

@@ -3,7 +3,7 @@
 Every error that a user can cause derives from `McspectraError`.
 The command line prints such an error as one sentence and exits with code 2.
 Errors about values also derive from `ValueError` or another built-in class that fits.
-Code outside this package can therefore catch them by these classes.
+Code outside this package can therefore catch its errors by built-in classes.
 
 A message consists of parts: text, options (`Parameter`) and public functions (`Function`).
 For example: ``ParameterError(Parameter("bins"), " is 0; give more.")``.
@@ -261,7 +261,7 @@ def close_match_hint(
     """Return a hint such as `` Did you mean 'x'?``, and the names that are close to `given`.
 
     If no name is close, the hint lists all names.
-    If there are many, it gives their number and mentions `command`, which prints all names.
+    If the list would be long, the hint gives the number of names, and `command`, which prints them.
     """
     names = sorted(allowed)
     close = tuple(difflib.get_close_matches(given, names, n=3, cutoff=0.5))
@@ -312,7 +312,7 @@ def writing(
 def warn(message: str, category: type[Warning]) -> None:
     """Warn at the line that called the package: the first frame outside of the package's files.
 
-    In Python 3.12, the argument `skip_file_prefixes` of `warnings.warn` does this.
+    In Python 3.12, `warnings.warn` finds this frame if it gets the argument `skip_file_prefixes`.
     A fixed number of skipped stack frames would be wrong after changes of this package.
     """
     frame = sys._getframe(1)

@@ -28,7 +28,7 @@ _NO_NUMBERS = ("nan", "inf", "infinity")
 # Components that run code, and for each the parameter that an argument without a name sets
 _FIRST = {"command": "run", "python": "function"}
 _MAX_LENGTH = 20_000
-# Matches the folders in a quoted path, and the name of the parameter if it is written
+# Matches the folders of a quoted path; also a parameter name and "=" in front of the path
 _FOLDERS = re.compile(r"""(?:\w+=)?(['"])[^'"]*/(?=[^'"/]+\1)""")
 _MARK = re.compile(
     r"""'(?:[^'\\]|\\.)*'|"(?:[^"\\]|\\.)*"|['"()\[\]{}|]""", re.DOTALL
@@ -64,7 +64,7 @@ class Component(Drawable):
 
     Subclasses are dataclasses. `spec` lists the fields that differ from their defaults.
     When an instance is created, its fields from `mcspectra.core.fields` are checked first.
-    Then the method `_check` checks the whole instance.
+    After the fields, the method `_check` checks the whole instance.
     A class declares `name` if its name in specs differs from the class's name in kebab case.
     """
 

@@ -65,7 +65,7 @@ class Bilinear(Density):
     -----
     The round trip ``invert(sample(u))`` may lose digits of u_0.
     Digits are lost if the marginal density between two rows grows by a large factor.
-    In this case, rounding of x_1 moves the line on which u_0 is computed.
+    If the density grows so fast, rounding of x_1 moves the line on which u_0 is computed.
     """
 
     dims: int = field(default=2, init=False)
@@ -161,7 +161,8 @@ def _fraction(knots: Array, i: int, x: float) -> float:
 def _solve(a: float, b: float, share: float) -> float:
     """Return t in [0,1] that divides the integral of a linear function.
 
-    The function is a at 0 and b at 1. Its integral from 0 to t is `share` of the whole integral.
+    The function is a at 0 and b at 1. Its integral from 0 to t, divided by its whole integral,
+    is `share`.
     The result is the root of (b − a) t²/2 + a t = share (a + b)/2, without cancellation.
     """
     scale = max(a, b)
@@ -207,7 +208,7 @@ def _column(xs: Array, nodes: Array, sums: Array, j: int, t: float, u: float) ->
     The line lies between the rows j and j + 1, at the fraction t of their distance.
     """
     total = _mixed(sums, j, t, xs.size - 1)
-    if total <= 0.0:  # a line without mass is mapped to itself; `_flatten` does the same
+    if total <= 0.0:  # where the density is 0, x_0 = u_0, as in `_flatten`
         return u
     target = min(u * total, below(total))
     low, size = 0, xs.size - 1

@@ -2,11 +2,12 @@
 
 Selection of a part
 -------------------
-In a mixture p = Σ_t w_t p_t [OwenZhou2000]_, a point can choose its part in two ways:
+The densities p_t of a mixture p = Σ_t w_t p_t [OwenZhou2000]_ are called its parts.
+A point can choose its part in two ways:
 
 * ``"coordinate"``: one coordinate of u chooses the part, and is then stretched and used again.
   Dims and strata are kept, but the warp and g(u) = f/p jump at the borders of the shares w_t.
-  Because of these jumps, jittered and low-discrepancy points converge more slowly.
+  The jumps of g make the convergence of jittered and low-discrepancy points slower.
 * ``"extra"``: an additional last coordinate chooses the part, which gets all other coordinates.
   The estimator needs a sampler of d+1 dims, and g still jumps along the last dim.
 * A third way is a *deterministic split*, which draws n w_t points of each part.
@@ -46,7 +47,7 @@ from mcspectra.densities.registry import DENSITIES, as_density, density
 __all__ = ["Defensive", "Mixture", "Product"]
 
 _MAX_PARTS = 1024
-# Where one part of a product is 0, probes have this number of positions along the other axes
+# Points where one factor of a product density is 0 get this number of positions on other axes
 _PLACES = 4
 _SELECTIONS = ("coordinate", "extra")
 
@@ -121,9 +122,9 @@ class Product(Density):
         return self.lifted([part.zero_points() for part in self.parts])
 
     def lifted(self, points: Sequence[Array]) -> Array:
-        """Return the points (k_j, d_j) of each part as points in d dims.
+        """Convert points of the factors, k_j points in d_j dims for factor j, to points in d dims.
 
-        On the axes of the other parts, a point gets one of a few positions.
+        A point of one factor gets one of `_PLACES` positions on the axes of the other factors.
         """
         found = []
         for own, given in zip(self._domain, points, strict=True):
@@ -188,12 +189,13 @@ class Mixture(Density):
     selection
         How a point chooses its part, ``"coordinate"`` or ``"extra"``.
     axis
-        The coordinate that chooses the part, for ``"coordinate"``. Otherwise the last one chooses.
+        The coordinate of u that chooses the part p_t, if `selection` is ``"coordinate"``.
+        For ``"extra"``, the last coordinate of u chooses the part.
 
     Notes
     -----
     The warp is not one-to-one, because x may come from any of the parts. It has no inverse.
-    The pdf does not depend on the selection.
+    The pdf is the same for both ways to choose a part.
     """
 
     dims: int = None  # type: ignore[assignment]  # the parts' own
@@ -243,7 +245,7 @@ class Mixture(Density):
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """Borders of the shares, on the axis that chooses the part; and all breaks of the parts."""
+        """Breaks of the parts, and the values of u at which the choice of the part changes."""
         found: list[set[float]] = [set() for _ in range(self.primary_dims)]
         found[self._chooser].update(self._borders[1:-1].tolist())
         for t, part in enumerate(self.parts):
@@ -253,8 +255,8 @@ class Mixture(Density):
         return tuple(tuple(sorted(b for b in axis if 0 < b < 1)) for axis in found)
 
     def preimages(self, x: object) -> Array:
-        """Return the points u of all parts that map to x. There are none with ``"extra"``."""
-        if self.selection == "extra":  # each part maps a whole line of points u to x
+        """Return all points u that map to x; empty with ``"extra"``, where infinitely many do."""
+        if self.selection == "extra":  # the last coordinate of u may vary without a change of x
             return np.empty((0, self.primary_dims))
         found = [part.preimages(x) for part in self.parts]
         for t, u in enumerate(found):
@@ -262,7 +264,7 @@ class Mixture(Density):
         return np.concatenate(found)
 
     def zero_points(self) -> Array:
-        """Return the zeros of parts at which the whole mixture is 0."""
+        """Return points at which the density of the mixture is 0, found among zeros of its parts."""
         zeros = np.concatenate([part.zero_points() for part in self.parts])
         return np.asarray(zeros[self._pdf(zeros) == 0])
 

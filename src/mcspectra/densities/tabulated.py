@@ -17,32 +17,32 @@ Therefore the choice of the warp determines the rate.
   In this case, g jumps only where p jumps, on whole lines.
 * ``"hierarchical"`` [McCoolHarwood1997]_ [Clarberg2005]_: the table is halved repeatedly.
   Each split halves the longer side, until single cells are left.
-  A split divides the coordinate of u along that side.
-  Neighborhoods stay compact along both axes.
+  A split along x_0 uses the coordinate u_0, and a split along x_1 uses u_1.
+  Points u that are close in both coordinates mostly map to points x that are close.
   T jumps at the border of a split if the two halves are then divided in different ratios.
   Lines along u_0 cross at most w − 1 jumps, and lines along u_1 at most h − 1 jumps.
 * ``"alias"`` [Walker1977]_ [Vose1991]_: this warp costs O(1).
   u_0 chooses one of h·w bins of equal size, and one of the two cells in the bin.
   The remainder of u_0 gives the position along x_0, and u_1 gives the position along x_1.
-  A line along u_0 crosses up to 2hw − 1 jumps, and each can lead to any place.
+  A line along u_0 crosses up to 2hw − 1 jumps, and each jump can go to any cell of the table.
   Point sets remain stratified only in u_1, and only within cells.
   Several bins may map to the whole of a cell, so T is many-to-one and has *no inverse*.
 * ``"hilbert"`` [SteiglederMcCool2003]_: u_0 chooses a cell by the cdf along a Hilbert curve.
   The remainder of u_0 gives the position in the direction in which the curve leaves the cell.
-  u_1 gives the position perpendicular to this direction.
-  A line along u_0 crosses up to hw − 1 jumps, at turns of the curve.
+  u_1 gives the position in the cell perpendicular to the curve.
+  A line along u_0 crosses up to hw − 1 jumps, where the Hilbert curve turns.
   If the table is a square of side 2^k, each jump stays within two neighboring cells.
-  For tables of other sizes, the curve leaves the table and returns.
+  In a table of another size, jumps can be longer, because the curve leaves the table and returns.
     A line along u_1 crosses no jumps.
   This warp suits samplers with n strata in u_0, which become n strata along the curve.
   Samplers with square 2-D strata have only √n strata in u_0, and so along the curve.
 
 *Bilinear* tables (`bilinear`) make p continuous. Therefore g is also continuous along rows.
-Use such tables if jumps make the rate worse.
+Use bilinear tables if the jumps of a piecewise constant table make the rate worse.
 
 The border of a cell cuts strata unless its position is a multiple of the side of a stratum.
 If strata are cut, the variance of jittered sampling in 2-D falls as n^-1.5 instead of n^-2.
-The study of environment maps shows this loss of rate.
+The study of environment maps shows how cut strata make the rate worse.
 """
 
 from __future__ import annotations
@@ -232,7 +232,7 @@ def _inner(borders: Array, differ: Array | None = None) -> tuple[float, ...]:
 
 
 # In kernels, cell i of k covers [i/k, (i+1)/k) *as rounded*, both in look-ups and for samples.
-# With this rule, no rounded sample is assigned to the adjacent cell.
+# Because the borders are rounded in the same way, no sample falls into the adjacent cell.
 # `borders` are values of the cdf at cell borders, from 0 to 1.
 
 
@@ -412,7 +412,7 @@ def _descend(shares: Array, axes: Array, size: tuple[int, ...], u: Array, x: Arr
             share = shares[node]
             rest = rest_y if axis else rest_x
             second = int(rest >= share)
-            # There is no branch on `second`, because its value is practically random
+            # Arithmetic replaces a branch on `second`, whose random values no processor predicts
             start = share * second
             length = share + second * (1.0 - 2.0 * share)
             rest = min((rest - start) / length, one)
@@ -542,7 +542,7 @@ class _Hilbert:
     `order` (n,) has the flat indices of these cells, and `places` is the inverse permutation.
     `headings` (n,) has the direction in which the curve leaves each cell.
     The direction 0 is +x_0, 1 is −x_0, 2 is +x_1, and 3 is −x_1.
-    `guide` has the cell at the start of each of 2^g equal shares of [0,1) [ChenAsau1974]_.
+    `guide` divides [0,1) into 2^g equal intervals and has the first cell of each [ChenAsau1974]_.
     With this guide, a search starts within one or two cells.
     """
 
@@ -627,7 +627,7 @@ def _follow(
 ) -> None:
     height, width = size
     for k in range(u.shape[0]):
-        # This product is exact, so the interval that the guide table gives for u_0 contains u_0
+        # u_0 · 2^g is exact, so the interval that the guide table gives for u_0 contains u_0
         g = int(u[k, 0] * (guide.size - 1))
         i = last_at_most(borders, guide[g], guide[g + 1] + 1 - guide[g], u[k, 0])
         rest = (u[k, 0] - borders[i]) / (borders[i + 1] - borders[i])

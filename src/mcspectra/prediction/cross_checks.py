@@ -10,9 +10,9 @@ For other stationary sets, all pairs are counted by their difference, not by dis
 The sum over pairs has the terms A(x_i − x_k), where A is the autocorrelation of the integrand.
 A is tabulated on the torus and interpolated linearly.
 
-An average of A over directions, g(|h|), would be exact for isotropic sets only.
-For shifted Latin hypercubes, it overestimates the variance by factors of 1.7 to 3.7.
-These factors were found with smooth integrands and 16 points.
+If A were averaged over all directions of h, the result would be exact for isotropic sets only.
+For 16 points of shifted Latin hypercubes and smooth integrands, this average
+overestimates the variance by factors of 1.7 to 3.7.
 """
 
 from __future__ import annotations
@@ -79,13 +79,13 @@ class CheckSettings:
     ----------
     most_frequencies
         Largest number of frequencies whose covariances are summed. There are 390,625 pairs.
-        The half width is then 312 in 1-D, 12 in 2-D, 4 in 3-D and 2 in 4-D.
+        The default limits the half width to 312 in 1-D, 12 in 2-D, 4 in 3-D and 2 in 4-D.
         In 6 dims and more there would be fewer than three frequencies along each axis.
     cells
         Number of cells along each axis, by number of dims, for samples of the autocorrelation of g.
-        The mean of these samples is subtracted, so that their sampling error cancels.
+        The mean of the autocorrelation over its samples is subtracted, so that its error cancels.
         A linear interpolant of a wave of frequency k has the relative error (2πk/cells)²/8.
-        The relative error is 5e-6 k² in 2-D and 5e-9 k² in 1-D.
+        For the frequency k, the relative error is 5e-6 k² in 2-D and 5e-9 k² in 1-D.
     most_points
         Largest number of points of a set whose pairs are counted.
         A set of 2^17 points has 8.6e9 pairs.

@@ -1,29 +1,30 @@
 """Variances of orthogonal arrays, from energies of an integrand within and between strata.
 
-Along each axis g is a sum of four parts: its mean, the means over strata (β),
-the means over parts of a stratum (δ), and the remainder within parts.
-`PairedAxes` describes the relation of two different points on an axis.
-Each relation multiplies the four parts by the following factors.
-Here s is the number of strata, and m the number of parts of each stratum:
+Along each axis, g is a sum of four components: its mean, the differences between strata (β),
+the differences between the parts of a stratum (δ), and the remainder within these parts.
+`PairedAxes` states whether two points share a stratum on an axis, or a part of a stratum.
+The mean product of g at two such points is the energy of each component times a factor.
+Here are the factors of the four components, for s strata with m parts in each stratum:
 
-    (1, −1/(s−1), 0, 0)     in different strata,
-    (1, 1, 0, 0)            independent in the same stratum,
-    (1, 1, −1/(m−1), 0)     in different parts of the same stratum.
+    (1, −1/(s−1), 0, 0)     if the points are in different strata,
+    (1, 1, 0, 0)            if the points are independent in the same stratum,
+    (1, 1, −1/(m−1), 0)     if the points are in different parts of the same stratum.
 
-Let E_u be the energy of g with part u_i along axis i. Then
+Let E_u be the energy of the product of components of g: component u_i along each axis i. Then
 
     n Var = Σ_u (1 + λ_u) E_u,    λ_u = n Σ_p share_p Π_i factor_p,i(u_i),
 
-Here p runs over the patterns of pairs of points, which state a relation for each axis.
-Arrays of strength 2 have λ = −1 if u has one β or two β, and all other parts are means.
-If every part of a stratum has one point, λ is also −1 if u has one δ and otherwise only means.
-Energies with λ = −1 add no variance [Owen1992]_.
-If more parts of u are not means, λ decreases with powers of 1/s.
+Here p runs over groups of pairs of points whose strata agree on the same axes.
+For arrays of strength 2, λ_u = −1 if u varies only between strata, along one or two axes.
+If each part of a stratum has one point, differences between parts along one axis also have λ = −1.
+Components of g with λ_u = −1 add no variance to the estimate [Owen1992]_.
+If u varies along more axes, λ_u decreases with powers of 1/s.
 
 The fit of `mcspectra.prediction.subsets` adds functions of single axes and their products.
-The variance of the fit is known.
-The rest is estimated from random pairs of points that share strata of two or three axes.
-First, the functions of single axes are subtracted from g and from the fit.
+The variance of this fit is computed without sampling.
+The variance of g minus the fit is estimated from random pairs of points,
+which share strata of two or three axes.
+First, functions of single axes are subtracted from g and from the fit.
 The estimate is the mean product of g at two points, minus the mean product of the fit.
 In more than three axes, energies of g minus the fit are not estimated. They widen the interval.
 """
@@ -51,7 +52,7 @@ __all__ = ["PairedSettings", "evaluations", "is_array", "of_arrays"]
 
 _MEAN, _BETWEEN, _AMONG = "mean", "between strata", "between parts"
 _MULTIPLES = {"two": (_BETWEEN,) * 2, "parts": (_BETWEEN, _AMONG), "three": (_BETWEEN,) * 3}
-"""Combinations of parts u whose energies E_u are estimated. All other energies are bounded."""
+"""Components of g along 2 or 3 axes whose energies are estimated. All others are bounded."""
 
 
 @final
@@ -63,8 +64,8 @@ class PairedSettings:
     ----------
     pairs
         Number of pairs of points in each replicate, for each of the three entries of `_MULTIPLES`.
-        Halving or doubling these numbers changes variances by less than 0.5 %.
-        The change was measured with orthogonal-array | shift in 4-D at n = 289.
+        Halving or doubling the numbers of pairs changes variances by less than 0.5 %.
+        This change was measured with orthogonal-array | shift in 4-D at n = 289.
         The intervals are ±0.9 % for a Gaussian, ±2.1 % for a ball and ±0.5 % for a kink.
     replicates
         Number of independent scrambled nets that supply the pairs of points.
@@ -84,7 +85,7 @@ def of_arrays(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG
     Raises
     ------
     NoClosedForm
-        If the law is not an orthogonal array, or does not treat all axes alike.
+        If the points are not an orthogonal array, or the array does not treat all axes alike.
     """
     array, by = unmoved(law)
     if not (is_array(law) and isinstance(array, PairedAxes)):
@@ -95,7 +96,7 @@ def of_arrays(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG
     one, part, two, both, three = (
         _weight(array, along) for along in ((_BETWEEN,), (_AMONG,), *_MULTIPLES.values())
     )
-    # Most energies of three or more axes are not estimated. Find the largest of their weights
+    # Energies E_u of three or more axes are mostly not estimated. Find the largest of their |λ_u|
     rest = max(
         abs(_weight(array, (_BETWEEN,) * k + (_AMONG,) * (axes - k)))
         for axes in range(3, max(law.dims, 3) + 1)
@@ -110,9 +111,9 @@ def of_arrays(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG
             ("arrays", c, s, parts, at),
             functools.partial(_energies, p, c, s, parts, offsets, known),
         )
-        # Compute n Var for functions of single axes, for the fit in several axes, and for the rest.
-        # For single axes, the first result is from all profiles of g.
-        # The other results are from one group of profiles each
+        # n Var is the sum of three variances: of the functions of single axes, of the products in
+        # the fit, and of g minus the fit. For single axes, all profiles of g give the estimate, and
+        # separate groups of profiles give its error
         alone = sums.single @ np.array([1.0, 1.0 + part, 1.0 + one])
         several = _of_products(array, sums)
         beside = more @ np.array([1.0, two, both, three])
@@ -135,12 +136,12 @@ def evaluations() -> float:
 def is_array(law: Law) -> bool:
     """Return whether points are an orthogonal array in several dims that treats all axes alike.
 
-    The array may be moved or shifted.
+    The orthogonal array may be moved or shifted as a whole.
     """
     array, _ = unmoved(law)
     if not isinstance(array, PairedAxes) or array.latin or array.dims == 1:
         return False
-    # If the relations of a pattern are permuted among the axes, its share must not change
+    # If the axes are permuted, the share of pairs that agree on these axes must not change
     shares: dict[tuple[Relation, ...], list[float]] = {}
     for pattern in array.patterns:
         shares.setdefault(tuple(sorted(pattern.axes)), []).append(pattern.share)
@@ -154,7 +155,7 @@ def is_array(law: Law) -> bool:
 
 
 def _factor(relation: Relation, part: str, strata: int, parts: int) -> float:
-    """Return the factor by which a relation of two points multiplies a part of g on one axis."""
+    """Return the factor of a component of g along one axis, from the table in this module."""
     if part == _MEAN:
         return 1.0
     if relation == "apart":
@@ -165,9 +166,9 @@ def _factor(relation: Relation, part: str, strata: int, parts: int) -> float:
 
 
 def _weight(law: PairedAxes, along: Sequence[str]) -> float:
-    """Return λ for parts along the first axes and means along the others.
+    """Return λ_u for the given components of g along the first axes and means along the others.
 
-    The result is 0 if there are fewer axes than parts.
+    The result is 0 if more components are given than there are axes.
     """
     s, m, missing = law.strata[0], law.parts[0], law.dims - len(along)
     if missing < 0:
@@ -182,17 +183,18 @@ def _weight(law: PairedAxes, along: Sequence[str]) -> float:
 @final
 @dataclass(frozen=True)
 class _Sums:
-    """Energies of single axes, and moments of the factors h_ri of the products.
+    """Energies of functions of one axis, and moments of the functions h_ri of the products.
 
     Attributes
     ----------
     single
-        Energies within parts, between parts and between strata, summed over axes: (1 + groups, 3).
+        Energies of g within the parts of strata, between parts, and between strata.
+        The energies are summed over the axes, for all profiles and by group: (1 + groups, 3).
     means
-        Means of the factors, (dims, products).
+        Means of the functions h_ri, as an array of shape (dims, products).
     covariances
-        Three kinds of covariances: of the factors, of means over parts, and of means over strata.
-        The array of all three kinds has shape (dims, 3, products, products).
+        Covariances of the functions h_ri, of their means over parts, and of those over strata.
+        These three covariances form an array of shape (dims, 3, products, products).
     """
 
     single: Array
@@ -201,7 +203,7 @@ class _Sums:
 
 
 def _of_products(law: PairedAxes, sums: _Sums) -> float:
-    """Return n times the variance of a sum of products, without its functions of single axes."""
+    """Return n times the variance of a sum of products, minus its projection on single axes."""
     s, m = law.strata[0], law.parts[0]
     whole, parts, strata = np.moveaxis(sums.covariances, 1, 0)
     kept = {"self": whole, "apart": -strata / (s - 1), "same": strata}
@@ -226,10 +228,11 @@ def _energies(
     offsets: Sequence[Sequence[float]],
     known: Known,
 ) -> tuple[_Sums, Array]:
-    """Return energies of single axes and moments of the fit, and energies of g minus the fit.
+    """Return the energies and moments of the fitted function, and the energies of g minus the fit.
 
     The energies of g minus the fit have shape (replicates, 4).
-    Column 0 holds the energy of several axes. Each other column is for one entry of `_MULTIPLES`.
+    Column 0 is the energy of all functions of several axes.
+    Each other column is the energy of one kind of components, listed in `_MULTIPLES`.
     """
     singles, means, covariances = np.zeros((len(p.main[0]), 3)), list[Array](), list[Array]()
     own, centers = len(p.main[0]), list[Array]()
@@ -259,7 +262,7 @@ def _energies(
     others = np.stack([np.prod(np.delete(sums.means, i, axis=0), axis=0) for i in range(d)])
 
     def left(x: Array) -> Array:
-        """Return g and the products, both without their functions of single axes: (2, …)."""
+        """Return g and the sum of products, each minus its functions of single axes: (2, …)."""
         flat = x.reshape(-1, d)
         alone, products, single = np.zeros(len(flat)), np.ones(1), np.zeros(1)
         for i, (axis, main, factors) in enumerate(zip(p.axes, p.main, p.factors, strict=True)):
@@ -291,15 +294,15 @@ def _energies(
         one, two = left(x), left(other)
         middle = 0.5 * (one + two).mean(axis=(1, 2), keepdims=True)
         one, two = one - middle, two - middle
-        # The sum over choices of axes is the number of choices times the mean.
-        # If the two axes have parts of different kinds, both orders of the axes count
+        # Axes are chosen at random for each pair of points, so multiply by the number of choices.
+        # Strata on one axis and parts on another can be chosen in two orders
         many = math.comb(d, len(along)) * (2 if name == "parts" else 1)
         product, square = one * two, 0.5 * (one**2 + two**2)
         more[:, 1 + k] = many * (product[0] - product[1]).mean(axis=-1)
         if k == 0:
             more[:, 0] = (square[0] - square[1]).mean(axis=-1)
-    # Subtract pairs that were counted twice. A pair with a common part also has a common stratum.
-    # A pair with three common strata also has two common strata
+    # Subtract pairs of points that were counted twice. Points in the same part of a stratum are
+    # also in the same stratum, and points that share three strata also share two strata
     more[:, 2] -= 2.0 * more[:, 1] if parts > 1 and d > 1 else 0.0
     more[:, 3] -= (d - 2) * more[:, 1] if d > 2 else 0.0
     return sums, more

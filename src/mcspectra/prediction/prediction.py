@@ -126,16 +126,16 @@ class QuadratureSettings:
     ----------
     tolerance
         Largest relative error with which a quadrature takes precedence over all other methods.
-        If g jumps, the intervals of the other methods are no narrower than this.
+        If g jumps, intervals of other methods are at least as wide as this relative error.
         Tolerances were tested on a jump along a line with 5 samplers at n = 64.
-        A tolerance of 0.003 rejects one more quadrature, and 0.03 accepts one more.
+        In these tests, 0.003 rejects one more quadrature, and 0.03 accepts one more.
     evaluations
         Number of evaluations of g above which other methods come first.
-        This number is a sixteenth of the limit of `exact_variance`.
+        The default is a sixteenth of the most evaluations that `exact_variance` makes.
         Values from 2^20 to 2^24 give the same results for the same samplers.
     most_breaks
         Largest number of breaks of g for the quadrature of shifted strata in several dims.
-        Breaks divide the range of offsets along each axis. The number of parts grows as a power d.
+        The breaks divide the range of offsets along each axis. Each interval needs its own nodes.
     """
 
     tolerance: float = 0.01
@@ -151,22 +151,24 @@ class AutoSettings:
     Attributes
     ----------
     moved, measured
-        Largest half intervals of sums of products, relative to the variance.
+        Largest accepted errors of predictions by sums of products: half the width of the
+        95 % interval, divided by the variance.
         If an interval is wider than `moved`, random offsets of the set are evaluated.
-        If it is wider than `measured`, realizations are measured.
+        If an interval is wider than `measured`, realizations are measured.
         8,192 offsets have a standard error of √(2/8192) = 1.6 % and intervals of 3 %.
-        Extrapolations have intervals of about a fifth.
+        Extrapolated variances have intervals of about ± 20 %.
     ahead, most_ahead
         Largest additional count, as a multiple of the last requested count.
         The additional counts show the limit to which the rate tends.
         `most_ahead` is log2 of the largest additional count.
         With strata, counts up to this limit are used, because one table serves all counts.
     loose
-        A larger count is not used for rates if its half interval exceeds this part of its variance.
-        Over two octaves such an interval changes a slope by 0.16.
+        Largest half width of a 95 % interval, relative to the variance, for counts beyond the
+        requested counts. Larger intervals are not used for rates.
+        An error of this size changes a slope over two octaves by 0.16.
     square, coefficients, tables
         Approximate numbers of evaluations for ∫g², for coefficients of g and for tables.
-        `square` is the budget for ∫g². The numbers for coefficients and tables are sizes in 2-D.
+        ∫g² takes up to `square` evaluations. Coefficients and tables take these numbers in 2-D.
     """
 
     moved: float = 0.03
@@ -187,19 +189,19 @@ class TableSettings:
     The changes stated below were measured in three cases at n = 64.
     Two cases are a jump along a line and a smooth g, both in 2-D with pmj02.
     The third case is a Gaussian of width 0.1 in 3-D with latin-hypercube.
-    The half intervals of these cases are about 3 %.
+    The 95 % intervals of the three variances are about ± 3 %.
 
     Attributes
     ----------
     cells
         Number of cells along each axis, by number of dims: about a million cells in 2-D and 3-D.
-        Halving or doubling it changes the variance by less than 1 %.
-        If g jumps, half or twice the number changes half intervals by 0.6 %.
+        Halving or doubling the number of cells changes the variance by less than 1 %.
+        If g jumps, half or twice as many cells change the width of intervals by 0.6 %.
     probe
         Number of random points at which the table is compared with g.
-        For usual g, the mean square difference has a relative standard error of about 1/256.
+        The mean square difference usually has a relative standard error of about 1/256.
         Heavy-tailed differences have larger errors.
-        Results are the same for values from 2^15 to 2^17.
+        Predicted variances are the same for 2^15 to 2^17 points.
     block
         Number of points per call, 1 MB in 2-D. It has no effect on the result.
     points
@@ -225,21 +227,22 @@ class ExtrapolationSettings:
 
     The changes stated below were measured in three cases.
     Two cases, at n = 256 and 1024 with sobol | owen, are a jump in 4-D and a smooth g in 2-D.
-    The jump is along a plane. The third case is a smooth g in 4-D with latin-hypercube at n = 100.
+    The jump in the first case is along a plane.
+    The third case is a smooth g in 4-D with latin-hypercube at n = 100.
 
     Attributes
     ----------
     small
         Small counts, whose measurements cost little.
         Small counts are used if there are few counts close to n.
-        One more or one less count gives the same results.
+        One more or one less small count gives the same variances.
     largest
         Largest measured count of a cheap f.
-        Values from 2^11 to 2^13 change variances by less than 1.5 %.
+        Largest counts from 2^11 to 2^13 change variances by less than 1.5 %.
     near
         Counts close to n are one or two steps from n. A step is at most n divided by this number.
-        These counts lie within an eighth of n, and the line hardly extrapolates.
-        Results are the same for values from 8 to 32.
+        The measured counts differ from n by at most n/8, so the line hardly extrapolates.
+        Any divisor from 8 to 32 gives the same variances.
     fitted
         Number of counts closest to n that the line is fitted to.
         Three counts leave one degree of freedom, for which Student's t is 12.7.
@@ -250,12 +253,12 @@ class ExtrapolationSettings:
     near_sets, near_points
         Least number of realizations of a count close to n, and least total number of points.
         The number of realizations is so large that both limits are reached.
-        Halving or doubling both settings changes variances by less than 4 %.
-        These changes are well within the intervals of 14 to 60 %.
+        Halving or doubling both numbers changes variances by less than 4 %,
+        which is well within their intervals of 14 to 60 %.
     most_factor
         Upper limit of the factor between an extrapolated variance and the end of its interval.
-        The limit keeps exponentials finite.
-        Results are the same for values from 15 to 60.
+        Without this upper limit, the exponential of the error could overflow.
+        Any upper limit from 15 to 60 gives the same intervals.
     """
 
     small: tuple[int, ...] = tuple(2**k for k in range(3, 9))
@@ -278,7 +281,7 @@ class EvaluationLimits:
     evaluations
         Default for the most evaluations. A function that takes 4 µs per point needs one second.
         An interval then reaches from the variance divided by a factor to the variance times it.
-        The factor of such an interval is 1.5 at measured counts, and 2 at n = 4,096.
+        With this default, the factor is 1.5 at measured counts, and 2 at n = 4,096.
     predictions
         If fewer evaluations per technique are allowed, variances are only measured, not predicted.
         Predictions need 1.2 to 13 million evaluations.
@@ -295,8 +298,8 @@ class EvaluationLimits:
         Ratio of the largest measured count to the largest requested count.
     probe
         Fraction of the evaluations that are spent on random points: 16,384 of 2^18.
-        These points detect growth toward the border, and variances that depend on a few values.
-        Such variances are not predicted.
+        Random points detect integrands that grow toward the border, or have a few dominant values.
+        Variances of such integrands are not predicted.
     fitted
         Number of measured counts to whose variances a line is fitted.
         Five counts leave three degrees of freedom, for which Student's t is 3.2.
@@ -391,7 +394,7 @@ def of_table(law: Law, known: Known, stream: Stream, settings: TableSettings = _
         raise NoClosedForm(f"{sets} sets do not resolve the variance of {law.name}.")
     tail = missed / n
     # The whole tail is also an error, because the quality of points within cells is unknown:
-    # they may be as good as at larger scales, or only as good as random points
+    # points in a cell may be spread as evenly as cells, or be no better than random points
     error = CONFIDENCE_Z * moments.relative_se * moments.variance + tail + miss / n
     share = 1.0 - np.minimum(missed / known.square[0], 1.0)
     return Predicted(moments.variance + tail, error, f"{sets} sets", share, tail)
@@ -430,7 +433,7 @@ def extrapolated(
         if count == n or len(found) == settings.fitted:
             continue
         with contextlib.suppress(CountError):
-            # A single technique allows all these counts, and a check would only repeat warnings
+            # A single technique uses counts that the sampler allows. Checks would repeat warnings
             if sum(estimator.counts) > 1:
                 estimator.check_sampler(sampler, count)
             close = counts[count]
@@ -483,16 +486,16 @@ class Method:
     predict
         Function that predicts the variance of the mean of g over points with a given law.
         The function predicts one technique; if it does not apply, it raises `NoClosedForm`.
-        Methods that work on whole estimators only have no such function.
+        Methods that only predict whole estimators have None here.
     applies
         Whether ``auto`` tries the method for a law and an integrand, decided without evaluations.
         A method requested by name is always tried.
     ahead
         Whether ``auto`` tries the method at larger counts than requested, to find the limit rate.
-        Such a method must be cheap at large n and draw no sets, but it may compute facts about g.
+        The method must be cheap at large n and draw no sets, but it may compute facts about g.
     enough
-        Largest half interval, relative to the variance, with which ``auto`` accepts the prediction.
-        The next method is then not tried.
+        Largest half width of a 95 % interval, relative to the variance, that ``auto`` accepts.
+        If ``auto`` accepts a prediction, it does not try the next method.
     cost
         Approximate or largest number of evaluations of g. Several counts may share evaluations.
     of_estimator
@@ -536,9 +539,9 @@ def _moves_apply(law: Law, known: Known) -> bool:
 
 
 def _enough_of_sums(law: Law, known: Known) -> float:
-    """Return the largest accepted half interval of a prediction by sums of products.
+    """Return the largest relative error with which sums of products are accepted as a prediction.
 
-    Sums of products may miss jumps and kinks.
+    A sum of products may miss jumps and kinks of the integrand.
     """
     if _moves_apply(law, known):
         return _AUTO.moved
@@ -943,7 +946,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
             3, 0, 1, 2
         )
         seen = auto and predictor.measured is None
-        if not seen:  # The limit of a rate needs counts beyond the requested counts
+        if not seen:  # A limit of the rate is estimated only from counts beyond the requested ones
             limit, bend = np.full_like(limit, np.nan), np.full_like(bend, np.nan)
 
         # Keep only the results at requested counts
@@ -1055,7 +1058,7 @@ def predict(
         * ``"exact"``: a closed form, or quadrature over strata or levels, as in `exact_variance`
         * ``"torus"``: Σ|g_m|² times the power, for points that are the same after any translation
         * ``"levels"``: means of g over cells, for strata and scrambled nets
-        * ``"subsets"``: single axes and sums of products of functions of one axis
+        * ``"subsets"``: sums of functions of one axis and of products of such functions
         * ``"moves"``: random shifts or scrambles of a single set
         * ``"table"``: sets of the sampler on a table of g
         * ``"extrapolated"``: a line through variances measured at other counts
@@ -1081,7 +1084,7 @@ def predict(
     max_evaluations
         Maximum number of evaluations of the integrand.
         By default ``auto`` and ``extrapolated`` evaluate users' functions at most 2^18 times.
-        Both methods then measure sets of small counts, which gives wider intervals.
+        With this maximum, both methods measure sets of small counts, which gives wider intervals.
         With 2^24 or more evaluations for each technique, ``auto`` predicts.
         A method raises before it starts if it is known to need more than the limit.
 
@@ -1107,7 +1110,7 @@ def predict(
         With ``"all"``, ``method`` is a dim.
         The coordinate ``how`` has details of each value, such as the number of sets.
         If a value is missing, ``how`` has the reason.
-        A list of samplers adds the dim sampler. Several channels add the dim channel.
+        A list of samplers adds the dim ``sampler``, and several channels add the dim ``channel``.
         A variance at rounding level is NaN, and the attribute ``note`` reports it.
         For a variance at rounding level, the method exact returns 0.
 
@@ -1128,16 +1131,17 @@ def predict(
     f is evaluated at quadrature nodes and on grids that `predict` chooses.
     The method ``moves`` applies up to 8,192 random shifts or scrambles to a fixed set.
     Lattices with shift and nets with digital-shift use ``moves`` in 1 to 3 dims.
-    Other moved or scrambled sets use ``moves`` if sums of products leave a half interval over 3 %.
+    Other moved or scrambled sets use ``moves`` if sums of products predict
+    the variance less precisely than ± 3 %.
     For ``moves``, nested scrambles are replaced by linear scrambles.
-    Pairs of points have the same law in both kinds of scrambles.
+    Pairs of points have the same distribution in linear and nested scrambles.
 
     For samplers without known structure, in 1 to 3 dims, the method ``table`` is used.
     The method ``table`` measures variances on a table of f.
     In more dims, or for expensive f, ``auto`` uses the method ``extrapolated``.
     The method ``extrapolated`` evaluates f at 2,000 realizations of each small count.
     If f is cheap, counts close to n are used instead, but never n itself.
-    Such measurements are also made if jumps and kinks across many axes leave a wide interval.
+    Realizations are also measured if jumps and kinks across many axes leave a wide interval.
     An interval is wide if it exceeds a fifth of the predicted variance.
     Of the two results, the result with the narrower interval is then used.
 
@@ -1145,13 +1149,13 @@ def predict(
     Random points have the limit −1.
     Strata of the cube and jumps along curves have the limit −1 − 1/d.
     For other sets it is −2 if g jumps across an axis, unless the jumps are always at cell borders.
-    These limits are used if the last slopes are at least as steep.
+    A limit of theory is used if the last slopes are at least as steep.
 
-    Without such a limit, the slopes over the last octaves must agree.
+    If theory gives no limit, the slopes over the last octaves must agree.
     The octaves extend to 4 times the last count, or to n = 2^16 for strata.
     This extension is made only in 1 to 3 dims, and only if no sets have to be drawn.
-    The limit is then a nearby exponent of theory: −1 − k/d with an integer k, −2 or −3.
-    If no such exponent is near and the slope is constant, the limit is the slope itself.
+    If the slopes agree, the limit is a nearby exponent of theory: −1 − k/d with an integer k,
+    −2 or −3. If the slope is constant but near none of these, it is the limit itself.
     If the slopes do not agree, ``limit_rate`` is NaN and the attribute ``note`` has the last rates.
     Jumps of less than 1e-4 of g are not detected.
 
@@ -1199,7 +1203,7 @@ class Predictor:
     def at(self, sampler: Sampler, n: int, name: str = "auto") -> Cells:
         """Predict the variance at n points, summed over the techniques. NaN if no method applies.
 
-        The name selects the methods that are tried; see `tried`.
+        The argument `name` selects the methods that are tried; see `tried`.
         """
         estimator = self.estimator
         source, width = estimator.randomized(sampler), max(1, estimator.channels)
@@ -1311,7 +1315,7 @@ class Predictor:
 
 
 def predicted(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
-    """Predict one technique by the methods of a name; see `tried`.
+    """Predict the variance of one technique by the methods that `tried` lists for `name`.
 
     Return the first prediction whose interval is narrow enough, or else the narrowest prediction.
     """
@@ -1365,7 +1369,7 @@ def predicted(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
 def _of_the_set_inside(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
     """Predict the variance for the set before folding or mirroring, with another integrand.
 
-    See `mcspectra.prediction.exact` for this other integrand.
+    `mcspectra.prediction.exact` describes the integrand of the set before folding or mirroring.
     """
     assert isinstance(law, Folded | Mirrored)
     if isinstance(law, Folded):
@@ -1404,7 +1408,8 @@ def _within(counts: Sequence[int], points: int) -> ExtrapolationSettings:
 def _places(sampler: Sampler, counts: Sequence[int]) -> list[int]:
     """Return a smaller count, the given counts, and two larger counts.
 
-    The smaller count is added only if a single count is given. A count of 0 stands for no count.
+    The smaller count is added only if a single count is given.
+    In the returned list, 0 stands for a count that the sampler does not have.
     """
     last = counts[-1]
     half = sampler.nearest_count(max(1, last // 2)) if len(counts) == 1 else last

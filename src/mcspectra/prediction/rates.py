@@ -3,9 +3,9 @@
 The theory is in docs/theory.md, "Rates".
 The decay γ of |f_m|² is fitted to means of |f_m|² over shells half an octave wide.
 The means over shells scatter about the fitted line for two reasons.
-The first reason is terms of higher order, the second is ripples of the spectrum.
+Firstly, |f_m|² has terms of higher order in 1/|m|. Secondly, the spectrum has ripples.
 Two jumps at distance t cause ripples whose period in m is 1/t.
-The interval of γ comes from this scatter, with Student's t.
+The interval of γ follows from the scatter about the line, with Student's t.
 """
 
 from __future__ import annotations
@@ -71,22 +71,22 @@ class DecaySettings:
     octaves
         The line is fitted to this number of octaves of |m|, at the end of the spectrum.
         For 12 test functions, two octaves give the same exponents to 0.15 and double the intervals.
-        With four, a Gaussian of width 0.1 appears to decay like |m|^-12 instead of |m|^-5.
+        With four octaves, a Gaussian of width 0.1 appears to decay like |m|^-12 instead of |m|^-5.
     least_shells
         Least number of shells of half an octave in a fit. Fewer shells leave no scatter.
         A spectrum has fewer shells only if rounding noise hides most of them.
     bend
-        Largest change of the exponent of |m| over the octaves of a fit.
+        Largest accepted change of the slope in log |m|, from the first to the last fitted octave.
         A fit with a larger change is reported as not settled.
         For test functions with jumps and kinks, the exponent changes by at most 0.9.
-        The change is 8.6 for a Gaussian of width 0.1, whose kink at the border is still hidden.
+        The exponent changes by 8.6 for a Gaussian of width 0.1, as it hides the kink at the border.
     widths, width
         Default half widths by number of dims, and the default for all other numbers of dims.
         The half width is larger in 1-D, because 1-D spectra have few frequencies per shell.
         Few frequencies leave ripples in the means. Each half width takes less than a second.
     noise
         Rounding noise of |f_m|² relative to the largest |f_m|².
-        Coefficients are accurate to 1e-13. Results are the same for values from 1e-28 to 1e-24.
+        Coefficients are accurate to 1e-13. Any threshold from 1e-28 to 1e-24 gives the same fits.
     """
 
     octaves: int = 3
@@ -114,30 +114,30 @@ class JumpSettings:
         Number of lines along each axis, and of points on each line.
         The search takes 16,384 evaluations per axis.
         If one line in ten crosses a curve of jumps, the curve is found with probability 0.97.
-        Halving or doubling both values changes nothing.
+        Half or twice as many lines and points find the same jumps.
     largest
         Number of the largest steps of each line that are bisected.
         A line crosses few jumps, and it suffices to find one of them on one line.
-        Results are the same for values from 2 to 8.
+        The same jumps are found if 2 to 8 steps are bisected on each line.
     halvings
         Number of bisections of a large step. Its width is 1/512 before and 2e-12 after 30 halvings.
-        Over 2e-12, a slope of 1e7 changes g by less than `least`.
-        With 15 halvings, a Gaussian of width 0.02 appears to jump.
+        Over a step of width 2e-12, a slope of 1e7 changes g by less than `least`.
+        With only 15 bisections, a Gaussian of width 0.02 would count as a jump.
     beside
         Distance from a break at which g is evaluated on both sides.
         Detected breaks are accurate to 2^-46.
-        A slope of 500 times the root mean square changes g by at most `least` over this distance.
-        Results are the same for values from 1e-9 to 1e-5.
+        Over this distance, g changes by at most `least` if its slope is below 500 times its RMS.
+        Any distance from 1e-9 to 1e-5 finds the same breaks.
     least
         Smallest step that counts as a jump, relative to the root mean square of g.
         A jump of 1e-4 adds a variance 1e-8 times as large as the variance of random points.
         No feasible number of points measures such a small variance.
-        Results are the same for values from 1e-6 to 1e-2.
+        Any threshold for a jump from 1e-6 to 1e-2 gives the same rates.
     border
         A jump closer to the border of a stratum than this does not cut the stratum.
-        The distance is a fraction of the width of a stratum.
-        The distance exceeds rounding errors of positions in strata for n up to 2^30.
-        Results are the same for values from 1e-8 to 1e-4.
+        The value is this distance divided by the width of a stratum.
+        For n up to 2^30, rounding moves positions in strata by less than this distance.
+        Any distance from 1e-8 to 1e-4 gives the same rates.
     """
 
     dims: int = 5
@@ -162,37 +162,37 @@ class LimitSettings:
     ----------
     late
         Number of octaves at the end of a curve whose slope estimates the limit.
-        Results are the same for values from 2 to 4.
+        The limits are the same for slopes over the last 2 to 4 octaves.
         With 8 octaves the limits of 4 curves of scrambled nets, which bend late, are not found.
     near
         The limit is a theoretical exponent that differs from the slope by less than this number.
         The difference is limited to 0.4/d, because theoretical exponents are 1/d apart.
-        Results are the same for values from 0.1 to 0.4.
+        Any threshold from 0.1 to 0.4 gives the same limits of rates.
     agree
         Largest difference between local slopes in the octaves at the end of a curve.
-        Results are the same for values from 0.2 to 0.4. With 0.1, one limit of 64 is not found.
+        Thresholds from 0.2 to 0.4 give the same limits. With 0.1, one limit of 64 is not found.
     leaves
         Largest difference between the last slope and a theoretical exponent.
-        If the slopes move away from the exponent and the difference is larger, it is not the limit.
-        Results are the same for values from 0.025 to 0.1.
+        If slopes move away from an exponent beyond this difference, the exponent is not the limit.
+        Any largest difference from 0.025 to 0.1 gives the same limits.
     still
-        Largest change of three slopes that count as constant.
-        A constant slope may be a limit that the theory does not list.
-        An example is −1 − (1 − 2a)/d next to a pole t^-a.
-        Results are the same for values from 0.005 to 0.02.
+        Three successive slopes count as constant if they differ by at most this number.
+        A constant slope may be the limit of the rate even if theory does not list it.
+        For example, the variance next to a pole t^-a has the rate −1 − (1 − 2a)/d.
+        Any largest difference from 0.005 to 0.02 gives the same limits.
     change
         A curve may bend if its first slope differs from its limit by more than this number.
-        Results are the same for values from 0.15 to 0.3.
+        Any threshold from 0.15 to 0.3 finds the same bends.
     most_change
         Largest candidate change of the exponent at a bend. Exponents lie between −1 and −5.
-        Results are the same for values from 4 to 8.
+        The same bends are found for a largest change of 4 to 8.
     tried
         Numbers of candidates for the position of a bend, and for the change of the exponent.
-        Positions are 0.1 octaves apart over 10 octaves. Bends are known to this accuracy.
+        Over 10 octaves, candidate bends are 0.1 octaves apart. This is the accuracy of a bend.
     better
         A curve bends if its scatter about the best bent curve is small.
         A small scatter is below this fraction of the scatter about a straight line.
-        Results are the same for values from 0.125 to 0.25. With 0.5, one more curve bends.
+        Any fraction from 0.125 to 0.25 finds the same bends. With 0.5, one more curve bends.
     """
 
     late: int = 4
@@ -224,7 +224,7 @@ def predicted_rate(b: float, decay: float | str, dims: int) -> float:
         `fitted_decay` also gives the interval of γ.
         If γ − d < b, the interval of γ, divided by `dims`, gives the interval of the rate.
         Alternatively give ``"jump"``, ``"kink"`` or ``"smooth"``, as in `DECAYS`.
-        These words name the worst discontinuity of the integrand on the torus.
+        The three words name the worst discontinuity of the integrand on the torus.
     dims
         Number of dims d.
 
@@ -281,7 +281,7 @@ class Slowest:
 def slowest_of_jumps(g: Integrand, laws: Sequence[Law], settings: JumpSettings = _JUMPS) -> Slowest:
     """Return the rate that jumps of g impose on stratified sets, lattices and nets.
 
-    `laws` are the laws of one sampler at several numbers n of points.
+    `laws` describe the point sets of one sampler at several numbers n of points.
     A jump along a curve cuts n^(1 − 1/d) strata with equal contributions. This gives −1 − 1/d.
     A jump across an axis cuts one of n strata. Sets with stratified projections have the rate −2.
     A jump cuts no stratum if it lies at a border of strata for all n.
@@ -406,15 +406,15 @@ def rates_of(
         Limit: the theoretical bound, if it is certain and the last slope is at least as steep.
         The last slope is over the last four octaves.
         Otherwise, in up to 3 dims, the limit is a theoretical exponent close to the last slope.
-        This requires that the slope hardly changes.
-        These exponents are −1 − k/d, −2 or −3.
+        A limit requires that the slope hardly changes over these octaves.
+        The theoretical exponents are −1 − k/d, −2 and −3.
         Here k is 0 for white power, 1 for a jump, 2 for strata and 3 for a kink.
         The exponent −3 may have a factor (log n)^(d − 1).
 
         Bend: the n at which the power law of smaller n meets the power law of the limit.
         A bend is reported if the two exponents differ by more than 0.3.
 
-        The last value states why there is no limit.
+        The last value is a sentence that explains why no limit is given, or an empty text.
     """
     there = np.isfinite(variance) & (variance > 0.0)
     x, y, fitted = np.log(n[there]), np.log(variance[there]), int(there[:asked].sum())
@@ -514,7 +514,8 @@ def integrand_decay(
     integrand
         The integrand f, or its spec string.
     half_width
-        The slope is fitted over the last three octaves up to |m| = K. K is at least 8.
+        The half width K of the spectrum, at least 8.
+        The slope is fitted over the last three octaves up to |m| = K.
         The default is 512 in 1-D and 64 in more dims.
         In 1-D, the exponent of a jump at any position is accurate to ±0.06.
         In more dims, jumps along the axes can have larger errors; see `fitted_decay`.
@@ -532,7 +533,7 @@ def integrand_decay(
     PreasymptoticWarning
         If the exponent changes by more than 1 over the fitted octaves.
         The half width K is then too small to show the decay at high frequencies.
-        This happens for smooth functions before rounding noise is reached.
+        Smooth functions cause this warning if K is below the frequency where rounding noise begins.
 
     Examples
     --------
