@@ -90,7 +90,8 @@ def list_(options: argparse.Namespace) -> VerbOutput:
         rows.append(row)
 
     # Print the summary and the parameters of each component.
-    # For an analysis, also print its verb. For a sampler, also print dims, counts and sources
+    # For an analysis, also print the command that runs it.
+    # For a sampler, also print dims, counts and sources
     widest, lines = max(len(row["name"]) for row in rows), []
     for row in rows:
         lines.append(f"{row['name'].ljust(widest)}  {row['summary']}")

@@ -264,7 +264,7 @@ class Mixture(Density):
         return np.concatenate(found)
 
     def zero_points(self) -> Array:
-        """Return points at which the density of the mixture is 0, found among zeros of its parts."""
+        """Return the points at which all parts are 0, and so the mixture, among zeros of parts."""
         zeros = np.concatenate([part.zero_points() for part in self.parts])
         return np.asarray(zeros[self._pdf(zeros) == 0])
 

@@ -56,7 +56,8 @@ class Estimator(DomainEstimator):
     DensityError
         If p is zero at points where f is not (probed by `mcspectra.estimators.support`).
         Probes call f only where p is 0, at most a few thousand times. Probes may miss a region.
-        Then an error is raised when that region is sampled, or else the estimate is biased.
+        If probes miss such a region, the error is raised when a sample hits it;
+        without such a sample, the estimate is biased.
     ParameterError
         If the numbers of dims differ.
     """

@@ -238,7 +238,7 @@ class OneSampleMIS(Combined):
     -----
     The primary-space integrand usually jumps where the selected technique changes.
     These jumps are normal to an axis. They make the rate of stratified points slower.
-    With `MultipleImportance` there is no such jump, because each technique has its own point set.
+    `MultipleImportance` avoids these jumps, because each technique has its own point set.
 
     Examples
     --------
@@ -414,15 +414,15 @@ def split_mixture(
     mixture
         A mixture or defensive mixture, or its spec. Its parameter `selection` has no effect.
     most
-        Largest total of the counts, which is the common denominator of the shares w_t.
+        Largest accepted common denominator of the shares w_t; it is the sum of all counts c_t.
 
     Returns
     -------
     MultipleImportance
-        An estimator with a technique for each part, combined by the balance heuristic.
-        The counts of the techniques are proportional to the shares of the parts.
+        An estimator with a technique for each part p_t, combined by the balance heuristic.
+        The counts c_t of the techniques are proportional to the shares w_t of the mixture.
         With counts c_t there are n Σ c_t points. Each has the weight 1/p, where p is the mixture.
-        Such a set is a stratified sample of the mixture ([OwenZhou2000]_ §3.2).
+        The points are therefore a stratified sample of the mixture ([OwenZhou2000]_ §3.2).
         For random points, the estimator's variance is at most that of sampling from the mixture.
 
     Raises

@@ -29,15 +29,15 @@ class DiagnosisSettings:
     # With fewer evaluations, `python -m benchmarks battery` does not detect all causes.
     evaluations: int = 8192
     # Two limits of the odd part of g, as fractions of the variance of g.
-    # Above the first limit, the odd part is the reason for a gain: it is over 90 % of the variance.
-    # Above the second limit, the odd part is one of several reasons: it explains at least a tenth.
+    # If the odd part is over 90 % of the variance, it is named as the reason for a gain.
+    # If the odd part is at least 10 % of the variance, it is named as one of several reasons.
     mostly: float = 0.9
     partly: float = 0.1
     # Maximum number of dims in which the odd part is measured.
     # All 2^d reflections of each point are evaluated.
     odd_dims: int = 4
     # Number of points at which the odd part is measured.
-    # With this number the odd part has an error of about 1 % of the variance.
+    # With 4096 points, the odd part has an error of about 1 % of the variance.
     # This precision is enough for the limits `mostly` and `partly`.
     odd_points: int = 2**12
 
@@ -71,7 +71,7 @@ class Diagnosis:
     def removes(
         self, kind: str, name: str, *, biased: bool, unbounded: bool, jumps: bool | None
     ) -> str:
-        """Describe the cause that a better change removes, or return "" if no such cause is known.
+        """Describe the cause of noise that a change of the set-up removes, or return "" if unknown.
 
         Parameters
         ----------
@@ -81,7 +81,7 @@ class Diagnosis:
             For another warp: whether ∫1/p diverges, and whether g jumps inside the cube;
             `jumps` is None if jumps were not tested.
         """
-        # Find the cause that this kind of change removes
+        # Each kind of change to the set-up removes certain causes of noise
         inside = _jumps(self.causes)
         wrapped = any(cause.name == "border-jump" for cause in self.causes)
         odd = f"{100 * (self.odd or 0.0):.0f} % of the variance of g"
@@ -152,7 +152,7 @@ def diagnose(
         causes, unseen = _looked_for(estimator, sampler, stream, most)
         # Compute the fraction of the variance of g that cancels in a mean over reflections.
         # All 2^d reflections about the center are used, at fixed points.
-        # In many dims, and if g is constant or cannot be evaluated, the fraction is None
+        # `odd` remains None if g is constant, cannot be evaluated or has too many dims
         odd, whole, even = None, 0.0, 0.0
         with suppress(McspectraError):
             few = estimator.dims <= _SETTINGS.odd_dims

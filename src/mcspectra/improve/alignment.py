@@ -58,13 +58,13 @@ class AlignmentSettings:
     # Each term is rounded to 1.1e-16. The factor 100 allows for rounding in the sums.
     exact_rounding: float = 1e-14
     # Relative standard error that the fit of a rate assumes for exact variances.
-    # Every count has this error. Therefore all counts have equal weights in the fit.
-    # Rates and their intervals agree to 9 digits for values from 1e-9 to 1e-3.
+    # All counts get the same relative error, so they have equal weights in the fit of the rate.
+    # Rates and their intervals agree to 9 digits for relative errors from 1e-9 to 1e-3.
     exact_se: float = 1e-6
     # Number of times that the pattern search halves its step.
     # The last step is 1/256 of the spacing of the scan.
-    # For 11 points and disks in 1-D, 16 halvings lower the variance by 0.02 %.
-    # For the same points and disks, 4 halvings raise the variance by 0.3 %.
+    # For 11 points and disks in 1-D, 16 halvings of the step find a variance 0.02 % lower.
+    # With only 4 halvings of the step, the variance is 0.3 % higher.
     halvings: int = 8
 
 
@@ -98,7 +98,7 @@ def strata_shift_scan(
         Offsets along each axis, as fractions of the side n^(-1/d) of a stratum.
         Either a list of ascending numbers in [0, 1), or the number of equally spaced offsets.
         The default is 16 in 1-D, 8 in 2-D and 4 in more dims. A scan has at most 4096 offsets.
-        The side depends on n, and so does the position of an offset in the domain.
+        The side of a stratum depends on n, so the same offset moves strata less if n is larger.
     method
         ``"exact"`` computes exact variances (`mcspectra.exact_variance`);
         ``"measured"`` measures variances with the same random numbers for all offsets.
@@ -201,7 +201,7 @@ def best_alignment(
     ----------
     estimator, sampler, n
         An estimator, a sampler without a shift, and the number of points.
-        A shift would average over all offsets.
+        A shifted sampler would average the variance over all offsets.
     dims
         Number of dims; needed if the estimator is a function or a spec without dims.
         The default is the sampler's number of dims, unless the sampler is given as a spec.
@@ -223,8 +223,8 @@ def best_alignment(
         ``strata_offset(candidate, axis)`` is the offset of each candidate.
         ``predicted_variance`` and ``measured_variance`` are sums over channels.
         ``variance_ratio`` is the ratio of the measured variance to that of the first candidate.
-        ``improvement`` is 1 if the interval ``variance_ratio_ci`` is below 1.
-        It is −1 if this interval is above 1, and 0 otherwise.
+        ``improvement`` is 1 if the interval ``variance_ratio_ci`` is below 1,
+        −1 if the interval is above 1, and 0 if the interval contains 1.
         The attribute ``best`` names the candidate with the least predicted variance.
         If a candidate has no prediction, ``best`` is chosen by the measured variance.
         The attribute ``improved`` is yes, no or undecided for the best candidate.
@@ -401,7 +401,7 @@ class _Offsets:
             if exact:
                 # Raise an error if no closed form is known.
                 # If edges are multiples of the side, an offset of about half a side cuts strata.
-                # Strata that are cut may have no closed form
+                # For strata that an edge cuts, a closed form of the variance may be missing
                 for probe, n in itertools.product((0.0, 0.4375), counts):
                     found.at([probe] * estimator.dims, n)
         except NoClosedForm:

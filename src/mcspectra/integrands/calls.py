@@ -74,7 +74,7 @@ class Calls:
         Set this to False if the function maps a single point, an array (d,), to a number.
     workers
         Number of processes that call f. The points are divided among the processes.
-        If it is above 1, a script needs the guard ``if __name__ == "__main__":``.
+        With more than one process, a script needs the guard ``if __name__ == "__main__":``.
     cache
         Path of a file that stores the values by point. It is created if it does not exist.
         One file can store only one function with one set of parameters.
@@ -215,7 +215,7 @@ class Calls:
         return values.reshape(points.shape[:-1])
 
     def skipped_in_words(self, least: float, most: float) -> str:
-        """Describe where f failed. Say which values f must have there for the interval to hold."""
+        """Describe where f failed, and the range of f there for which the interval is valid."""
         assert self.first_skipped is not None
         return (
             f"{self.skipped} of {self._asked} evaluations failed and were skipped, the first at "

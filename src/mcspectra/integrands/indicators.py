@@ -240,7 +240,7 @@ class HalfSpace(_Indicator):
     The integral and the coefficients are exact in 1-D and 2-D.
     In more dims, the coefficients come from quadrature.
     In at most 16 dims, inclusion and exclusion give the integral, as a sum over the cube's corners.
-    This sum counts as exact if ten of its digits are correct.
+    The sum over corners counts as exact if rounding leaves ten correct digits.
 
     Parameters
     ----------
@@ -360,7 +360,7 @@ def _cut_disk_fourier(m: Array, center: Array, radius: float) -> Array:
     The integral along a chord is exact. With x_0 = c_0 + r sin θ, chords are functions of θ.
     Between the kinks where the circle meets the borders, these functions are smooth.
     Gauss-Legendre panels between the kinks integrate the highest frequency to rounding accuracy.
-    The cost is O(U_0 U_1 (|m| + const)) for U_i distinct m_i.
+    The cost is O(U_0 U_1 (|m| + const)), where U_i is the number of distinct m_i.
     """
     m0, where0 = np.unique(m[..., 0], return_inverse=True)
     m1, where1 = np.unique(m[..., 1], return_inverse=True)
@@ -449,14 +449,14 @@ def _half_plane_fourier(m: Array, normal: Array, offset: float) -> Array:
         a, b = (0.0, 1.0) if 0 < alpha < 1 else (0.0, 0.0)
     else:
         a, b = np.clip(sorted((-alpha / beta, (1 - alpha) / beta)), 0, 1).tolist()
-    if beta == 0:  # find the x_j for which the line lies above the unit square
+    if beta == 0:  # `full`: the interval of x_j where the border of the half-space is above 1
         full = (0.0, 1.0) if alpha >= 1 else (0.0, 0.0)
     else:
         cross = min(max((1.0 - alpha) / beta, 0.0), 1.0)
         full = (cross, 1.0) if beta > 0 else (0.0, cross)
 
     # Integrate ∫_a^b ∫_0^{α+βx} exp(−2πi (m_j x + m_k y)) dy dx.
-    # Then add the strip of x in which the line lies above the square
+    # Where the border y = α + βx lies above the square, y covers all of [0, 1]: add this strip
     flat = mk == 0
     edge = np.exp(-2j * np.pi * mk * alpha) * _interval_fourier(mj + beta * mk, a, b)
     base = _interval_fourier(mj, a, b)

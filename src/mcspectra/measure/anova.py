@@ -4,7 +4,7 @@ docs/theory.md, "Analysis by axes", derives both methods of this module.
 `anova_variances` uses pick-freeze estimates [Sobol2001]_ with whole point sets.
 For the empty set of axes, the true covariance is 0.
 The estimate of this covariance is subtracted from the estimates for all other sets.
-These estimates have nearly equal errors, which cancel. Shares near 1 are therefore precise.
+Both estimates have nearly equal errors, which cancel. Shares near 1 are therefore precise.
 
 `anova_spectrum` draws frequencies with the probability q(m) = Π_{i∈u} q_1(m_i).
 Here q_1(k) is proportional to 1/k² up to K.
@@ -155,7 +155,8 @@ class Anova(Counted, frozen=True, kw_only=True):
             """Return estimates with the axes of each subset kept and the others replaced."""
             block = blocks[index]
             kept = e.draw(sampler, n, stream, *block)
-            # The partners are other sets of the sampler, or random points if all its sets are equal
+            # Replaced axes come from other sets of the sampler, or from random points if all its
+            # sets are equal
             if same_always():
                 random = as_sampler("random", sampler.dims)
                 others = e.draw(random, n, stream.child(_UNIFORM), *block)
@@ -213,7 +214,7 @@ class Anova(Counted, frozen=True, kw_only=True):
         weight = dict(zip(frozen, np.eye(len(frozen)), strict=True))
 
         def below(*u: int) -> Array:
-            """Return weights of estimates. The weighted sum is the variance of all subsets of u."""
+            """Return weights of covariances. The weighted sum is the variance from axes in u."""
             return np.asarray(weight[u] - weight[()])
 
         parts = [
@@ -441,7 +442,7 @@ def anova_variances(
         Number of independent pairs of point sets, at least 2.
     groups
         Group of each axis, numbered from 0 without gaps. By default every axis is a group.
-        The subsets and the dims ``axis`` and ``axes`` refer to these groups.
+        The subsets, and the dims ``axis`` and ``axes`` of the result, refer to groups of axes.
         A group may hold the axes of one bounce of a path, for example.
     rng
         Seed (SPEC 7). Realization r uses the points of ``sampler.draw(n, rng=rng, first=r)``.
@@ -460,14 +461,14 @@ def anova_variances(
 
         ``total_variance(axis)`` is the sum of c_u over all subsets u that contain the axis.
         ``total_share(axis)`` is the total Sobol' index.
-        ``higher_order_variance`` is the part of subsets with more than `order` axes.
-        ``higher_order_share`` is the share of this part.
+        ``higher_order_variance`` is the variance from subsets with more than `order` axes.
+        ``higher_order_share`` is this variance divided by the whole variance.
         ``truncation_share(axes)`` is the share of the first axes.
 
         Effective dimensions refer to 99 % of the variance.
         ``effective_dimension_truncation`` is the number of leading axes that hold this share.
-        ``effective_dimension_superposition`` is the largest size of the subsets that hold it.
-        The latter is NaN if it exceeds `order`.
+        ``effective_dimension_superposition`` is the least s such that subsets of up to s axes
+        hold 99 %. If s exceeds `order`, the value is NaN.
         ``mean_dimension`` is the mean of |u| weighted by c_u. ``variance`` is the whole variance.
 
         Standard errors of variances have names that end in ``_se``.
@@ -477,7 +478,7 @@ def anova_variances(
         The interval of an effective dimension ends where the interval of the shares crosses 99 %.
         The upper end is infinite if the lower ends of all shares are below 99 %.
         With fewer than 4 realizations, errors and intervals are NaN.
-        Several channels add a dim channel.
+        If f has several channels, the result has the dim channel.
 
     Raises
     ------
@@ -490,7 +491,7 @@ def anova_variances(
     Correlated parts may have a negative c_u.
     Noise may also make c_u slightly negative, within its standard error.
     A sampler of given sets (`Sampler.from_points`) cannot draw an independent set as a partner.
-    Random points are then the partners of these sets, so errors are larger.
+    For given sets, replaced axes come from random points, so errors are larger.
 
     Examples
     --------
@@ -551,7 +552,7 @@ def anova_spectrum(
     ------
     NoClosedForm
         If the coefficients are not exact, the points have a density, or frequencies are correlated.
-        The function `anova_variances` also works in these cases.
+        The function `anova_variances` needs none of these properties.
     ParameterError, CountError
         If a value is out of range, or the frequencies would not fit into memory.
 
@@ -590,7 +591,7 @@ def _subsets(dims: int, order: int) -> list[tuple[int, ...]]:
 
 
 def _frozen(dims: int, order: int) -> list[tuple[int, ...]]:
-    """Return each subset of axes that is kept once. The full set and the empty set come first."""
+    """Return the subsets of axes to keep, without duplicates: first all axes, then none."""
     axes = tuple(range(dims))
     without = [(*axes[:i], *axes[i + 1 :]) for i in axes]
     first = [axes[:s] for s in range(1, dims)]
@@ -598,9 +599,9 @@ def _frozen(dims: int, order: int) -> list[tuple[int, ...]]:
 
 
 def _least(shares: Array) -> Array:
-    """Return the least number of axes with a large enough share. NaN if no number is enough.
+    """Return the least number of axes whose share is at least 99 %, or NaN if no number is enough.
 
-    The entry s − 1 along axis 0 of `shares` is for s axes.
+    Entry s − 1 along axis 0 of `shares` is the share of s axes.
     """
     enough = shares >= EFFECTIVE_SHARE
     return np.where(enough.any(axis=0), enough.argmax(axis=0) + 1.0, np.nan)

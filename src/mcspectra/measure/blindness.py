@@ -1,8 +1,8 @@
 """Detect estimates that missed the source of their variance, and explain each in a sentence.
 
-Three kinds of estimates give no upper bound of the variance. The estimates may have no spread.
-The mean of the estimates may differ from the integral.
-A single estimate may cause most of the variance.
+Estimates give no upper bound of the variance in three cases: if they are all equal,
+if their mean differs from the integral,
+or if a single estimate causes most of the variance.
 `blindness` detects these estimates by the known integral, by ∫g² and by poles.
 """
 
@@ -36,13 +36,14 @@ VANISHES = "the variance vanishes to rounding"
 class BlindnessSettings:
     """Thresholds that detect estimates which missed the source of their variance."""
 
-    # If one square has more than this share of Σ (estimate − mean)², the tail is not resolved.
+    # If one estimate causes more than this fraction of Σ (estimate − mean)², the tail of the
+    # estimates is not resolved.
     # For 1,000 exponential numbers, the median share of the largest square is 4 %.
-    # This share exceeds 17 % in one of a thousand samples.
-    # For normal numbers, these two shares are 1.2 % and 2.4 %.
+    # The share of the largest square exceeds 17 % in one of a thousand samples.
+    # For normal numbers, the median is 1.2 %, and one sample in a thousand exceeds 2.4 %.
     large_share: float = 0.2
     # Probability that the largest square of a few normal estimates exceeds its limit.
-    # The limit for this square is larger if there are fewer estimates.
+    # If there are fewer estimates, the limit for the largest square is larger.
     rarely: float = 1e-3
     # Value of κ − 1 above which ∫g² is computed, to test whether the variance is infinite.
     # κ is the kurtosis of the estimates. κ − 1 is 2 for normal and 8 for exponential estimates.
@@ -143,7 +144,7 @@ def blindness(
             excess = true / np.where(varies[at], of["variance"], np.nan)
 
             # For each count, report the first condition that holds.
-            # If it holds at several counts, report its worst value
+            # If the same condition holds at several counts, report its worst value
             everywhere = np.ones_like(low)
             for text, where, size in (
                 ("∫g² diverges: infinite variance", everywhere & np.isinf(of_random), excess),
@@ -200,9 +201,9 @@ def blindness_of(
 
 
 def _large_share(realizations: Array) -> Array:
-    """Return the share of one square in the variance above which the tail counts as unresolved.
+    """Return the share of the largest square above which the tail counts as unresolved.
 
-    This threshold is a fifth of the variance, or more for few realizations.
+    The threshold is a fifth of the sum of squares, or more for few realizations.
     Normal estimates exceed the threshold with probability 0.001 [Grubbs 1950].
     """
     from scipy.special import stdtrit

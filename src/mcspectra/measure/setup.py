@@ -18,8 +18,8 @@ class CountSettings:
     """Limits in the search for an affordable number of points."""
 
     # Number of candidate counts, for samplers that allow a count near every number.
-    # The inverse of this number is the relative step between candidates.
-    # 64 and 1,024 candidates find the same count.
+    # Successive candidate counts differ by a factor of about 1 − 1/256.
+    # Searches with 64 and with 1,024 candidates find the same count.
     tries: int = 256
 
 
@@ -73,7 +73,7 @@ def affordable_count(setup: Setup, budget: int) -> int | None:
     """Return the largest n that can be drawn within `budget` evaluations, or None.
 
     Counts of nets away from powers of the base are poor; the sampler warns for these counts.
-    The search skips counts with such a warning.
+    The search skips counts for which the sampler warns.
     """
     source = setup.estimator.randomized(setup.sampler)
     n: int | None = min(max(budget - setup.overhead, 0) // setup.cost, source.max_count)

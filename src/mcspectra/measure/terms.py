@@ -50,7 +50,7 @@ class TermSettings:
     """Limit of memory for the covariances of all pairs of frequencies."""
 
     # Largest number of frequencies whose full matrix of covariances is returned.
-    # Two complex matrices of that size take 0.5 GiB.
+    # For 4096 frequencies, the two complex matrices take 0.5 GiB.
     most_matrix: int = 4096
 
 
@@ -296,7 +296,7 @@ def variance_terms(
     bands
         One of the partitions ``"radial"``, ``"dyadic"``, ``"anova"`` and ``"wedge"``.
         Another choice is an array with an integer label ≥ 0 for every basis function.
-        The function `mcspectra.measure.views.make_bands` describes these choices.
+        The function `mcspectra.measure.views.make_bands` describes the partitions into bands.
     cross_matrix
         Whether to return C_ml and conj(f_m) f_l C_ml in full, for at most 4096 frequencies.
     engine, eps
@@ -311,7 +311,8 @@ def variance_terms(
     -------
     xarray.Dataset
         ``dc_term``, ``power_term`` and ``cross_term`` are the three terms.
-        ``predicted_variance`` is their sum, and ``measured_variance`` the sample variance.
+        ``predicted_variance`` is the sum of the three terms,
+        and ``measured_variance`` is the sample variance of the estimates.
         The terms, their sum and the measured variance have 95 % intervals ``_ci``.
         ``captured`` with ``_ci`` is predicted/measured.
         ``captured`` is NaN if the measured variance is rounding noise.
@@ -321,7 +322,7 @@ def variance_terms(
         ``contribution`` and ``power_contribution`` are maps on m0, m1, ….
         ``band_covariance(band, band_other)`` is the covariance of the estimates of two bands.
         ``truncated_variance(half_width)`` is the predicted variance for each smaller half width.
-        ``captured_by_half_width(half_width)`` is this variance divided by the measured variance.
+        ``captured_by_half_width(half_width)`` is ``truncated_variance`` over the measured variance.
         With `cross_matrix` there are ``coefficient_covariance(m, l)`` and ``cross_matrix(m, l)``.
 
         A list of samplers adds a dim sampler, and several channels add a dim channel.
@@ -337,7 +338,7 @@ def variance_terms(
         A set that is always the same has no variance, which the attribute ``note`` reports.
         The note also names estimates that missed the source of their variance (see `convergence`).
         For these estimates the upper end of ``measured_variance_ci`` is infinite.
-        The lower end of ``captured_ci`` is 0 for these estimates.
+        If estimates missed the source of their variance, the lower end of ``captured_ci`` is 0.
 
     Raises
     ------
@@ -445,7 +446,7 @@ def _variables(total: TermSums, view: View, partition: Partition) -> Variables:
 
 
 def _predicted_ci(total: TermSums, batches: Batches) -> Array:
-    """Return a 95 % interval of the sum of terms, (C, 2). It is wider if few sets are stored."""
+    """Return a 95 % interval of dc + power + cross, (C, 2), wider if few sets are stored."""
     truncated = total.sums.truncated
     interval = truncated.variance_ci[:, -1]
     if total.by_group is None or batches.count < 2:

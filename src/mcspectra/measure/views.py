@@ -45,7 +45,7 @@ class FrequencySettings:
     # In 2-D a half width of 128 fits, and one spectrum takes 1 MiB in half storage.
     most_frequencies: int = 2**17
     # The half width is halved if less than this fraction of Σ|f_m|² is lost.
-    # The value is about ten roundings of float64.
+    # The default is about ten times the rounding error of float64.
     rounding: float = 1e-15
     # Number of points that estimate mean squares of weights and of functions.
     # The points give the energy share of a smooth f to 1e-4, and of a discontinuous f to 1 %.

@@ -207,7 +207,7 @@ class Drawn:
         Raises
         ------
         ParameterError
-            If the structure differs: other marks, colors, kinds of axes or panels.
+            If the other plot has different marks, colors, kinds of axes or panels.
         """
         if not self.fits(plot):
             raise ParameterError(
@@ -264,7 +264,7 @@ def _structure(plot: Plot) -> list[Any]:
 def _bars(plot: Plot) -> dict[Scale, int]:
     """Return the color scales that need a bar or a legend.
 
-    Each scale has the number of the last panel that uses it.
+    The value for each scale is the index of the last panel that uses it.
     """
     found = {scale: k for k, panel in enumerate(plot.panels) for scale in panel.scales}
     return {scale: k for scale, k in found.items() if scale.label or scale.names}

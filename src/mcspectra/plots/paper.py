@@ -84,8 +84,8 @@ class PaperStyle:
             Width of a figure: inches, or a text such as ``"3.33in"``, ``"84mm"`` or ``"240pt"``.
             Default: the width of ``figure.figsize``, or 3.33 inches.
         font_size
-            Size of all texts in points. Default: ``font.size`` and the sizes of labels, ticks,
-            titles and legends, or 8 points.
+            Size of all texts in points.
+            By default, labels, ticks, titles and legends have the sizes in rcParams, or 8 points.
         colors
             Color map of spectra, one of `COLORS`. Default: ``image.cmap``, or viridis.
 

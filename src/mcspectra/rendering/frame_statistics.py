@@ -84,7 +84,8 @@ _ONE_SQUARE = 0.05
 # Rates are averaged over windows of at most 15 pixels until their standard error is below 0.1
 _WIDEST, _KNOWN_RATE = 15, 0.1
 # Values that miss a tail make the variance and its error too small, so the upper end is farther.
-# With 2, intervals of six frames cover in 92 to 97 % of cases for normal to lognormal noise
+# With the factor 2, the intervals from six frames contain the true variance
+# in 92 to 97 % of cases, for normal to lognormal noise
 _MISSED = 2.0
 _NEAR = 15  # width in pixels of the squares in which two or three frames share a variance
 _SLOWEST = -0.5  # least steep rate that is used to extrapolate to a target
@@ -118,7 +119,7 @@ def frames(
     spp
         Samples per pixel of all frames.
         The default is read from the name of the file or folder (``spp64`` or ``64spp``),
-        or else from EXR headers: ``samplesPerPixel`` (pbrt) or ``cycles.*.samples`` (Blender).
+        or from the EXR header: ``samplesPerPixel`` (pbrt) or ``cycles.*.samples`` (Blender).
     against
         Frames of the same view by another renderer, integrator or setting.
     target
@@ -142,7 +143,7 @@ def frames(
         ``ema(alpha=0.1)``, or a product such as ``"gaussian(sigma=1.5) | ema(alpha=0.1)"``.
     filter_command
         Program that filters one frame, such as ``"denoise {input} -o {output}"``.
-        It runs on every frame with the most samples, without a shell.
+        The program runs on every frame that has the most samples, without a shell.
         A program with ``{inputs}`` and ``{outputs}`` gets the folder of one sequence.
         Its frames have the names ``0000.exr``, ``0001.exr`` …, and so must the output.
     filter_timeout
@@ -170,7 +171,7 @@ def frames(
         ``flip(n, y, x)``: the FLIP error [Andersson2021]_ of the first frame against ``image``.
         FLIP needs the package flip-evaluator. If a reference is given, FLIP compares with it.
         ``gaussian_variance(n, sigma)``: variance after a Gaussian filter.
-        ``gaussian_ratio``: this variance divided by that of equally strong white noise.
+        ``gaussian_ratio``: ``gaussian_variance`` over its value for equally strong white noise.
         ``filtered_variance(n, filter)``, ``filtered_ratio``: variance and ratio after `filters`.
         Sequences also have ``joint_spectrum(n, radius, frame_frequency)``, 1 for white noise,
         ``frame_correlation(n, lag_t)``, ``boiling(n)`` (power below 1/8 cycle per frame),
@@ -180,8 +181,8 @@ def frames(
         For sequences it also gives ``denoised_boiling`` and ``denoised_correlation(lag_t)``.
         A reference gives ``bias_z(y, x)`` and ``squared_bias(n)``.
         The relative bias, relMSE and SMAPE are given by tile: ``tile_bias(n, tile_y, tile_x)``.
-        They are also given for the whole image: ``image_bias(n)``.
-        For sequences these are means over the frames, and ``frame_bias(n, frame)`` is by frame.
+        For the whole image, the relative bias, relMSE and SMAPE are named like ``image_bias(n)``.
+        For sequences they are means over the frames, and ``frame_bias(n, frame)`` is by frame.
         Two sets of frames are compared at the largest n that both have:
         ``difference`` of the means, ``difference_z`` by Welch's test,
         ``variance_ratio``, the variance of the first set of frames over that of the second set,
@@ -470,8 +471,8 @@ def _percentiles(need: Array, spread: Array) -> dict[str, float]:
 
     Errors of the estimates widen the distribution over the pixels.
     The logarithms are therefore moved towards their median.
-    The variance of the moved logarithms is the variance of the logarithms of the estimates,
-    minus the mean variance of the errors [Louis1984]_.
+    After the move, the variance of the logarithms is smaller by the mean variance
+    of their errors [Louis1984]_.
     """
     known = np.isfinite(need) & np.isfinite(spread) & (need > 0)
     if not known.any():
@@ -763,9 +764,9 @@ def _group(
     measured, curve = rings.mean(power), np.maximum(rings.mean(np.fft.rfft2(every).real), 0.0)
     half *= np.divide(curve, measured, out=np.ones_like(curve), where=measured > 0)
     # With two frames, the deviations differ only in sign, so their spectra are equal.
-    # The spread of the spectra is then 0, so use at least the errors of normal noise.
-    # For R frames of such noise, a pair m, −m gives R − 1 independent exponential values.
-    # The power is the mean of these values
+    # Equal spectra have a spread of 0, so use at least the errors of normal noise.
+    # For R frames of normal noise, a pair m, −m gives R − 1 independent exponential values.
+    # The power of the pair is the mean of the R − 1 values
     independent = fields * loss**2
     half = np.maximum(half, CONFIDENCE_Z * measured * np.sqrt(2.0 / (rings.sizes * independent)))
     # The sum of squared correlations also contains the squared errors of the correlations.
@@ -774,7 +775,7 @@ def _group(
     near, repeat, repeated = _lags(every, alike / (varied.sum() * independent))
     pair, relation = _related(sample.reshape(count, -1), alike * times / frames_per)
     # Count pixels with an outlier above twice the pixel's mean.
-    # Also compute the expected number of such pixels for normal noise
+    # Also compute how many pixels with outliers normal noise would have
     limit = _grubbs(len(files))
     outliers = (share > limit) & (above > np.maximum(moments.mean, below))
     expected = _OUTLIER / 2 * int((limit * pooled.m2[varied] > moments.mean[varied] ** 2).sum())
@@ -807,7 +808,8 @@ def _group(
     }
     if over_time is not None:
         told["sequences"] = count
-    # Pixels of unequal variance count as fewer independent values
+    # If variances differ between pixels, the mean variance has a larger error, as if from
+    # fewer pixels
     variances = moments.variance[varied]
     uneven = varied.sum() * float((variances**2).sum()) / float(variances.sum()) ** 2
     return _Group(
@@ -848,8 +850,8 @@ def _variance_of_variance(moments: Moments) -> Array:
 
     Var(s²) = k₄/R + 2σ⁴/(R − 1) with the fourth cumulant k₄.
     From four frames on, it is estimated by k-statistics [Kenney & Keeping 1951].
-    Two or three frames need the variance σ² of a pixel. It is the mean over near pixels, which
-    makes the estimate too large if the variances of these pixels differ.
+    With two or three frames, σ² is the mean variance of nearby pixels.
+    If these pixels have different variances, the estimate is too large.
     """
     count = moments.count
     variance, fourth = moments.variance, moments.m4 / count
@@ -899,7 +901,7 @@ def _scattered(varied: Array, times: int) -> Array:
     """Return the pixels at which frames are compared, from a fixed order of all pixels.
 
     The order is the same for all frames of one size.
-    If almost the same pixels vary in two sets, the sets share almost all compared pixels.
+    If two sets of frames vary at nearly the same pixels, their compared pixels are nearly equal.
     """
     # Multiples of an odd step near 0.618 of the number of pixels visit all pixels in mixed order
     step = next(k for k in itertools.count(int(0.618 * varied.size) | 1) if _coprime(k, varied))
@@ -931,12 +933,12 @@ def _drift(
     Returns
     -------
     tuple
-        The change is None unless the means follow a line significantly.
+        The drift is None unless the means of the frames significantly follow a straight line.
         The share of squared deviations includes frames that do not follow the line.
     """
     count, center = means.size, float(means.mean())
     share = 0.0
-    if squares > 0 and chance < _RELATED * squares:  # with few pixels, chance looks like a change
+    if squares > 0 and chance < _RELATED * squares:  # few pixels change in brightness by chance
         share = min(max(float(gained.sum()) - chance, 0.0) / (squares - chance), 1.0)
     if count < 3 or center == 0.0 or not means.std():
         return None, share
@@ -1119,7 +1121,7 @@ def _compared(
         variances = a.moments.variance / b.moments.variance / scale
     first, second = a.picture_relative_se, b.picture_relative_se
     # Let ρ be the correlation of the errors of paired frames.
-    # The errors of the two variances then have the correlation ρ²
+    # The errors of the variances of paired frames have the correlation ρ²
     shared = 0.0 if pairs is None else 2.0 * relation**2 * first * second
     error = math.sqrt(max(first**2 + second**2 - shared, 0.0) + (step * rate_se) ** 2)
     level = math.log(a.picture_variance / b.picture_variance / scale)

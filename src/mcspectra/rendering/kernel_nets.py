@@ -139,7 +139,8 @@ class NetPoints:
     """The first `count` points of scrambled nets, for realizations of one or more random streams.
 
     The points are those of ``owen(method='hash')``, rounded down to float32.
-    The keys of the streams are `streams`, uint64 (S,), and the realizations are `numbers` (R,).
+    `streams`, uint64 (S,), are the seeds of the random streams.
+    `numbers` (R,) are the indices of the realizations.
     """
 
     net: Net
@@ -260,17 +261,17 @@ class JointSets:
 
 
 class JointPoints:
-    """One point of a joint set for each lane.
+    """One point for each lane, whose coordinates serve all bounces of a path.
 
     The coordinates are computed before the loop over the bounces of a path.
-    Otherwise each request would compute all coordinates again.
+    Inside this loop, each request for a random number would compute all coordinates again.
     """
 
     def __init__(self, sets: JointSets, coordinates: list[Any]) -> None:
         self.dims, self._sets, self._made = sets.dims, sets, coordinates
 
     def at(self, pixel: Any, index: Any) -> JointPoints:
-        """Return other points of the same sets."""
+        """Return the points with other indices, or at other pixels, of the same joint sets."""
         return self._sets.at(pixel, index)
 
     def draw(self, dims: int, _: Any, start: Any, __: Any, ___: Any = True) -> list[Any]:

@@ -192,7 +192,7 @@ class Measurement:
 
     @property
     def _requests(self) -> list[tuple[int, str]]:
-        """Bounce and decision of each request for random numbers, in order."""
+        """The bounce and the decision for which each group of random numbers is drawn, in order."""
         return list(dict.fromkeys((use.bounce, use.decision) for use in self.uses))
 
     def prediction(self) -> Prediction | None:
@@ -359,7 +359,7 @@ class Receivers:
         Code of what each pixel shows, int8 (P,); `RECEIVER` means a lit surface.
     pixels
         Pixels that show a lit surface, whose light is estimated.
-        A single such pixel is listed twice, so that its sums are added in the same order.
+        If only one pixel shows a lit surface, it is listed twice, for equal rounding of sums.
     """
 
     def __init__(self, lighting: Lighting, pixels: Array) -> None:
@@ -471,7 +471,7 @@ def unmet(prediction: Prediction, values: Array, there: Array) -> Array:
     The values may miss a part M of the integral, in a region of small volume q.
     For any stratification this adds the variance M²/(q n), because few points hit the region.
     If none of N samples hit the region, q is at most about 1/N. The integral is at least `there`.
-    If M exceeds three standard errors of the mean, q may be arbitrary: the error is infinite.
+    If the missed part M exceeds three standard errors, q is unknown, and the error infinite.
     """
     mean, se = prediction.mean(values)
     missed = np.maximum(there - mean, 0.0)
@@ -605,7 +605,7 @@ def _student(squares: Array) -> Array:
     """Return the ratio of the quantile of Student's t to the normal quantile, for each pixel.
 
     The squared error of a pixel is the sum of `squares` (J, P) over the J strata.
-    If one stratum has nearly the whole sum, the standard error has one degree of freedom.
+    If the squared error comes from a single stratum, it has one degree of freedom.
     """
     from scipy.special import stdtrit
 

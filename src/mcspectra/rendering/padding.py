@@ -2,7 +2,7 @@
 
 A path requests random numbers one or two at a time (`mcspectra.rendering.paths.Dimension`).
 A renderer answers each request with a separate, shuffled set in one or two dims.
-The numbers of different requests are therefore independent.
+Random numbers of different requests are therefore independent.
 A single point set in all dims of a path has other dependences, which no rendered image has.
 The variances of the two kinds of points differ by factors of up to 6.
 
@@ -31,7 +31,7 @@ from mcspectra.samplers.law import Independent
 
 __all__ = ["Padded", "as_rendered", "padding_note", "requests_of"]
 
-_FIRST_PAD = 16  # label of the random stream of the first request
+_FIRST_PAD = 16  # label of the random stream for the first random numbers of a path
 
 
 def requests_of(dimensions: Sequence[Dimension]) -> tuple[int, ...]:
@@ -57,7 +57,7 @@ def as_rendered(
         Samplers without a spec, such as given points, are returned unchanged: all dims are joint.
         Random points are also returned unchanged: padding does not change their distribution.
     dimensions
-        What each number of the path is used for.
+        The bounce and the decision for which each random number of the path is used.
     joint_dims
         How many of the first numbers come from one joint set; 0 for none.
         The default comes from `joint_dims_of`. If all are joint, the sampler itself is returned.
@@ -101,7 +101,8 @@ class Padded(Sampler):
     joint
         How many of the first numbers of a path come from one joint set, or 0.
     requests
-        Number of values of each request, 1 or 2. Requests beyond `joint` numbers are padded.
+        How many random numbers a path takes at each request: 1 or 2.
+        After the first `joint` numbers, each request is answered by its own shuffled set.
     """
 
     name: ClassVar[str] = "padded"
@@ -124,9 +125,9 @@ class Padded(Sampler):
 
     @property
     def plain(self) -> Sampler:
-        """The padded sampler itself.
+        """The sampler itself, although `plain` usually means a sampler without randomizations.
 
-        Its randomizations cannot be removed, because they are applied before the padding.
+        Randomizations of a padded sampler cannot be removed: they are applied before the padding.
         """
         return self
 
@@ -147,7 +148,7 @@ class Padded(Sampler):
         return out
 
     def _fits(self, number: int) -> bool:
-        """Whether all numbers of a request are joint."""
+        """Whether all random numbers of a request come from the joint set."""
         return sum(self.requests[: number + 1]) <= self.joint
 
     def _counts_near(self, n: int) -> tuple[int | None, int]:

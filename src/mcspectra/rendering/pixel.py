@@ -3,7 +3,7 @@
 Method
 ------
 The camera ray through the pixel's center fixes one surface point.
-Its direct illumination is the integral ∫ f_r L_e V cos over directions.
+The direct illumination of this point is the integral ∫ f_r L_e V cos over directions.
 Each strategy defines an integrand g(u) = f/p in primary space, the unit square.
 The integrand is evaluated at the direction to which the strategy maps u.
 ``light`` samples a light, ``bsdf`` the BSDF, and ``environment`` a density of directions.
@@ -271,8 +271,8 @@ def describe_pixel(scene: Scene, x: int, y: int) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``shape`` (id), ``bsdf`` (type), ``light`` (name; None without emission),
-        and ``position`` and ``normal``, each as three floats in world space.
+        ``shape`` (id), ``bsdf`` (type) and ``light`` (name; None without emission).
+        ``position`` and ``normal`` have three floats each, in world space.
         All values are None if the ray leaves the scene.
 
     Raises
@@ -437,7 +437,7 @@ def _numbers(color: Any, channel: str | int, count: int) -> Array:
 
 
 def _spread(found: Any, shape: int | tuple[int, ...]) -> Array:
-    """Return an array of this shape: Dr.Jit keeps constants as arrays of size 1."""
+    """Broadcast to the given shape, because Dr.Jit keeps constants as arrays of size 1."""
     return np.broadcast_to(np.asarray(found), shape)
 
 

@@ -832,7 +832,7 @@ def _elements(file: Path, data: bytes) -> _SceneFile:
         value = attributes.get("value", "")
         name = attributes.get("filename") or (value if tag in ("string", "path") else "")
         if found.depth > DEEPEST or found.elements > MOST_ELEMENTS:
-            return  # The limit is exceeded: only count, for the message
+            return  # The file is rejected later; the message states the counted size and depth
         # The text \$ is an escape. A default value with a backslash may form it when inserted
         if any("\\$" in each for each in attributes.values()) or (
             tag == "default" and "\\" in value

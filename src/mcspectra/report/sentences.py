@@ -36,7 +36,7 @@ _CLOSE = 0.1  # prediction and measurement are close up to this relative differe
 # A page makes dozens of claims, of which some would be wrong with 95 % intervals.
 # This factor widens the interval of a rate to 3 standard errors
 _RATE_MARGIN = 1.5
-# A rate near −1 is called the rate of random sampling if half of its interval is below this
+# A rate near −1 is called the rate of random sampling only if it is known to ± this number
 _SURE = 0.2
 _REMEDY_WORDS = ("diagnosis", "answer")
 _TERMS = {
@@ -179,8 +179,8 @@ def explain(row: SummaryRow, terms: xr.Dataset | None = None) -> str:
     Notes
     -----
     A term is said to add or remove variance only if its 95 % interval excludes 0.
-    The intervals of prediction and measurement are treated as independent.
-    This is conservative, because both come from the same realizations.
+    The intervals of prediction and measurement are treated as independent. Their true difference
+    is known more precisely, because both come from the same realizations.
     """
     as_instance("row", row, SummaryRow, "a row of mcspectra.studies.summarize")
     as_instance("terms", terms, xr.Dataset | None, "a dataset of mcspectra.variance_terms")
@@ -198,7 +198,7 @@ def explain(row: SummaryRow, terms: xr.Dataset | None = None) -> str:
 def headline(row: SummaryRow, terms: xr.Dataset | None = None, rows: int = 1) -> str:
     """Return a sentence on the rate, and on a prediction that disagrees with the measurement.
 
-    They disagree if the interval of their ratio excludes 1.
+    Prediction and measurement disagree if the interval of their ratio excludes 1.
     The intervals hold simultaneously for all `rows` rows of a table [Sidak1967]_.
     """
     if row.note:
@@ -246,7 +246,7 @@ def bottleneck(row: SummaryRow, terms: xr.Dataset | None = None, technique: str 
     if half is None or row.terms_n is None or terms is None:
         return _TERMS[largest]
     # Strata of n points in d dims have the width n^(-1/d), which is the frequency n^(1/d).
-    # Frequencies below a quarter of it are coarse for all samplers.
+    # Frequencies below n^(1/d)/4 are called coarse, for all samplers.
     dims = sum(str(dim).startswith("m") and str(dim)[1:].isdigit() for dim in terms.dims)
     if half <= 0.25 * row.terms_n ** (1.0 / max(dims, 1)):
         return f"coarse shape ({_LENGTH}\u00a0≤\u00a0{half:.2g})"
@@ -396,8 +396,9 @@ def _captured_sentence(row: SummaryRow, terms: xr.Dataset) -> str:
 def _agreement(row: SummaryRow, terms: xr.Dataset) -> str:
     """Compare prediction and measurement: ``agrees``, ``less``, ``more``, ``open`` or empty.
 
-    ``agrees`` means that the two are close. ``less`` and ``more`` mean that the prediction
-    is not close, and that the interval of the ratio also excludes 1.
+    ``agrees`` means that prediction and measurement are close.
+    ``less`` and ``more`` mean a prediction that is too small or too large:
+    it is not close, and the interval of the ratio of both excludes 1.
     Otherwise the comparison is ``open``, or empty if an interval is unknown.
     """
     low, high = row.captured_low, row.captured_high

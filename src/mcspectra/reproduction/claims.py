@@ -70,7 +70,7 @@ class Claim:
     """A statement with its expected and its measured value. `judge` computes the verdict.
 
     The expectation is a number (`expected`), a bound (`above`, `below`) or a limit (`at_most`).
-    Limits are for errors of rounding or quadrature.
+    Use a limit if the measured value is an error of rounding or quadrature.
     If there is no expectation, the exhibit itself gives the verdict (`holds`).
 
     Attributes
@@ -88,7 +88,7 @@ class Claim:
         Number of digits of the expected value that are shown.
     above, below
         Bounds. The claim agrees if the whole interval of the measured value is within the bounds.
-        It disagrees if the whole interval is beyond a bound. Otherwise there is no verdict.
+        The claim disagrees if the whole interval is beyond a bound. Otherwise there is no verdict.
     at_most
         Largest allowed magnitude of an error.
     holds
@@ -100,8 +100,8 @@ class Claim:
     about
         Kind of the plot on the slide that shows the claim. Default: the first slide of the exhibit.
     corrects
-        Whether the claim limits or contradicts the slide if the measurement confirms the claim.
-        An example is a counterexample to a statement of the slide.
+        True if a confirmed claim shows that the slide is wrong, or true only in certain cases.
+        An example is a claim about a counterexample to a statement of the slide.
     """
 
     statement: str
@@ -134,7 +134,7 @@ class Finding:
     Attributes
     ----------
     statement, note
-        Statement and note, from the claim.
+        The statement of the claim, and the explanation of the verdict.
     expected
         Expectation as text, such as ``"−3"`` or ``"≤ 10⁻¹²"``.
     measured
@@ -144,7 +144,7 @@ class Finding:
     agrees
         The verdict. None if the claim has no verdict, or if its bound lies inside the interval.
     corrects
-        Whether the claim limits or contradicts the slide if the measurement confirms the claim.
+        True if a confirmed claim shows that the slide is wrong, or true only in certain cases.
     """
 
     statement: str
@@ -187,11 +187,11 @@ class Exhibit:
 class ExhibitFunction(Protocol):
     """A function that creates an exhibit: in seconds (`quick`) or at full quality.
 
-    The same seed gives the same exhibit.
+    For the same seed, the function returns the same plots and numbers.
     """
 
     def __call__(self, *, quick: bool, seed: int) -> Exhibit:
-        """Compute the exhibit, and describe its figures and claims."""
+        """Compute the numbers of the exhibit, and describe its figures and claims."""
 
 
 def judge(claim: Claim) -> Finding:

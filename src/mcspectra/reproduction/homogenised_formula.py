@@ -145,7 +145,7 @@ def _closed_sum(n: int) -> Claim:
         "difference.",
         total / expected - 1.0,
         # Bound the sum over frequencies m > 2^16, relative to the whole sum.
-        # The power of the points is at most 1/n there, and Σ 1/m² < 1/2^16
+        # At these frequencies the power of the points is at most 1/n, and Σ 1/m² < 1/2^16
         at_most=float(2 / (4 * np.pi**2 * n * m[-1]) / expected),
         note=f"Limit: bound of the sum over frequencies beyond {int(m[-1])}.",
     )

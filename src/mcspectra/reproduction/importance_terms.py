@@ -277,7 +277,10 @@ def _negative(statement: str, data: xr.Dataset) -> Claim:
 
 
 def exact_bar(half_width: int) -> float:
-    """Return the third term for `BAR` up to a half width, in closed form. Its limit is 1/(6N²)."""
+    """Return the cross term of `BAR` up to a half width, in closed form.
+
+    For large half widths, the cross term tends to 1/(6N²).
+    """
     m = np.arange(-half_width, half_width + 1)[:, None]
     f = BAR.integrand.fourier(m)
     c = mcs.spectra.closed_form_covariance("jittered", N, m[:, None], m[None])

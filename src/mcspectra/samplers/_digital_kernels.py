@@ -72,7 +72,7 @@ def fill_base(columns: Array, base: int, out: Array) -> None:
     """Fill `out` with points 0 … n − 1 of a digital net; columns int64 (d, m, rows).
 
     The kernel counts like an odometer. A column is added whenever its digit increases by one.
-    A column is also added when its digit returns from base − 1 to 0, which is +1 modulo the base.
+    When a digit returns from base − 1 to 0, its column is added too: modulo the base, this is +1.
     Requires base^rows ≤ 2^53, so that all numbers are exact.
     """
     n, dims = out.shape

@@ -12,7 +12,7 @@ First, x is increased by 2^-52, because the float for k/b^p may have been rounde
 
 Let v' be the scrambled number v, and let t be a random whole number of k bits.
 Here k is the largest number with b^m 2^k ≤ 2^50. The result is (v' + (t + ½) 2^-k)/b^m.
-This result is uniform to 50 bits, and far from every multiple of b^-p.
+The scrambled coordinate is uniform to 50 bits, and far from every multiple of b^-p.
 Therefore neither rounding nor ⌊x b^p⌋ in floating point moves the result to another interval.
 
 Random numbers with addresses below 2^62 or at least 2^63 are used for binary digits.
@@ -47,7 +47,7 @@ __all__ = [
 _ONE, _TREE, _TAIL = np.uint64(1), np.uint64(1 << 62), np.uint64(1 << 63)
 _S11, _S21, _S32, _S43 = np.uint64(11), np.uint64(21), np.uint64(32), np.uint64(43)
 # Number of bits for the number of a node in a digit tree. Node numbers are below 2^33:
-# on each level of the tree they are b^level + v with v < 2^32.
+# a node on some level of the tree has the number b^level + v, with v < 2^32.
 _S34 = np.uint64(34)
 _LOW32 = np.uint64(0xFFFFFFFF)
 _TO_53, _UNIT_53, _TO_32 = 2.0**53, 2.0**-53, 2.0**32
@@ -82,8 +82,8 @@ def _with_tail(k0: np.uint64, k1: np.uint64, number: int, word: Any) -> Any:
 
 @kernel
 def _six_flips(bits: Any, piece: Any) -> Any:
-    # Return the flips of six bits, the highest first.
-    # The higher bits determine the node that holds the flip of a bit.
+    # Return for each of six bits whether scrambling flips it, the highest bit first.
+    # The node that decides on the flip of a bit depends on all higher bits.
     # Nodes are numbered as in a heap: node v has the children 2v and 2v + 1.
     # The flip of each of the six nodes is shifted to its position in the result.
     moved = bits << np.uint64(4)
@@ -150,8 +150,8 @@ def _reversed(word: Any) -> Any:
 @kernel
 def _hashed(word: Any, add: Any, factor: Any, add_2: Any, factor_2: Any) -> Any:
     # Hash a reversed word so that every bit depends only on the bits below.
-    # The XOR of x and an even multiple of x has this property.
-    # The product (x + summand) · (odd factor) also has this property. All numbers are uint32.
+    # In the XOR of x and an even multiple of x, every bit depends only on the bits below.
+    # The same is true of the product (x + summand) · (odd factor). All numbers are uint32.
     x = np.uint32(word)
     x = np.uint32(x ^ np.uint32(x * np.uint32(0x3D20ADEA)))
     x = np.uint32(np.uint32(x + add) * factor)
@@ -300,7 +300,7 @@ def _draw_permutation(k0: np.uint64, k1: np.uint64, number: int, order: Array) -
 @kernel
 def _draw_images(k0: Any, k1: Any, number: int, places: int, base: int, shift: bool) -> Any:
     # Draw the random image of each digit in each place, the lowest place first: int64 (m, b).
-    # Also draw one uniform number for all digits below, the same for all points.
+    # Also draw one uniform number that replaces all lower digits of every point.
     out = np.empty((places, base), np.int64)
     for k in range(places):
         if shift:
@@ -368,15 +368,15 @@ def _invert_digits(images: Array, start: int, scale: float, tail: float, out: Ar
     table = np.zeros(size)
     width, weight = 1, base ** (places - 1)
     for k in range(low):
-        # The first `width` entries belong to digit 0, and the entries of all digits are sums
-        # with them. Digit 0 therefore comes last, because it overwrites these entries
+        # table[v] is the sum of the images of the lower digits of v. It is needed for every new
+        # digit, and digit 0 overwrites it. Digit 0 therefore comes last
         for digit in range(base - 1, -1, -1):
             image = np.float64(images[places - 1 - k, digit] * weight)
             for v in range(width):
                 table[digit * width + v] = table[v] + image
         width, weight = width * base, weight // base
 
-    # Add the images of the higher digits, which are the same for a run of indices
+    # Add the images of the higher digits. `size` successive indices have the same higher digits
     i, v, block = 0, start % size, start // size
     while i < n:
         high, unit_above, rest = 0, weight, block
@@ -418,7 +418,7 @@ def fill_nested(keys: Array, bases: Array, out: Array) -> None:
 
     Any other run of whole numbers would give points with the same distribution.
     Point v + c b^l, with v < b^l and 0 < c < b, shares its first l digits with point v.
-    No two of these b points share the next digit, and lower digits are uniform.
+    Point v and the b − 1 points v + c b^l all differ in the next digit. Lower digits are uniform.
     Each point is derived from an earlier point only, so the first points do not depend on n.
     """
     n, dims = out.shape[1:]
@@ -453,10 +453,11 @@ def fill_nested(keys: Array, bases: Array, out: Array) -> None:
 @kernel
 def _image(k0: np.uint64, k1: np.uint64, node: Any, digit: int, base: int) -> int:
     # Return the image of a digit under the random permutation of a node.
-    # The digit is followed through the swaps of Fisher and Yates.
+    # The Fisher-Yates algorithm permutes all digits by swaps; follow the given digit only.
     # A random number below c is the upper word of the product of c and 64 random bits.
-    # The lower word of this product serves as the random bits of the next number.
-    # New random bits are made before the product of all c exceeds 2^32.
+    # The lower word of the product serves as the random bits of the next number.
+    # After each c, fewer of the 64 bits are random. New bits replace them before the product
+    # of the numbers c exceeds 2^32.
     position, used, drawn = digit, 1, 0
     bits = mix_bits(k0, k1, node)
     for t in range(base - 1):
@@ -478,7 +479,7 @@ def _image(k0: np.uint64, k1: np.uint64, node: Any, digit: int, base: int) -> in
 @kernel
 def _climb(k0: np.uint64, k1: np.uint64, dim: int, base: int, places: int, v: int) -> int:
     # Apply the nested uniform scramble to the number v, from its last digit to its first.
-    # Each node of the digit tree stands for the digits before a digit, and permutes this digit.
+    # All higher digits determine a node of the digit tree, and the node permutes the next digit.
     # The nodes of a level are numbered from b^level, so all nodes have different numbers.
     scrambled, weight, inverse = 0, 1, 1.0 / base
     width = base ** (places - 1)
@@ -543,8 +544,8 @@ def _multiply(matrix: Array, base: int, v: int, out: Array) -> None:
 def mix_triangles(keys: Array, bases: Array, shift: bool, points: Array, out: Array) -> None:
     """Multiply the digits of points by random lower triangular matrices modulo prime bases.
 
-    With `shift`, one random digit is added in each place, and one uniform number below all places.
-    The added digits and the added number are the same for all points.
+    With `shift`, a random digit is added to each digit, and a uniform number below the last digit.
+    All points get the same random digits and the same uniform number.
     """
     for r in range(out.shape[0]):
         k0, k1 = keys[r, 0], keys[r, 1]

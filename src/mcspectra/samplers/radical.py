@@ -161,7 +161,7 @@ class Hammersley(RadicalInverses):
     For n = 2^m the first coordinates i/n are scrambled in base 2.
     For other n, the fractions i/n have no exact binary digits; permute and owen raise an error.
     For other n, the parameter `scramble` keeps the order of i/n, and adds random offsets below 1/n.
-    The offset is the same for all points (``"permute"``), or different for each (``"owen"``).
+    With ``"permute"`` all points have the same offset; with ``"owen"`` each point has its own.
     After either scramble, each interval [i/n, (i+1)/n) of the first axis contains one point.
 
     References

@@ -42,12 +42,14 @@ __all__ = [
 _NEWTON = 100  # largest number of Newton steps; random points take 10, moved points 2 or 3
 _BALANCED = 1e-3  # allowed relative error of the cells' areas while points move
 # Relative error of the cells' areas at which Newton's method stops for a transport cost.
-# The error of the transport cost is then about (1e-9)²
+# With areas accurate to 1e-9, the error of the transport cost is about (1e-9)²
 _EXACT = 1e-9
-# Largest relative error of the areas if rounding interferes; a transport cost is off by 1e-6
+# Largest accepted relative error of the areas if rounding prevents a smaller one.
+# The transport cost then has an error of 1e-6
 _CLOSE = 1e-4
 # Largest number of visits (see `kernels.Diagram`) for a transport cost; takes some seconds.
-# 8192 random points take 2^24 visits; points in a quarter of the square take more than 2^30.
+# 8192 random points take 2^24 visits. If all points lie in one quarter of the square, they
+# take more than 2^30.
 _MOST_WORK = 2**32
 _REPORTS = 50
 _CHUNK = 4096  # number of moves between reports of progress
@@ -124,7 +126,7 @@ class Bnot(_CentroidSampler):
     tolerance
         Root-mean-square distance between points and centroids at which the method stops.
         The unit is n^(−1/2).
-        Smaller values order the points into crystals.
+        With smaller values, the points form regular patches like crystals.
     sets
         Largest number of different sets, see `OptimisedSampler`.
 
@@ -175,7 +177,8 @@ def transport_cost(points: object) -> float:
     """Return the cost of transporting the uniform density to the points, with equal masses.
 
     The unit square is partitioned into equal parts, one for each point.
-    The cost W₂² is the smallest mean square distance on the torus between points and their parts.
+    The cost W₂² is the mean square distance on the torus from a place to the point of its part,
+    for the best partition.
     In 1-D it is computed by sorting, in 2-D by the power diagram with equal areas.
     A square grid has n · cost = 1/6. The lower bound is the cost of a hexagonal grid:
     n · cost = 0.1604 (5/(18√3)).
@@ -190,7 +193,7 @@ def transport_cost(points: object) -> float:
     DomainError
         If there are more than 2 dims, no points, or points outside [0,1).
         The error is also raised if Newton's method takes more than 100 steps or some seconds,
-        because the points are far from uniform. Random points take 10 steps.
+        because the points are far from uniform. Uniform random points take about 10 steps.
 
     References
     ----------
@@ -218,9 +221,9 @@ def transport_cost(points: object) -> float:
             f"The transport cost was not found in {_NEWTON} Newton steps or some seconds: the "
             "points are too far from uniform; transform them to be nearly uniform, or give fewer."
         )
-    # Add the missing area of each cell times the weight of the cell.
-    # The sum is the dual value of the transport problem.
-    # Its error is of second order in the missing areas.
+    # Add a correction: the missing area of each cell times its weight in the power diagram.
+    # The sum is the value of the dual transport problem.
+    # The dual value has an error of second order in the missing areas.
     return float(np.sum(diagram.moments) + np.sum(weights * lacking))
 
 
@@ -291,7 +294,7 @@ def _neighbor_cells(sigma: float, dims: int) -> tuple[Array, Array]:
     axes = [range(-steps, steps + 1) if j < dims else range(1) for j in range(3)]
 
     def gap(offset: tuple[int, ...]) -> float:
-        """Return the smallest distance between points of two cells with this offset, in cells."""
+        """Return the smallest distance between two cells, in units of cells, from their offset."""
         return math.hypot(*(max(abs(step) - 1, 0) for step in offset))
 
     found = itertools.product(*axes)

@@ -66,7 +66,7 @@ __all__ = [
 ]
 
 _SLACK = 2.0**-52
-_MOST_WIDTH = 1000.0  # largest width in cells; up to this width float64 wraps exactly
+_MOST_WIDTH = 1000.0  # largest width in cells for which float64 wraps points exactly
 
 
 @final
@@ -245,10 +245,10 @@ class BoxJitter(GridSampler):
     Notes
     -----
     Every point is uniform if the boxes tile the torus, that is for whole widths of at least 1.
-    Other widths leave gaps or overlaps at the same places of every cell.
-    Shift makes the points uniform.
+    With other widths, the boxes leave gaps or overlap, at the same places of every cell.
+    The randomization shift makes the points uniform.
     Points that leave the domain at one end enter at the other end.
-    The default is chosen to look different from jittered, and is not from a paper.
+    The default width is not from a paper; points with it look different from jittered points.
 
     References
     ----------
@@ -287,7 +287,8 @@ class GaussianJitter(GridSampler):
     Notes
     -----
     A point is not uniform. Its density along each axis is 1 + 2 exp(−2π² width²) cos(2πsx) + …,
-    This density varies by 58 % at width 0.25 and by 10^-8 at width 1. Shift makes points uniform.
+    The density varies by 58 % at width 0.25 and by 10^-8 at width 1.
+    The randomization shift makes the points uniform.
     Points may leave their cells; a point that leaves the domain enters at the other end.
     The default is close to the standard deviation of jittered, 0.29, and is not from a paper.
 
@@ -518,8 +519,8 @@ class Hexagonal(PlaneSampler, FixedSet):
     The set is deterministic.
     On a square torus no hexagonal array is exactly regular, because b = a/√3 would be needed.
     The chosen b differs from a/√3 by at most ½. There are two distances between neighbors.
-    The ratio of these distances is 1.41, 1.12, 1.11, 1.12, 1.03 and 1.12 at the first six counts.
-    The ratio of the distances is at most 1.06 for n ≥ 56 and 1.02 for n ≥ 780.
+    At the first six counts, the larger distance is 1.41, 1.12, 1.11, 1.12, 1.03 and 1.12 times
+    the smaller distance. The ratio is at most 1.06 for n ≥ 56 and 1.02 for n ≥ 780.
 
     References
     ----------
@@ -587,8 +588,8 @@ def corners(sides: tuple[int, ...]) -> Array:
 def cell_side(s: int) -> float:
     """Return 1/s minus 2^-52, so that k/s + side·u stays below (k + 1)/s for all u < 1.
 
-    The quotient k/s, the product, the sum and (k + 1)/s are each rounded by at most 2^-54 below 1.
-    The subtracted 2^-52 is four times this rounding error.
+    Below 1, the numbers k/s, side·u, their sum and (k + 1)/s are each rounded by at most 2^-54.
+    The subtracted 2^-52 is as large as all four rounding errors together.
     """
     return 1.0 / s - _SLACK
 
@@ -617,7 +618,7 @@ class SharedCells(Sampler):
 
     The grid has W n cells, and each of these cells is in exactly one of the W sets.
     A realization draws one offset, a uniform point of a cell.
-    In each cell of the set, the point is at this offset, possibly reflected along some axes.
+    The point of each cell is at the drawn offset, possibly reflected along some axes.
     Every point is uniform on [0,1)^d for any sets, so estimates are unbiased.
     The function `design` computes sets of cells for this sampler.
 
@@ -654,7 +655,7 @@ class SharedCells(Sampler):
 
     @property
     def spec(self) -> str:
-        """Spec string with the path."""
+        """Spec string of the sampler, with the path of the file of cells."""
         return f"shared-cells(path={self.path!r})"
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:

@@ -100,7 +100,8 @@ def product_sum(
 ) -> None:
     """Same as `phase_sum`, but each phase is a product of tabulated factors exp(−2πi v_u x_{a_u}).
 
-    The array entries lists the factors of each frequency; axes and values (U,) describe factors.
+    Factor u has the axis a_u = axes[u] and the number v_u = values[u].
+    The array entries lists the indices u of the factors of each frequency.
     """
     n = weights.size
     table = np.empty((axes.size, 2, _BLOCK))

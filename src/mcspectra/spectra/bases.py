@@ -52,7 +52,7 @@ __all__ = [
 Coefficients = Callable[[Array, "Array | None"], Array]
 """Function that returns the coefficients S (R, stored) of weighted points.
 
-Its arguments are points (R, n, d) and weights (R, n), or None if each weight is 1/n.
+The function gets points (R, n, d) and weights (R, n), or None if each weight is 1/n.
 """
 
 
@@ -275,12 +275,12 @@ def make_basis(name: str, dims: int, half_width: int) -> Basis:
 def fitting_basis(law: Law, half_width: int) -> str:
     """Return the name of a basis that fits the last randomization of the sampler.
 
-    The Fourier basis fits shifts, and sets whose law is invariant under translations.
+    The Fourier basis fits shifts, and sets whose distribution is invariant under translations.
     The Walsh basis fits randomizations of binary digits, if the half width is a power of two.
     The cosine basis fits points that are shifted and then mirrored.
     The Walsh basis fits mirrored points without a shift:
     reflections and folding permute Walsh functions up to signs.
-    With these bases the cross term vanishes. For strata this requires 2^k strata per side.
+    In a fitting basis the cross term vanishes. For strata this requires 2^k strata per side.
 
     For all other samplers the cosine basis is chosen, as a compromise.
     For smooth functions and jittered sets, the cross term in the cosine basis is small.

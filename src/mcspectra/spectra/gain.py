@@ -48,7 +48,8 @@ def gain_coefficients(
     n
         Number of points.
     levels
-        Largest level of each axis. By default one more than the digits of n in the smallest base.
+        Largest level of each axis.
+        By default, it exceeds the number of digits of n in the smallest base by one.
         If no two points share a coordinate, all gains above the default level are 1.
     dims
         Number of dims. It is needed if a spec string does not state it.
@@ -97,7 +98,7 @@ def gains_at(net: Fixed, bases: Sequence[int], levels: int) -> Array:
     """Return the gains (levels + 1, …) of a set after scrambling in the given bases.
 
     The kernel counts pairs of points whose leading digits agree, for each number of digits.
-    The gains are differences of these counts along each axis.
+    The gains are weighted differences of the numbers of pairs at successive levels of an axis.
     Exceptions are the same as those of `gain_coefficients`.
     """
     gains = net.agreements(bases, levels)

@@ -19,7 +19,7 @@ Engines
     Hermitian symmetry then separates the transforms of the two realizations.
     The cost is O(n log^d(1/eps) + M log M) per pair, for n points and M frequencies.
     In four dims there is one 3-D transform for each frequency of the first axis.
-    In this case, realizations are transformed one at a time.
+    In four dims, realizations are transformed one at a time.
 ``direct``
     Direct summation by matrix products, axis by axis. It is exact to rounding, and costs O(n M).
     It is the reference for tests, and the faster engine if there are few points.
@@ -87,7 +87,7 @@ class IndexGrid:
     hermitian: ClassVar[bool] = False
     """Whether indices run from −K to K, and coefficient −m is the conjugate of coefficient m.
 
-    If so, only the coefficients up to and including m = 0 are stored."""
+    With this symmetry, only the coefficients up to and including m = 0 are stored."""
 
     @property
     def side(self) -> int:
@@ -252,8 +252,8 @@ class Transform:
         self._packs = engine == "nufft" and grid.dims <= 3
         self.single = single and self._packs
         # A finer grid is more accurate. Its transform takes longer, but spreading takes less time.
-        # In double precision, a point is spread to 11 cells per axis of the finer grid,
-        # but to 15 cells per axis of the coarser grid
+        # In double precision, the finer grid spreads a point to 11 cells per axis.
+        # The coarser grid spreads a point to 15 cells per axis
         spreading = 0.0 if self.single else density * (15.0**dims - 11.0**dims)
         finer = self.eps < 1e-9 or spreading > _CELL_COST * (2.0**dims - 1.25**dims)
         coarse = 1.12 if self.single and self.eps >= 1e-5 else 1.25
@@ -401,10 +401,10 @@ class Transform:
         """Rows of the fine grid that hold the frequencies, and factors that undo spreading."""
         dims, side = len(self._fine), self._fine[0]
         # The spreading kernel along an axis also depends on the number of axes.
-        # Therefore make a plan with the same number of axes.
+        # Therefore measure the kernel on a grid with the same number of axes.
         # To save time, all axes but the last are as short as possible.
-        # The length of these axes is odd if the last axis has odd length.
-        # Transforms are divided by products of the coefficients of this kernel
+        # The short axes have odd length if the last axis has odd length.
+        # To undo the spreading, transforms are divided by the Fourier coefficients of the kernel
         plan = self._new_plan((_LEAST_FINE + side % 2,) * (dims - 1) + (side,))
         origin = np.zeros((dims, 1), np.zeros(0, self._number).real.dtype)
         plan.setpts(*origin)
@@ -424,7 +424,7 @@ class Transform:
 
         # With spread_sort=2, FINUFFT sorts the points or not, depending on their density.
         # At low density, points are spread in groups, to parts of the grid that fit into the cache.
-        # The value 0 spreads all points at once
+        # With spread_sort=0, FINUFFT spreads all points at once, without sorting
         return finufft.Plan(
             1,
             shape,
@@ -442,8 +442,8 @@ class Transform:
     def _direct(self, points: Array, weights: Array) -> Array:
         """Sum directly: multiply the phases of the first axes by the phases of the other axes.
 
-        Axes are divided evenly, so that in four dims each of the two factors has n (2K+1)² numbers.
-        Points are processed in blocks, so that the factors have at most `_DIRECT_NUMBERS` numbers.
+        Half of the axes go into each product. In four dims each product has n (2K+1)² numbers.
+        Points are processed in blocks, so that each product has at most `_DIRECT_NUMBERS` numbers.
         """
         grid = self.grid
         split = max(1, grid.dims // 2)

@@ -84,7 +84,7 @@ _LOCK_NAME = "study.lock"
 _BESIDE = ("", "-journal", "-wal", "-shm")  # Suffixes of files that SQLite opens together
 _PAGE = 8192  # Page size in bytes
 
-_COMMIT_SECONDS = 1.0  # Seconds between commits, which a crash may lose
+_COMMIT_SECONDS = 1.0  # Seconds between commits. A crash may lose the results since the last one
 _COMMIT_BYTES = 2**25
 _BUSY_SECONDS = 60.0  # Seconds that commits wait for readers, and readers for commits
 _NOTE_SECONDS = 0.5  # Maximum seconds between taking the lock and noting its holder
@@ -100,7 +100,7 @@ _SCHEMA = (
     """CREATE TABLE tasks (path TEXT, run TEXT, first INTEGER, blocks INTEGER, digest BLOB,
     payload BLOB, PRIMARY KEY (path, run, first, blocks))""",
     # The notes are the study's description and its tally. This table has a second copy of both.
-    # The copy is on another page of the file, because recovery is impossible without the notes
+    # Recovery is impossible without the notes, so the copy is on another page of the file
     "CREATE TABLE notes (kind TEXT, name TEXT, text TEXT, digest BLOB, PRIMARY KEY (kind, name))",
 )
 # Rows from pages of a damaged file, where contradicting pages can give several rows per key
@@ -150,7 +150,7 @@ _NOT_DAMAGE = {
     15: "its file system has no locks",
 }
 _BAD_PAGES = "pages of the file are damaged or missing"
-# The last bytes of a journal that names another file
+# A SQLite journal that names another file ends in these bytes
 _SUPER_JOURNAL = bytes.fromhex("d9d505f920a163d7")
 
 _DAMAGE = "its digest does not match"
@@ -532,7 +532,8 @@ class Ledger:
         Parameters
         ----------
         run, chunk
-            The task computes a part of a sum over blocks: key of the sum, and range of blocks.
+            A task adds up some blocks of a longer sum.
+            `run` is the key of the whole sum, and `chunk` the range of blocks.
         host
             Host that computed the task.
 
@@ -940,8 +941,8 @@ class Ledger:
                 failed[change.path] = change.failure
             else:
                 recorded += 1
-        # Compare the tally with the finished cells that were found. A reader skips this test:
-        # it has checked the list of cells before, and a writer may have changed the tally since
+        # Compare the tally with the finished cells that were found. Readers skip this test:
+        # they checked the list of cells before, and a writer may have changed the tally since then
         still = self._lock is not None or self._salvaged
         if still and len(self.damaged) == before and tally.digest != self.tally.digest:
             self.damaged["list of cells"] = "finished cells are missing in it"

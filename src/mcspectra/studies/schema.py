@@ -1,7 +1,7 @@
 """Describe study files for readers: JSON Schema, tables of all keys, and a template.
 
-The schema, the tables and the template are made from two sources:
-the structs of `mcspectra.studies.files`, and the installed analyses.
+The schema, the tables and the template are made from the structs of `mcspectra.studies.files`
+and from the options of the installed analyses.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ SCHEMA_ID = "urn:mcspectra:study:1"
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 _PLACEHOLDER = {"type": "string", "pattern": r"^\{[A-Za-z_][A-Za-z0-9_]*\}$"}
 _NO_TEXT = ("integer", "number", "boolean")
-_NO_PLACEHOLDER = ("grid", "seed", "time_limit")  # Keys that accept no placeholder of a grid
+_NO_PLACEHOLDER = ("grid", "seed", "time_limit")  # Keys that must not contain "{placeholder}"
 # Values of required options in the template. An option for counts has the value "16,64" instead.
 _EXAMPLES = {"target_error": ("0.01",), "budget": ("4096",)}
 _TEMPLATE = Path(__file__).with_name("template.toml")
