@@ -88,7 +88,8 @@ def strata_shift_scan(
     Parameters
     ----------
     estimator, sampler
-        An estimator, and a sampler without a shift. A shift would average over all offsets.
+        An estimator, and a sampler without a shift.
+        A shifted sampler would average the variance over all offsets.
     counts
         One number of points n, or several in ascending order. A rate needs at least two.
     dims

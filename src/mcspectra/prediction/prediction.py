@@ -234,7 +234,7 @@ class ExtrapolationSettings:
     ----------
     small
         Small counts, whose measurements cost little.
-        Small counts are used if there are few counts close to n.
+        Small counts are measured if the sampler allows only few counts close to n.
         One more or one less small count gives the same variances.
     largest
         Largest measured count of a cheap f.

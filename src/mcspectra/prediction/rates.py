@@ -405,7 +405,8 @@ def rates_of(
 
         Limit: the theoretical bound, if it is certain and the last slope is at least as steep.
         The last slope is over the last four octaves.
-        Otherwise, in up to 3 dims, the limit is a theoretical exponent close to the last slope.
+        If theory gives no certain bound, the limit in up to 3 dims is a theoretical exponent
+        close to the last slope.
         A limit requires that the slope hardly changes over these octaves.
         The theoretical exponents are −1 − k/d, −2 and −3.
         Here k is 0 for white power, 1 for a jump, 2 for strata and 3 for a kink.
