@@ -3,7 +3,7 @@
 Along each axis, g is a sum of four components: its mean, the differences between strata (β),
 the differences between the parts of a stratum (δ), and the remainder within these parts.
 `PairedAxes` states whether two points share a stratum on an axis, or a part of a stratum.
-The mean product of g at two such points is the energy of each component times a factor.
+The mean product of a component at both points is its energy times a factor.
 Here are the factors of the four components, for s strata with m parts in each stratum:
 
     (1, −1/(s−1), 0, 0)     if the points are in different strata,

@@ -1409,7 +1409,7 @@ def _places(sampler: Sampler, counts: Sequence[int]) -> list[int]:
     """Return a smaller count, the given counts, and two larger counts.
 
     The smaller count is added only if a single count is given.
-    In the returned list, 0 stands for a count that the sampler does not have.
+    A zero in the returned list stands for a smaller or larger count that is left out.
     """
     last = counts[-1]
     half = sampler.nearest_count(max(1, last // 2)) if len(counts) == 1 else last
