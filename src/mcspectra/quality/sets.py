@@ -191,8 +191,8 @@ def _star_discrepancy_2d(x: Array, y: Array) -> float:
     """Return the star discrepancy D* of the points (x_i, y_i), with x ascending.
 
     The supremum of |share of points − volume| is taken over boxes [0,a) × [0,b).
-    It is enough that a and b take the values of the points' coordinates, and 1.
-    The grid of these values is scanned column by column.
+    The supremum is found by boxes whose sides a and b are coordinates of points, or 1.
+    The grid of all pairs (a, b) is scanned column by column.
     For each column, the points to its left are sorted by y.
     """
     n = len(x)
@@ -303,7 +303,7 @@ def _diaphony_sum(x: Array) -> float:
     n, dims = x.shape
     total = 0.0
     for i in range(n):
-        # Sum over the pairs of each point first.
+        # Sum the terms of point i first, and then add the sums of all points.
         # A single sum of n² terms would accumulate more rounding errors
         row = 0.0
         for j in range(i):

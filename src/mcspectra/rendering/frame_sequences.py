@@ -57,7 +57,7 @@ def sequence_files(groups: list[FrameFiles], pattern: str | None) -> list[FrameF
     Returns
     -------
     list of FrameFiles
-        The same groups; `times` is set to their number of frames per sequence.
+        The given groups of files, with `times` set to the number of frames per sequence.
         Groups whose names are not recognized are returned unchanged.
 
     Raises
