@@ -103,8 +103,8 @@ Result = TypeVar("Result")
 Chunk: TypeAlias = tuple[int, int]
 """First block of a chunk, and number of blocks in the chunk.
 
-The number of blocks is a power of two that divides the index of the first block.
-Only the last chunk may have fewer blocks.
+The number of blocks is a power of two, and divides the index of the first block.
+Only the last chunk of a computation may have fewer blocks.
 """
 
 
@@ -248,7 +248,7 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     def part(self, subject: Subject, stream: Stream, key: str) -> Reduction[Any]:
         """Return the sum over blocks of realizations that has the name `key`.
 
-        Workers call this method without running the earlier steps.
+        Workers call this method without running the earlier steps of the analysis.
         By default, this method looks for `key` among the sums of the first step.
         Analyses override this method if later steps depend on the states of earlier ones.
 
@@ -539,7 +539,7 @@ def compute(
     ConfigError
         If the analysis needs more memory than there is.
     McspectraError
-        If `needed` or `steps_of` raises this error; this function calls both.
+        If `needed` or `steps_of`, which this function calls, raises an error.
     """
     given: tuple[Any, Any] = analysis, subject
     if not isinstance(given[0], Analysis) or not isinstance(given[1], Subject):

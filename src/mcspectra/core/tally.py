@@ -1,7 +1,7 @@
 """Counts and limits of evaluations of users' functions. Calls are counted before they are made.
 
 `counting` opens a tally: a counter of all evaluations inside its block.
-This includes evaluations in this thread and in threads of `mcspectra.core.parallel`.
+The counter includes evaluations in this thread and in threads of `mcspectra.core.parallel`.
 Tallies can be nested.
 The limit is checked before the function is called.
 After a call is rejected, the computation may continue: a prediction may try another method.

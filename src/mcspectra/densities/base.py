@@ -3,7 +3,7 @@
 A `Density` is a warp T with its pdf. T maps u in the unit cube (primary space) to x in the domain.
 The methods are ``x = sample(u)``, ``u = invert(x)`` and ``pdf(x) = |det dT/du|^-1``.
 The public methods check their points once. They then call `_pdf`, `_sample` or `_invert`.
-Implementations define these private methods, which get plain arrays and do not check them.
+Subclasses define `_pdf`, `_sample` and `_invert`, which get plain arrays without checks.
 A `Wrapper` is a density that creates another density and forwards all calls to it.
 """
 
@@ -556,7 +556,7 @@ def reciprocal_integral(density: Density) -> float:
     Near this zero, each level shrinks the unresolved part of ∫1/p by a constant ratio.
     If p is 0 at a point in 1-D or on a line in 2-D, the ratio of levels is 2^{a−1}.
     If p is 0 at a point in 2-D, the ratio of levels is 2^{a-2}.
-    If the ratio is 1 or more, the integral diverges.
+    If the ratio of levels is 1 or more, ∫1/p diverges.
     Ratios above 0.98 count as divergent, so a > 0.97 cannot be distinguished from 1.
     The remainder of the geometric series is added (Aitken). If p = 0 in a cell, ∫1/p is infinite.
     Relative errors are about 1e-7 in 1-D, and 1e-4 in 2-D if p jumps along curves.

@@ -135,7 +135,7 @@ def _as_center(name: str, value: Any) -> float | tuple[float, ...]:
 class DiskDensity(_TwoWarps):
     """Density that is uniform on a disk inside the unit square, and 0 outside the disk.
 
-    Both warps preserve areas, but separate neighboring points at different places (see `warp`).
+    Both warps preserve areas, but they separate neighboring points at different places (`warp`).
     Therefore samplers with correlated points have different rates with the two warps.
 
     Attributes

@@ -71,7 +71,7 @@ class Candidate:
         The error of a biased candidate is measured about the integral of the given estimator.
     pilot
         Number of evaluations, in addition to the budget, that the search for the change took.
-        If the budget includes a pilot, `Setup.overhead` counts its evaluations instead.
+        If the budget includes a pilot, its evaluations are counted in `Setup.overhead` instead.
     effort
         Cost of an evaluation divided by its cost in the given set-up; paths can differ in length.
     ratio

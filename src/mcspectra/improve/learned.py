@@ -95,7 +95,7 @@ class LearnSettings:
     # Half of the 16 n evaluations choose one of five candidates, with six sets of n/4 points each.
     # The other half of the 16 n check the result: 16 sets of its points, and 16 uniform sets.
     evaluations_per_point: int = 16
-    # Ratio of n to the smallest number of points at which candidates may be compared.
+    # n divided by the smallest number of points with which candidates are compared.
     # With n/16 points, nets give nearly the same ratios of variances as with n points.
     # With fewer points, nets do not resolve the splines.
     fewest_divisor: int = 16
@@ -251,7 +251,7 @@ class _Seen:
         """Fit the shares (K,) of the parts of a mixture, and their log spline weights (K, d, M)."""
         from scipy.special import log_softmax, softmax
 
-        # Start from the means of the splines over the groups
+        # Start from the mean values of the splines over the groups of points
         tables = np.empty((count, *self.uniform.shape))
         whole = np.maximum(np.bincount(own, self.weight.ravel(), count), 0.1 / count)
         for k in range(count):
@@ -292,7 +292,7 @@ class _Seen:
         def loss_of(followed: Array) -> tuple[Array, Callable[[Array], tuple[float, Array]]]:
             """Return a mask of the coefficients in use, and the loss.
 
-            The matrix (d, d) states for each axis on which other axes it depends.
+            `followed` (d, d) states for each axis on which other axes its density depends.
             """
             columns = np.insert(np.repeat(followed, DEGREE, axis=1), 0, True, axis=1)
             used = np.broadcast_to(columns[:, None], shape)

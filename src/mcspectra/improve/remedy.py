@@ -51,7 +51,7 @@ class RemedySettings:
     steps: int = 5
     # Ratio of successive budgets. A smaller ratio costs more.
     # The sum of all budgets is 1/(1 − 1/ratio) = 4/3 times the largest budget.
-    # With a larger ratio, the smallest budgets would not pay for two points.
+    # With a larger ratio, the smallest budgets would not be enough for two points.
     ratio: int = 4
     # Expected number of changes of each kind, for estimates of cost and memory before a run.
     # For functions in 2-D, all 16 kinds together make 18 to 25 changes; ``sampler`` makes eight.
@@ -221,7 +221,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
         for step, n in _affordable(setup, self.budget).items():
             try:
                 estimator = setup.at(n)
-            except McspectraError:  # The strata need a larger n to have borders at all edges of g
+            except McspectraError:  # n is too small for strata with borders at all edges of g
                 continue
             cost.append(n * setup.cost + setup.overhead)
             own = stream.child(step)

@@ -80,7 +80,7 @@ _LEAST_SEEN = 30
 _LOOKS = 2  # The second set of probe points is this many times as large as the first
 # Smallest size of a box as a fraction of its coordinates, and smallest size next to 0
 _SMALLEST, _TINIEST = 2.0**-44, 2.0**-500
-# Upper limit of the ratio of successive differences, and number of levels that give the ratio
+# Upper limit of the ratio of successive differences, and number of levels for this ratio
 _SLOW, _LEVELS = 0.99, 4
 _HALVES, _UNSETTLED = 0.55, 1.5
 
@@ -94,7 +94,7 @@ _CUTS, _CUT = 34, 0.4871
 _PEAKS, _CLIMBS, _GROWN = 4, 24, 4.0
 # At a jump, at least this fraction of the change across the first step remains after all cuts
 _STAYS = 0.5
-# Offset of a second line, and distance from a jump at which the two lines are compared
+# Offset of a second, parallel line. Both lines are compared at this distance from a jump
 _ASIDE, _ABOUT = 2.0**-20, 2.0**-30
 _SAME_BREAK = 2.0**-40
 _FOUND = 2.0**-46  # Uncertainty of the position of a break that was detected
@@ -329,7 +329,7 @@ def adaptive_integral(
     # Sum of the errors at the probe's points, in boxes whose integral did not change
     alone = np.zeros(coarse.shape[1])
     levels: list[tuple[Array, Array, Array, Array, Array]] = []
-    left: list[Array] = []  # sum of differences at each level, over cells whose integral changed
+    left: list[Array] = []  # summed changes of the integrals of cells, by level
     while True:
         # Halve the boxes along every axis. The parts of a box are stored next to each other
         budget -= len(low) * (2 * order) ** dims
@@ -511,7 +511,7 @@ def _after(left: list[Array]) -> Array:
 
     The differences are taken to form a geometric series.
     If each difference is half of the difference before, the result is 1.
-    Next to a pole, the differences between levels shrink slowly, and their ratio still rises.
+    Next to a pole, successive differences shrink slowly, and the ratio of differences rises.
     Therefore, if the ratio of differences exceeds 0.55, the result is increased by half.
     """
     first, last = np.maximum(left[0], 1e-300), left[-1]

@@ -95,7 +95,7 @@ class StoredGroups:
 
 @dataclass(frozen=True)
 class TermSums:
-    """Sums over realizations, and the estimates of each block."""
+    """Sums of spectra and estimates over realizations, and the terms of each block."""
 
     sums: SpectralSums
     measured: Moments
@@ -166,7 +166,7 @@ class SpectralSums:
     mean: Array  # (H,) complex: S̄
     estimate_mean: Array  # Mean of the estimates of each channel, (C,)
     m2: Array  # Sums of |S − S̄|² over realizations, (H,)
-    cov: Array  # Sums of (S − S̄) times the deviation of the estimate, (C, H) complex
+    cov: Array  # Sums of S − S̄ times (estimate − its mean), (C, H) complex
     band_mean: Array  # Mean of the estimate from each band, (C, A)
     band_m2: Array  # Sums of products of deviations of two bands' estimates, (C, A, A)
     truncated: Moments  # Moments of the estimate truncated at each half width: (C, K+1)
@@ -242,9 +242,9 @@ class SpectralSums:
 
 @dataclass(frozen=True)
 class RunningSpread:
-    """Sums over blocks, whose arrays x have weights w, for the error of the weighted mean.
+    """Sums over blocks that give the standard error of a weighted mean of arrays.
 
-    The array x of a block has the same shape and type in all blocks.
+    Block by block there is an array x and a weight w; all x have the same shape and type.
     For the error, the array x of each block is compared with a mean that weights blocks by w².
     If all blocks are equally long, this mean is the plain mean over blocks.
     For complex numbers the error is the root of the mean |error|².
@@ -286,7 +286,7 @@ class Batches:
 
     @staticmethod
     def of(sums: SpectralSums, measured: Moments, partition: Partition) -> Batches | None:
-        """Return the estimates of a block, or None if the block has a single realization."""
+        """Return the terms of the variance in a block, or None if it has a single realization."""
         degrees = sums.count - 1
         if degrees < 1:
             return None

@@ -61,7 +61,7 @@ _MOST_STOPS = 64.0
 _DARKEST = 1e-3  # smallest relative power that is shown
 _UNCERTAIN = "the variance is 0, or its standard error exceeds half of it"
 _GRAY = {
-    # Reasons for pixels without a value, by variable
+    # For each variable, the reason why some pixels have no value
     "variance": "the variance is 0",
     "rate": "too little variance, or too few realizations, for a rate",
     "rate_se": "too little variance, or too few realizations, for a rate",

@@ -29,7 +29,7 @@ Strata may have a common offset. The formulas for other samplers are:
   If each point is uniform, random reflections add E[Var(g | point)]/n = (Var g − Var ḡ)/n.
 
 Quadratures of two orders must agree with each other and with ∫g and ∫g² (`blindness`).
-Otherwise the method raises NoClosedForm.
+If they disagree, the method raises NoClosedForm.
 """
 
 from __future__ import annotations
@@ -314,7 +314,7 @@ def of_integrand(
     ------
     NoClosedForm
         If `exact_variance` raises this error, or the error exceeds `tolerance` times the variance.
-        This error is also raised if a rule would take more than about `most` evaluations.
+        The same error is raised if a quadrature rule takes more than about `most` evaluations.
     """
     g, lines = looked_at(g), False
     if not (in_closed_form(g) or g.costly):
@@ -385,7 +385,7 @@ def _by_cells(law: Law, g: Integrand, tolerance: float, most: float) -> tuple[Ar
     if law.uniform:  # Next to a pole, one point outweighs all others
         high = np.where(np.isinf(square), np.inf, high)
     # The rounding error of Σ (mean g² − (mean g)²)/n is about 1e-15 ∫g²/n.
-    # A computed variance of 0 also has this rounding error
+    # Even a computed variance of 0 may be wrong by 1e-15 ∫g²/n
     rounding = 4e-15 * square / n
     known = agree | np.isinf(high) | (error <= _SETTINGS.safety * rounding)
     if not known.all():
@@ -840,7 +840,7 @@ def _latin(law: Law, g: Integrand, rule: Rule, *, shifted: bool) -> tuple[Array,
     if shifted:  # The mean over all cells is a smooth function of the offset
         nodes, weights = offset_rule(g, fine, rule.order // 2 + 2)
     one = float(len(nodes) * rule.each(g))
-    # Shifted cells at 0 and 1 are cut into pieces, which raises the cost in 1-D and 2-D
+    # Shifted cells wrap around, and are cut at 0 and 1: this raises the cost in 1-D and 2-D
     most = rule.most / one / (1 if in_closed_form(g) or g.dims > 2 else 2)
     side = next((m for m in range(n, 1, -1) if n % m == 0 and m**g.dims <= most), 1)
     if side < n:

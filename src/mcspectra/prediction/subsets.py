@@ -8,7 +8,7 @@ The variance of the mean of g over the set is a mean over pairs (a, b) of points
 
     Var = (1/n²) Σ_{a,b} Σ_v C_v(a, b),    C_v = Cov(g_v(a), g_v(b)) over the randomization.
 
-On each axis, the covariance C_v depends on a single quantity:
+On each axis, the covariance C_v depends on a single quantity, which is
 the number of common digits of a_i and b_i under nested scrambling,
 the difference of the digits of a_i and b_i under a digital shift,
 and the difference a_i − b_i on the torus under a shift.
@@ -37,7 +37,7 @@ The function g_i is taken from the fit, plus the mean difference between profile
 
 Strata of a grid need no fit: Var = E (g(x) − g(x'))² / 2n with x and x' in the same stratum.
 In Latin hypercubes, the two points of any pair lie in different strata on each axis [Stein1987]_.
-All pairs therefore have the same distribution.
+All pairs of points therefore have the same distribution.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ class SubsetSettings:
     ----------
     few_dims
         Largest number of dims in which quadrature computes ∫g² better than nets.
-        In so few dims, the fit of g needs only a small number of products.
+        In few dims, the fit of g needs only a small number of products.
     replicates, replicate
         Number of scrambled nets for ∫g², and number of their points.
         Halving or doubling either value changes smooth cases by less than 0.005 %.
@@ -185,7 +185,7 @@ class SubsetSettings:
         Standard deviation of the random coefficients with which the fit of a new product starts.
         The constant coefficient of each factor starts at 1.
     adds_up
-        If all points move by the same offset, the residual of the fit is multiplied by this factor.
+        If all points move by one offset, the variance outside the fit is multiplied by this factor.
         The factor widens the interval, and does not change the variance.
         On lattices the contributions of kinks add up. For other sets the factor is 1.
     resolved
@@ -502,11 +502,11 @@ def pair_sums(
     The last entry is the sum of interactions: Σ_q weight Σ_{|v| ≥ 2} Π_{i∈v} rest_i Π_{i∉v} mean_i.
     On each axis, the covariance depends on a comparison of two points, which `mode` chooses.
     Mode 0 counts the common digits of two points. Mode 1 is the exclusive or of their digits.
-    Mode 2 is the difference of their digits modulo `cells`.
+    Mode 2 is the difference of the digits of two points modulo `cells`.
     """
     variants, q = first.shape[2], rest.shape[2]
     out = np.zeros((rows.size, variants + 1))
-    # Sums of products over the empty subset, over subsets of one axis, and over larger subsets
+    # Products of factors, summed over the subsets with no axis, with one axis, and with more axes
     none, one, more = np.empty(q), np.empty(q), np.empty(q)
     for r in range(rows.size):
         a = codes[rows[r]]
@@ -718,7 +718,7 @@ def _fitted(
             [t[1:] for t in tested], axis=0
         ).sum(0)
         missed = scale**2 * float(((values[-1] / scale - sums) ** 2).mean())
-        # The energy of the fit may differ from its sample variance at the test points.
+        # The energy (variance) of the fit may differ from its sample variance at the test points.
         # The difference between energy and sample variance also counts as missed energy.
         # For g itself, such a difference is sampling error and is subtracted
         curves = [w @ c for w, c in zip(weights, cells, strict=True)]  # Rows: sum, products

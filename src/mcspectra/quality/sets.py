@@ -26,7 +26,7 @@ __all__ = [
 ]
 
 _MAX_PAIR_WORK = 2**27  # Largest n² d for loops over pairs: a second for 8192 points in 2-D
-_TREE_DIMS = 6  # Largest number of dims for a tree. In more dims a tree visits nearly all pairs
+_TREE_DIMS = 6  # Largest number of dims for a k-d tree. In more dims it visits nearly all pairs
 _TREE_POINTS = 2**21
 
 _BEST_LATTICE = {
@@ -225,7 +225,7 @@ def l2_discrepancy(points: object, kind: str = "star") -> float:
     kind
         ``"star"``, ``"centered"``, ``"wraparound"`` [Hickernell1998]_ or ``"mixture"``.
         The definition of ``"mixture"`` is from [ZhouFangNing2013]_.
-        The result is not squared. SciPy returns squares for the last three kinds.
+        The result is the discrepancy; SciPy returns its square for the last three kinds.
 
     Raises
     ------

@@ -40,7 +40,7 @@ __all__ = ["relabelled"]
 _SHARED = 4
 # Variances are averaged over neighbors only if there are at least this many tiles
 _MANY = 64
-# Added to the score −log p of the whole image, which most errors change
+# Number that is added to the score −log p of the whole image: most bugs change its mean
 _FAVOR = 1.5
 # Least degrees of freedom for tests of single pixels.
 # With few frames, pixels that are lit in half of the frames often separate the sets by chance
@@ -255,7 +255,7 @@ def _one_sided(share: Array, degrees: int) -> tuple[Array, float]:
     share = np.clip(share, -1.0 + 1e-12, 1.0 - 1e-12)
     t = share * np.sqrt(degrees / (1.0 - share**2))
     score = _surprise(t**2, degrees, 1) + _MEDIAN
-    # A negative correlation contradicts the alternative hypothesis
+    # A negative correlation speaks against the tested alternative, so its score is small
     return np.where(t > 0, score, -np.log1p(-0.5 * np.exp(_MEDIAN - score))), float(t[0])
 
 

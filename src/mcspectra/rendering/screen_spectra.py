@@ -380,7 +380,7 @@ def _white_gain(kind: str, sigma: float, alpha: float) -> float:
 def _share(power: Array, width: int, part: Array) -> float:
     """Return the mean power over a part of the frequencies, divided by the mean over all."""
     across = np.arange(power.shape[-1])
-    # Columns with positive frequencies also count for the frequencies of opposite sign
+    # Columns with positive frequencies count twice: also for the opposite frequencies
     both = np.broadcast_to(np.where((across > 0) & (2 * across < width), 2.0, 1.0), power.shape)
     weighted, whole = power * both, float(np.sum(power * both))
     if not whole:

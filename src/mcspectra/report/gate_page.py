@@ -229,7 +229,7 @@ def _rounded(count: float) -> str:
 
 
 def _remarks(found: dict[str, Any]) -> Iterator[str]:
-    """Yield sentences about further failures, the method, and what was left out."""
+    """Yield sentences about other failed tests, the method, and the tests that were omitted."""
     others = _failed(found)[1:] if found["verdict"] == "fail" else []
     sizes: dict[str, list[int]] = {}
     for each in others:

@@ -350,7 +350,7 @@ class Kronecker(FixedSet):
 @lru_cache(maxsize=64)
 def golden_steps(dims: int) -> Array:
     """Return φ^(−1) … φ^(−d) in units of 2^-64, φ^(d+1) = φ + 1: uint64 (dims,), read-only."""
-    bits = _BITS + 32  # extra bits, because the powers of φ increase the error
+    bits = _BITS + 32  # 32 extra bits, because each power of φ adds rounding error
     one = 1 << bits
 
     # Find 1/φ by bisection: x = 1/φ solves x^(d+1) + x^d = 1

@@ -178,7 +178,7 @@ def _orthogonal(n: int, dims: int, strength: int, jitter: str, keys: Array) -> A
     return out
 
 
-# An analysis needs arrays for few n. An array of int32 is half as large as a set of points.
+# Four arrays are cached: an analysis uses few n, and an array takes half the memory of a set.
 @lru_cache(maxsize=4)
 def _slots(s: int, dims: int, strength: int, jitter: str) -> Array:
     """Return the stratum of each point on each axis before shuffles: int32 (s^t, dims), read-only.

@@ -11,7 +11,7 @@ Darts are thrown only where they can be accepted, in the cells of a grid.
 The cells have diagonal r, so that each cell has at most one point.
 Cells that may have room for a point are kept in a list.
 From time to time, the cells of the list are halved along every axis.
-Parts that a disk covers are dropped [Ebeida2012]_.
+Cells that a disk covers completely are removed from the list [Ebeida2012]_.
 Accepted darts are still uniform on the uncovered region, so the law does not change.
 The set is maximal when no cell remains.
 

@@ -121,7 +121,7 @@ def power_spectrum(
         ``radial_power`` and its standard error ``radial_power_se``, on the dim radius.
         The radius is |m| in cycles per unit. Rings are one frequency step wide and exclude m = 0.
         Errors are computed from the realizations' means over a ring.
-        The reason is that frequencies of one set are not independent.
+        Means of realizations are used because frequencies of one set are not independent.
         ``radial_power_ci`` is a 95 % interval from Student's t of the logarithm of power:
         power · exp(±t se/power), where t has realizations − 1 degrees of freedom.
         The attribute ``student_t`` is the factor t, which applies to ``power_se`` as well.

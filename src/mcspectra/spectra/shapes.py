@@ -336,7 +336,7 @@ def low_frequency_exponent(
     label, lengths = np.full(len(square), -1), np.sqrt(squares)
     label[wanted] = inverse
 
-    # Choose the window of the fit. It contains at least three lengths
+    # Choose the range of frequencies for the fit, with at least three lengths |ν|
     if len(lengths) < 3:
         raise ParameterError(
             f"A fit needs three lengths of frequency, of which the spectrum has {len(lengths)}; "

@@ -252,7 +252,7 @@ def result_scalars(source: str | Path, select: str | None = None) -> dict[str, d
     Raises
     ------
     ParameterError, StoreError
-        Same as in `open_results`, except that no cell has to match.
+        For the same reasons as in `open_results`, but a pattern may match no cell.
     """
     ledger = _ledger(source, select)
     if ledger is None:

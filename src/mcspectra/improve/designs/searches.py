@@ -96,7 +96,7 @@ class SearchSettings:
     # One vector is built axis by axis, and the others are random.
     # In 3-D the variance ratio is 0.295 with 24 or 48 vectors, and 0.274 with 96 in twice the time.
     vectors: int = 48
-    # Number of the best vectors of this search that are measured.
+    # Number of the best generating vectors whose variances are measured at the end of a search.
     # In 3-D the variance ratio is the same for 6 and 24 measured vectors.
     judged: int = 12
 
@@ -305,7 +305,7 @@ def _lattices(
         kept = 1 if plane else settings.judged
         for value, vector in sorted(found, key=lambda each: each[0])[:kept]:
             made = made_of(vector, fold)
-            if not plane:  # The table may lack frequencies that matter
+            if not plane:  # the table of frequencies may lack important frequencies
                 value = judge(made)
             yield Design(value, (fold + 1) / 2, partial(_as_made, made))
 
@@ -485,7 +485,7 @@ def _shared(
             (most,),
         )
     # A set of n points can make the means of about n features nearly 0.
-    # These features can be computed from about n members of the class
+    # About n members of the class are enough to compute that many features
     members = min(2 * settings.members, max(settings.members, 8 * n))
     values = objective.functions(members, stream.generator(0))
 
