@@ -15,9 +15,9 @@ The tree is the same if one thread computes all blocks, or if many machines comp
 Therefore results have the same bits for any number of threads and machines.
 
 In some analyses, later draws depend on earlier results, for example to stop at a precision.
-The method `Analysis.reduction` is then a generator.
-The generator yields lists of sums over blocks (`Reduction`), receives their merged states,
-and returns the dataset.
+For such an analysis, the method `Analysis.reduction` is a generator.
+The generator yields lists of sums over blocks (`Reduction`), and receives their merged states.
+At its end, the generator returns the dataset.
 """
 
 from __future__ import annotations

@@ -63,8 +63,8 @@ _SET_BYTES = 4096
 _LONGEST_LINE = 2**22  # largest number of bytes in a line
 _BLOCK = 2**20
 _COMPILED = 2**18  # in bytes; Python reads a shorter text faster than the kernel can be compiled
-# Bytes of memory for each number of a text. The number is stored three times as float64:
-# when it is read, in its point set, and in the ordered list of all sets
+# Bytes of memory for each number of a text. The number is stored three times as float64.
+# The copies are in the row that is read, in its point set, and in the list of all sets
 _VALUE_BYTES = 24
 
 # UTK binary
@@ -422,7 +422,7 @@ def _sets_of_rows(
     """Convert rows to arrays, one for each set.
 
     A row is the number of a line, and the fields of the line. If they are None, a new set begins.
-    Several rows may also come as one array of points, with the line number of the first row.
+    A run of rows may also be one array of points, with the line number of the first row.
     """
     sets: list[Array] = []
     points = array("d")

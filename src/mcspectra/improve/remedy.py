@@ -298,8 +298,8 @@ def remedies(
     xarray.Dataset
         A dataset. The dim ``remedy`` lists changes by name, with the least variance first.
         The name of the given set-up is ``"as given"``.
-        ``error`` with ``error_ci`` is the variance at the budget, summed over channels.
-        For a biased change, ``error`` is the mean squared error.
+        For an unbiased change, ``error`` is the variance at the budget, summed over channels.
+        For a biased change, ``error`` is the mean squared error. The interval is ``error_ci``.
         ``error_ratio`` with ``error_ratio_ci`` is the error relative to the given set-up.
         ``rate`` with ``rate_ci`` is the rate of the variance.
         ``rate_difference`` with ``rate_difference_ci`` is the change of the rate by the remedy.

@@ -738,7 +738,7 @@ def cell_integrals(f: QuadratureIntegrand, size: int) -> tuple[Array, str]:
 
 
 def _sum_by(values: Array, axis: int, weights: Array, cell: Array) -> Array:
-    """Return weighted sums over the nodes of each nonempty cell along an axis, in order."""
+    """Return weighted sums of values over the nodes of each cell on an axis; skip empty cells."""
     order = np.argsort(cell, kind="stable")
     first = np.flatnonzero(np.diff(cell[order], prepend=-1))
     shape = [1] * values.ndim

@@ -106,7 +106,7 @@ class SubsetSettings:
     The samplers are latin-hypercube, rank1-lattice | shift, and sobol with owen or digital-shift.
     The variance is predicted within ±63 % for the ball, and within ±0.2 to 1.3 % otherwise.
     "Only the variance of the ball" means that this variance changes by less than 8 %.
-    The predicted variances of all other integrands then stay the same.
+    The predicted variances of all other integrands do not change.
     "The same results" means changes of less than 1e-6.
 
     Attributes

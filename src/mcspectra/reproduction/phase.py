@@ -22,7 +22,7 @@ __all__ = ["exhibit"]
 COUNTS = (16, 64, 256, 1024)
 N = 16
 HALF_WIDTH = 48
-BAR = "disk(center=0.5, radius=0.25)"  # its edges 1/4 and 3/4 coincide with borders of 4^k strata
+BAR = "disk(center=0.5, radius=0.25)"  # 1/4 and 3/4 are borders of 4^k strata
 OFFSETS = (0.0, 0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875)
 LABELS = {
     0.0: "not displaced",
