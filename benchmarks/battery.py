@@ -42,7 +42,7 @@ WITHIN = 0.1
 
 @dataclass(frozen=True)
 class Case:
-    """An estimator with a known problem."""
+    """A test case: an estimator whose cause of noise is known."""
 
     name: str
     f: Any
@@ -189,7 +189,7 @@ def cases() -> Iterator[Case]:
         infinite,
     )
 
-    # Cases in which a few values dominate
+    # Cases in which a few large values make most of the variance
     heavy = ("heavy-tail",)
     yield Case(
         "peak",
@@ -258,7 +258,7 @@ def cases() -> Iterator[Case]:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Profile of a case, compared with measurements; None marks a comparison that is not made."""
+    """The profile of a test case, compared with measurements. None marks a missing comparison."""
 
     case: Case
     found: mcs.Profile

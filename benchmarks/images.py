@@ -2,7 +2,7 @@
 
 The name ``stock`` is Mitsuba's `direct` integrator with its own independent sampler.
 The stock integrator renders with the same number of samples as our integrator.
-Both sides of each line alternate in the same run.
+The two renderers of each printed line are timed in turns, in the same run.
 With ``--pictures``, the slides' comparison is rendered to the current folder.
 """
 

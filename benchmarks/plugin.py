@@ -1,6 +1,6 @@
 """Throughput of stock integrators with our samplers compared with the stock sampler.
 
-Both sides of each line alternate in the same run.
+The two samplers of each printed line are timed in turns, in the same run.
 The points of ``sobol | owen`` are computed in the kernel.
 Other samplers draw new tables of points for every image.
 A single set that is moved in each pixel is the cheapest.

@@ -1,10 +1,10 @@
 """Check and change specs in the explorer: plain text of limited length that names no files.
 
 Any web page can contain a link to the explorer.
-Such a link may cause computation, but must not open files or run code.
+A link to the explorer may cause computation, but must not open files or run code.
 Pictures are therefore uploaded, and specs name them by their digest.
 The user who starts the explorer may allow folders (``--allow-path``) and code (``--allow-code``).
-The module `mcspectra.core.trust` has the rules.
+The module `mcspectra.core.trust` contains the rules for specs from strangers.
 """
 
 from __future__ import annotations

@@ -254,7 +254,7 @@ class ExplorerState:
         """Return the query string for `from_query`, without a question mark."""
         pairs = list(self.a.differences().items())
         if self.b is not None:
-            # If all values of B are defaults, the query contains n of B, to show that B exists
+            # If set-up B has only default values, the query contains n of B, to show that B exists
             own = self.b.differences() or {"n": str(self.b.n)}
             pairs += [(_PREFIX + key, text) for key, text in own.items()]
         if self.theme != THEMES[0]:

@@ -151,7 +151,7 @@ class Verb(NamedTuple):
 
 
 def verb(*options: Declaration) -> Callable[[Callable[[argparse.Namespace], VerbOutput]], Verb]:
-    """Create a verb from a function. The docstring of the function becomes the help text."""
+    """Create a command-line verb from a function, whose docstring becomes the help text."""
     return lambda run: Verb(inspect.cleandoc(run.__doc__ or ""), options, run)
 
 

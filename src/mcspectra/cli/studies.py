@@ -1,4 +1,4 @@
-"""The verbs of studies: run a study file, and inspect, report or export its results."""
+"""Command-line verbs for studies: run a study file, and inspect, report or export its results."""
 
 from __future__ import annotations
 
@@ -225,7 +225,7 @@ def _cluster_engine(options: argparse.Namespace, time_limit: float | None) -> Ma
 def estimate_text(estimates: Sequence[CellEstimate], wall: float, workers: int) -> str:
     """Return a table of costs with a row for each pair of estimator and analysis.
 
-    A row combines the costs for all samplers.
+    Each row is the total cost of an estimator and an analysis with all samplers.
     """
     from mcspectra.core.memory import shown_bytes
 

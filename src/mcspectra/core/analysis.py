@@ -1,7 +1,7 @@
 """Analyses: each question about an estimator with a sampler is declared once, as a struct.
 
 An `Analysis` is a frozen struct whose fields are its options.
-Its method `need` returns the cost, and its method `reduction` returns the computation.
+`Analysis.need` returns the cost of a run, and `Analysis.reduction` returns the computation itself.
 Python functions, study files, commands, the explorer and the docs are derived from the struct.
 A result is checked against the variables that the struct declares.
 `ANALYSES` finds analyses by name.
@@ -12,11 +12,12 @@ The number and the limits of the blocks depend only on the size of the problem.
 The result of each block is called its *state*. States are merged in a fixed binary tree.
 A *chunk* is an aligned run of 2^k blocks, which is a node of this tree (`MergeTree`).
 The tree is the same if one thread computes all blocks, or if many machines compute chunks.
-Therefore results have the same bits in both cases.
+Therefore results have the same bits for any number of threads and machines.
 
 In some analyses, later draws depend on earlier results, for example to stop at a precision.
-The `reduction` of such an analysis is a generator.
-It yields lists of reductions, receives the merged states, and returns the dataset.
+For such an analysis, the method `Analysis.reduction` is a generator.
+The generator yields lists of sums over blocks (`Reduction`), and receives their merged states.
+At its end, the generator returns the dataset.
 """
 
 from __future__ import annotations
@@ -102,8 +103,8 @@ Result = TypeVar("Result")
 Chunk: TypeAlias = tuple[int, int]
 """First block of a chunk, and number of blocks in the chunk.
 
-The number of blocks is a power of two that divides the index of the first block.
-Only the last chunk may have fewer blocks.
+The number of blocks is a power of two, and divides the index of the first block.
+Only the last chunk of a computation may have fewer blocks.
 """
 
 
@@ -217,7 +218,7 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         return Need()
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[Any] | Steps:  # noqa: ARG002
-        """Return the computation, or a generator that yields reductions step by step.
+        """Return the sum over blocks to compute, or a generator that yields such sums step by step.
 
         Parameters
         ----------
@@ -245,16 +246,16 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         return None
 
     def part(self, subject: Subject, stream: Stream, key: str) -> Reduction[Any]:
-        """Return the reduction with this key: a sum over blocks of realizations.
+        """Return the sum over blocks of realizations that has the name `key`.
 
-        Workers call this method without running the earlier steps.
-        By default, this method searches the reductions of the first step.
+        Workers call this method without running the earlier steps of the analysis.
+        By default, this method looks for `key` among the sums of the first step.
         Analyses override this method if later steps depend on the states of earlier ones.
 
         Raises
         ------
         NotImplementedError
-            If no reduction of the first step has this key.
+            If no sum over blocks in the first step has the name `key`.
         """
         found = self.reduction(subject, stream)
         for each in [found] if isinstance(found, Reduction) else next(found):
@@ -355,14 +356,14 @@ class Reduction(Generic[State]):
     ----------
     kind
         Type of the state of a block: a record or a list of records (`mcspectra.core.records`).
-        It may also be an array, a dict of arrays, or a dataset.
+        The state may also be an array, a dict of arrays, or a dataset.
     block
         Function that maps the index of a block to its state.
     blocks
         Number of blocks. A block is the smallest unit of work.
     cost
-        Work of all blocks together. All reductions of a step use the same unit.
-        Reductions with more work start first, and progress is measured in work.
+        Work of all blocks together, in a unit that all sums of a step share.
+        The sums with the most work start first, and progress is the finished fraction of the work.
     key
         Name that is unique within the analysis. It identifies stored states.
     result
@@ -380,7 +381,7 @@ class Reduction(Generic[State]):
 Steps: TypeAlias = "Generator[list[Reduction[Any]], list[Any], xr.Dataset]"
 """Type of the generator that computes an analysis step by step.
 
-At each step, the generator yields reductions and is sent their merged states.
+At each step, the generator yields sums over blocks, and receives their merged states.
 At its end, the generator returns the dataset.
 """
 
@@ -445,13 +446,13 @@ def _said(analysis: Analysis) -> str | Function:
 
 
 def steps_of(analysis: Analysis, subject: Subject, stream: Stream) -> Steps:
-    """Return the generator that computes an analysis. A `Reduction` becomes its only step.
+    """Return the generator that computes an analysis. A single `Reduction` is wrapped as one step.
 
     Raises
     ------
     AnalysisError
-        If the analysis has no reduction or no result, or if a step has the wrong type.
-        If two reductions of the analysis have the same key, or if a reduction has no blocks.
+        If the analysis has no computation or no result, or if a step has the wrong type.
+        If two sums of the analysis have the same name, or if a sum has no blocks.
     """
     name = type(analysis).__name__
     found: Any = analysis.reduction(subject, stream)
@@ -538,7 +539,7 @@ def compute(
     ConfigError
         If the analysis needs more memory than there is.
     McspectraError
-        If `needed` or `steps_of` raises this error; this function calls both.
+        If `needed` or `steps_of`, which this function calls, raises an error.
     """
     given: tuple[Any, Any] = analysis, subject
     if not isinstance(given[0], Analysis) or not isinstance(given[1], Subject):
@@ -595,7 +596,7 @@ class MergeTree(Generic[State]):
 
     At the end, nodes of different sizes merge as well, from the last blocks to the first.
     The tree depends only on the number of blocks, not on the chunks or their order.
-    If chunks come in order, the tree holds only log₂(blocks) states at the same time.
+    If blocks arrive in order, the tree holds only log₂(blocks) states at the same time.
 
     Attributes
     ----------
@@ -608,12 +609,15 @@ class MergeTree(Generic[State]):
         self._next = 0
 
     def add(self, state: State, blocks: int = 1) -> None:
-        """Add the state of the next `blocks` blocks, which form a `Chunk`."""
+        """Add the merged state of the next `blocks` blocks, whose number is a power of two."""
         self.put((self._next, blocks), state)
         self._next += blocks
 
     def put(self, chunk: Chunk, state: State) -> int:
-        """Add and merge the state of any chunk. Return the first block of the merged node."""
+        """Add the state of a run of blocks, and merge it with neighboring runs of the same length.
+
+        The result is the number of the first block of the merged run.
+        """
         first, count = chunk
         while count & (count - 1) == 0 and self.nodes.get(first ^ count, (0,))[0] == count:
             _, other = self.nodes.pop(first ^ count)
@@ -641,7 +645,7 @@ def chunks(blocks: int, size: int) -> Iterator[Chunk]:
 def in_step(
     parts: Sequence[Generator[Reduction[Any], State, Result]],
 ) -> Generator[list[Reduction[Any]], list[State], list[Result]]:
-    """Run several generators together. Each step consists of the next reduction of each generator.
+    """Run several generators together: each step contains the next sum of every generator.
 
     The result is a list with the result of each generator, in the same order.
     """

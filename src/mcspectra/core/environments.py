@@ -74,7 +74,7 @@ def row_solid_angles(height: int) -> Array:
     """Return the fraction of the sphere that each of `height` rows covers; their sum is 1.
 
     If θ is the polar angle at a row's center, ½ (cos θ_j − cos θ_{j+1}) = sin θ sin(π/2h).
-    The right side is accurate, because it has no cancellation.
+    The product of two sines is accurate, because it does not subtract nearly equal numbers.
     """
     height = as_integer("height", height, least=1)
     centers = (np.arange(height) + 0.5) / height

@@ -2,8 +2,8 @@
 
 BLAS divides large sums by the number of its threads, which changes the last digits of results.
 Products here use the function `numpy.einsum` without optimization, which never calls BLAS.
-This function is four times slower than BLAS, but analyses spend far more time on other work:
-they draw points and compute transforms.
+This function is four times slower than BLAS.
+That hardly matters, because analyses spend far more time on drawing points and on transforms.
 Factorizations use Householder reflections. docs/decisions/0015 compares them with NumPy's.
 """
 

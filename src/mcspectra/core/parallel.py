@@ -86,10 +86,10 @@ def slices(block: Block, numbers_each: int) -> Iterator[Block]:
 
     Slices limit memory and stay in a shared cache.
     In one thread, smaller slices that fit into a second-level cache are not faster.
-    In several threads they are slower, because threads wait for Python's lock between operations.
+    In several threads, smaller slices are slower, because threads wait for Python's lock.
     Each wait for the lock takes 0.1 ms, because an idle processor has to wake up.
     The parallel efficiency of two threads was 0.39 for slices of 2^16 numbers.
-    It was 0.77 for slices of 2^18 numbers, and 0.87 for slices of 2^19 and 2^20 numbers.
+    The efficiency was 0.77 for slices of 2^18 numbers, and 0.87 for 2^19 and 2^20 numbers.
     For two processes, the efficiency is 0.91 to 0.95.
     """
     size = max(1, _SLICE_NUMBERS // max(1, numbers_each))

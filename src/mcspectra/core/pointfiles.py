@@ -63,8 +63,8 @@ _SET_BYTES = 4096
 _LONGEST_LINE = 2**22  # largest number of bytes in a line
 _BLOCK = 2**20
 _COMPILED = 2**18  # in bytes; Python reads a shorter text faster than the kernel can be compiled
-# Bytes of memory for each number of a text. It is stored three times as float64:
-# as read, in its set, and in the ordered list of all sets
+# Bytes of memory for each number of a text. The number is stored three times as float64.
+# The copies are in the row that is read, in its point set, and in the list of all sets
 _VALUE_BYTES = 24
 
 # UTK binary
@@ -277,7 +277,7 @@ def _read_dat(stream: IO[bytes], size: int, name: str) -> list[Array]:
                 lines, runs = found
                 for line, points in runs:
                     yield before + line, points
-            else:  # messages quote these lines
+            else:  # lines with other text, which error messages may quote
                 texts = _decoded(chunk, at, name)
                 lines = len(texts)
                 for number, text in enumerate(texts, before + 1):
@@ -293,8 +293,8 @@ def _numbers(chunk: bytes) -> tuple[int, list[tuple[int, Array | None]]] | None:
     """Read lines that contain only numbers. Return None if there is any other line.
 
     The result is the number of lines, and one pair for each run of lines between comments.
-    Such a pair is the number of the first line of the run, from 1, and the points.
-    For a comment, None replaces the points.
+    Each pair is the number of the first line of a run, counted from 1, and the run's points.
+    A comment line also gives a pair, which has None instead of points.
     """
     from mcspectra.core._text_kernels import parse_lines
 
@@ -421,8 +421,8 @@ def _sets_of_rows(
 ) -> list[Array]:
     """Convert rows to arrays, one for each set.
 
-    A row is the number of a line with its fields. If the fields are None, a new set begins.
-    Several rows may also come as one array of points, with the line number of the first row.
+    A row is the number of a line, and the fields of the line. If they are None, a new set begins.
+    A run of rows may also be one array of points, with the line number of the first row.
     """
     sets: list[Array] = []
     points = array("d")
@@ -506,8 +506,8 @@ def _read_bin(stream: IO[bytes], size: int, name: str) -> Array:
             f"{announced}, that is {count * dtype.itemsize} bytes after the header, but has "
             f"{size - _HEADER_BYTES}."
         )
-    # Integers need memory for two copies.
-    # One has the byte order of this machine. The other has no bits that do not fit into a double
+    # Files of integers need memory for two more copies: one in the byte order of this machine,
+    # and one without the bits that do not fit into a double
     copies = 1 if dtype.kind == "f" else 3
     check_decoded_size(name, size, count * (copies * dtype.itemsize + 17) + shape[0] * _SET_BYTES)
     values = np.fromfile(stream, dtype, count).reshape(shape)

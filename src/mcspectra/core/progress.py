@@ -110,19 +110,19 @@ class ProgressBars:
     ----------
     closes
         Whether `close` is called at the end of the work.
-        If not, the bar stays after an exception, and its work is forgotten after some time.
+        Without this call, a bar stays after an exception until its work is forgotten.
     """
 
     def __init__(self, *, closes: bool = False) -> None:
         self._closes = closes
-        # For each work: its start, the time of its last report, and its finished fraction
+        # Time of the start, time of the last report, and finished fraction of each running work
         self._under_way: dict[str, tuple[float, float, float]] = {}
         self._told_at = time.monotonic()
         self._bar: Any = None  # progress bar of the package rich, or None if no bar is shown
         self._lock = threading.Lock()
 
     def __call__(self, what: str, fraction: float) -> None:
-        """Record that a `fraction` of `what` is finished. Show it if the work takes long enough."""
+        """Record the finished fraction of the work `what`, and show it if the work takes long."""
         now = time.monotonic()
         oldest = -math.inf if self._closes else now - _FORGOTTEN
         with self._lock:

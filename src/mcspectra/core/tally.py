@@ -1,11 +1,11 @@
 """Counts and limits of evaluations of users' functions. Calls are counted before they are made.
 
 `counting` opens a tally: a counter of all evaluations inside its block.
-This includes evaluations in this thread and in threads of `mcspectra.core.parallel`.
+The counter includes evaluations in this thread and in threads of `mcspectra.core.parallel`.
 Tallies can be nested.
 The limit is checked before the function is called.
-After a rejected call, work may continue, for example when a prediction tries another method.
-The result is then discarded: at the end, `EvaluationTally.check` raises an error.
+After a call is rejected, the computation may continue: a prediction may try another method.
+Its result is discarded anyway, because at the end `EvaluationTally.check` raises an error.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class EvaluationTally:
     most: int | None = None
     outer: EvaluationTally | None = None
     made: int = 0
-    # Calls beyond the limit are rejected. This is the largest total that would have been reached
+    # Largest number of evaluations that a rejected call would have reached; 0 without such a call
     refused: int = 0
 
     def foresee(self, evaluations: int) -> None:

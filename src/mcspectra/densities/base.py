@@ -3,7 +3,7 @@
 A `Density` is a warp T with its pdf. T maps u in the unit cube (primary space) to x in the domain.
 The methods are ``x = sample(u)``, ``u = invert(x)`` and ``pdf(x) = |det dT/du|^-1``.
 The public methods check their points once. They then call `_pdf`, `_sample` or `_invert`.
-Implementations define these private methods, which get plain arrays and do not check them.
+Subclasses define `_pdf`, `_sample` and `_invert`, which get plain arrays without checks.
 A `Wrapper` is a density that creates another density and forwards all calls to it.
 """
 
@@ -368,12 +368,12 @@ class NumericalDensity(_ByFunctions):
     The pdf is called with read-only float64 arrays (..., d) of points within the domain.
     In 2-D, each sampled point costs a few hundred evaluations of the pdf.
 
-    Details of the pdf, such as a peak, a gap or a box, are resolved if they are wide enough:
-    at least 2^-18 in 1-D, and at least 1/500 along both axes in 2-D.
+    Details of the pdf, such as a peak, a gap or a box, are resolved if they are wide enough.
+    The least width is 2^-18 in 1-D, and 1/500 along both axes in 2-D.
     Narrower details may be missed, together with their probability mass.
-    In that case, `normalize` divides by an integral that is too small.
+    If mass is missed, `normalize` divides by an integral that is too small.
     If the integral is known, ``normalize=False`` detects missing mass.
-    A density with ``sample=`` does not have this problem.
+    A density with a function ``sample=`` does not miss mass.
 
     Attributes
     ----------
@@ -469,7 +469,7 @@ def bounded_product(factors: Array, spec: str) -> Array:
     with np.errstate(over="ignore", invalid="ignore"):
         product = np.asarray(factors.prod(axis=-1))
     overflown = ~np.isfinite(product)
-    if overflown.any():  # maybe only a partial product overflows
+    if overflown.any():  # a partial product may overflow although the result does not
         with np.errstate(divide="ignore"):
             product[overflown] = exponential(np.log(factors[overflown]).sum(axis=-1), spec)
     return product
@@ -506,7 +506,7 @@ def divide_by_density(
     spec
         Name of the estimator in messages.
     constant
-        Whether the values are a constant. Then values/pdf is a weight, and not an estimate.
+        Whether `values` is a constant, so that values/pdf is a weight and not an estimate.
 
     Raises
     ------
@@ -554,9 +554,9 @@ def reciprocal_integral(density: Density) -> float:
     The module `mcspectra.densities.adaptive` describes this quadrature.
     Let p ~ r^a at the distance r from a zero.
     Near this zero, each level shrinks the unresolved part of ∫1/p by a constant ratio.
-    The ratio is 2^{a−1} next to a point in 1-D or a line in 2-D.
-    The ratio is 2^{a-2} next to a point in 2-D.
-    If the ratio is 1 or more, the integral diverges.
+    If p is 0 at a point in 1-D or on a line in 2-D, the ratio of levels is 2^{a−1}.
+    If p is 0 at a point in 2-D, the ratio of levels is 2^{a-2}.
+    If the ratio of levels is 1 or more, ∫1/p diverges.
     Ratios above 0.98 count as divergent, so a > 0.97 cannot be distinguished from 1.
     The remainder of the geometric series is added (Aitken). If p = 0 in a cell, ∫1/p is infinite.
     Relative errors are about 1e-7 in 1-D, and 1e-4 in 2-D if p jumps along curves.
@@ -565,7 +565,7 @@ def reciprocal_integral(density: Density) -> float:
     The heuristic takes the mean of 1/p over 131 072 low-discrepancy points.
     Hill's method estimates the tail index a of 1/p from its largest 256 values.
     A variable whose tail falls like v^(-1/a) has an infinite mean for a ≥ 1.
-    The result is infinite if the estimate of a exceeds 0.81, three standard errors below 1.
+    ∫1/p counts as infinite if the estimated tail index exceeds 0.81: 1 minus 3 standard errors.
     The method misses a zero of p that fills less than about 1e-5 of the domain.
     """
     if not isinstance(density, Density):

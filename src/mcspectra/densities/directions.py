@@ -94,7 +94,7 @@ def _octahedral_from_sphere(theta: Array, turn: Array) -> Array:
     below, left = turn > 0.5, np.abs(turn - 0.5) < 0.25
     folded = np.where(below, 1.0 - turn, turn)
     folded = np.where(left, 0.5 - folded, folded)
-    # |a| + |b| is the radius (or 2 − radius), and |b| − |a| is radius · ratio
+    # Choose a and b so that |a| + |b| is the radius (or 2 − radius), and |b| − |a| = radius · ratio
     b = 4.0 * radius * folded
     a = radius - b
     a, b = np.where(lower, 1.0 - b, a), np.where(lower, 1.0 - a, b)
@@ -135,7 +135,7 @@ def _as_center(name: str, value: Any) -> float | tuple[float, ...]:
 class DiskDensity(_TwoWarps):
     """Density that is uniform on a disk inside the unit square, and 0 outside the disk.
 
-    Both warps preserve areas, but separate neighboring points at different places (see `warp`).
+    Both warps preserve areas, but they separate neighboring points at different places (`warp`).
     Therefore samplers with correlated points have different rates with the two warps.
 
     Attributes

@@ -57,7 +57,7 @@ class SplineDensity(Density):
         For a mixture: w (K,) with sum 1, and c (K, d, M) with rows of sum 1. Empty for a flow.
     gates
         For a flow: the coefficients θ (d, M, 1 + d·DEGREE), which are 0 for later coordinates.
-        Empty for a mixture.
+        This array is empty for a mixture.
     defensive
         δ, the smallest value of p, so that |f/p| is at most |f|/δ.
     """
@@ -245,9 +245,9 @@ def _walk(
     given: Array,
     out: Array,
 ) -> None:  # pragma: no cover - compiled
-    # The mode determines what `given` holds and what is written to `out`.
-    # To sample, `given` holds u. Write x and the pdf, (N, d + 1).
-    # To invert, `given` holds x. Write u. Otherwise write the pdf at x, (N, 1).
+    # The argument `mode` chooses whether to sample, to invert, or to evaluate the pdf.
+    # To sample, `given` holds u, and `out` gets x and the pdf, (N, d + 1).
+    # To invert, `given` holds x, and `out` gets u. Otherwise `out` gets the pdf at x, (N, 1).
     # The array `a` holds the spline weights of one axis
     d, cells, parts = knots.shape[0], knots.shape[1] - 1, shares.size
     a, held, x = np.empty(cells + 2), np.empty(parts), np.empty(d)
@@ -274,7 +274,7 @@ def _walk(
             spread /= spread + defensive
 
             # Find the cell of x_i. To sample, compare u_i with the cdf at the right ends of cells.
-            # Otherwise compare x_i with these right ends
+            # To invert or to evaluate, compare x_i itself with the right ends of cells
             left, c = 0.0, 0
             while c < cells - 1:
                 end = knots[i, c + 1]

@@ -36,26 +36,26 @@ class PictureSettings:
 
     # Distances from a face at which g is evaluated.
     # 2^−26 is the square root of float64's spacing below 1.
-    # It is a compromise between the rounding of u and the change of a smooth g.
+    # This distance is a compromise between the rounding of u and the change of a smooth g.
     # The distance 2^−40 is 2^14 times smaller. The number 1 − 2^−40 is exact in float64.
     near: float = 2.0**-26
     nearer: float = 2.0**-40
     # Fraction of a difference between opposite faces that remains at the smaller distance.
     # Above this limit, the difference is a jump.
-    # The fraction is 1 for a jump, 2^−14 for a smooth g, and 2^−7 for a square root.
+    # The remaining fraction is 1 for a jump, 2^−14 for a smooth g, and 2^−7 for a square root.
     stays: float = 0.5
     # g has a pole at a face if it grows by this factor from the larger to the smaller distance.
-    # The power t^−a grows by more than this for a > 1/14; bounded functions grow less.
+    # The power t^−a grows by more than this factor if a > 1/14; bounded functions grow less.
     grows: float = 2.0
     # A difference between opposite faces below this fraction of the range of g counts as rounding.
-    # Between the two distances, a smooth g changes by about 1e-8 of its range.
+    # Between the distances 2^−26 and 2^−40, a smooth g changes by about 1e-8 of its range.
     negligible: float = 1e-7
     # Number of grid points along each axis for the search of zeros of a density.
     # The 64 steps include all multiples of 1/64.
     # Zeros of textures and of piecewise densities are often at such multiples.
     probes: int = 65
-    # A density counts as zero below this fraction of its largest value on the grid:
-    # 1/p is then 1e9 times its least value.
+    # A density counts as zero below this fraction of its largest value on the grid.
+    # At this limit, 1/p is 1e9 times its least value.
     zero: float = 1e-9
 
 
@@ -87,14 +87,14 @@ def primary_picture(
     xarray.Dataset
         A dataset. ``primary_value`` (u0, u1[, channel]) is g at the centers of cells.
         ``primary_jump`` (axis, u0, u1) is the size of the jump to the next cell along each axis.
-        The size is 0 where g is continuous.
+        The size of a jump is 0 where g is continuous.
         ``face_jump`` (axis[, along]) is the size of the jump from u_axis = 0 to u_axis = 1.
         These jumps are computed at the centers of cells along the other axis.
         At poles the jump is infinite.
         Jumps between faces matter for samplers that wrap around.
         The following variables have the two kinds ``interior`` and ``boundary``:
         ``primary_jump_length`` is the length of the curves on which g jumps.
-        In 1-D it is the number of jumps. ``primary_jump_height`` is the mean height of jumps.
+        In 1-D, the length is the number of jumps. ``primary_jump_height`` is their mean height.
         If g is unbounded, the height is infinite and ``primary_pole`` is 1.
         ``reciprocal_unbounded`` is 1 if 1/p is unbounded because p reaches 0 on a grid.
         Several channels are combined: jumps are Euclidean lengths over channels.

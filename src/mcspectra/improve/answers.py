@@ -39,7 +39,7 @@ __all__ = [
 class AnswerSettings:
     """Limits of numbers in an answer."""
 
-    # Largest number of evaluations that an answer contains:
+    # Largest number of necessary evaluations that an answer reports.
     # 10^15 evaluations take 11 days at 10^9 per second.
     many: float = 1e15
     # Least gain in variance at which an undecided change is mentioned.
@@ -68,10 +68,10 @@ class Candidate:
         The estimator and the sampler after the change.
     biased
         Whether the candidate estimates another integral.
-        The error of such a candidate is measured about the integral of the given estimator.
+        The error of a biased candidate is measured about the integral of the given estimator.
     pilot
         Number of evaluations, in addition to the budget, that the search for the change took.
-        If the budget includes a pilot, `Setup.overhead` counts its evaluations instead.
+        If the budget includes a pilot, its evaluations are counted in `Setup.overhead` instead.
     effort
         Cost of an evaluation divided by its cost in the given set-up; paths can differ in length.
     ratio

@@ -92,37 +92,38 @@ class CandidateSettings:
     most_aligned_dims: int = 2
     # Maximum number of dims in which cubic stratification is tried.
     # In 4-D, order 4 needs at least 4^4 = 256 cells.
-    # In 4-D, the rate n^(−1 − 8/d) of this order gains little over nets.
+    # In 4-D, cubic stratification has at best the rate n^(−1 − 8/d), and gains little over nets.
     most_cubic_dims: int = 3
     # Order of the substitution that makes g periodic. With few points, low orders are better;
     # with many points, high orders are better (`benchmarks periodized`).
     order: int = 4
     # Maximum number of dims in which g is made periodic.
     # The substitution multiplies ∫g² by up to 1.6^d, so it loses to nets in many dims.
-    # In 5-D, the RMSE of a smooth function with 1,024 points
-    # is 12 times that of a folded lattice (`benchmarks periodized`).
+    # In 5-D with 1,024 points, a smooth function that is made periodic has 12 times the RMSE
+    # that a folded lattice gives without this change (`benchmarks periodized`).
     most_periodized_dims: int = 4
     # Maximum number of dims in which edges are smoothed by means over boxes.
     # In more dims, means take too many evaluations; smoothing by the distance takes only one.
     most_boxed_dims: int = 2
     # A pilot takes the budget B divided by this number.
-    # The two largest budgets of `mcspectra.remedies` exceed a pilot of B/8 evaluations.
-    # These two budgets, B/4 and B, give a rate.
+    # Two budgets of `mcspectra.remedies` are larger than a pilot of B/8 evaluations: B/4 and B.
+    # Two budgets are enough to measure a rate.
     pilot_divisor: int = 8
     # Least number of points of a pilot. Each half of the pilot has 32 points.
     # A regression takes 4 points for each of 8 terms (`RegressionSettings.evaluations_per_term`).
     least_pilot: int = 64
     # Maximum number of points of a pilot.
-    # Regressions of an Asian option in 16-D were tested with 2048, 4096 and 8192 points.
-    # After these regressions, 1.08, 0.93 and 0.89 % of the variance remain.
-    # The variances of fitted densities differ by 3 % (`benchmarks improvements`).
+    # Regressions of an Asian option in 16-D with 2048, 4096 and 8192 points
+    # leave 1.08, 0.93 and 0.89 % of the variance.
+    # The variances of densities that are fitted with 2048 to 8192 points differ by 3 %
+    # (`benchmarks improvements`).
     most_pilot: int = 4096
     # Widths of smoothed edges that are scanned, in units of the domain: octaves from 2^-10 to 1/4.
     # A wider edge covers most of the domain; a narrower edge is a jump at the budgets in use.
     widths: tuple[float, ...] = tuple(2.0**-k for k in range(10, 1, -1))
     # Maximum number of realizations for each variance in a scan over widths or over offsets.
     # With 300 realizations, the relative standard error of a variance is √(2/300) = 8 %.
-    # This error is small enough, because neighboring widths differ by a factor of two.
+    # An error of 8 % is small enough, because neighboring widths differ by a factor of two.
     scan_realizations: int = 300
 
 
@@ -169,7 +170,7 @@ Kind: TypeAlias = Literal[
 def candidates_of(given: Setup, kinds: Sequence[Kind], budget: Budget) -> _Candidates:
     """Yield each candidate of the given kinds once. For other changes, yield ``name: reason``.
 
-    If a kind raises an error, the reason is the message of the error.
+    If candidates of a kind raise an error, the reason is the message of this error.
     If the estimator is mirrored, its inner estimator is changed, and the result is mirrored again.
     """
     seen = {Candidate("given", "given", "", given).key}

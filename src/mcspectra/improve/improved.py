@@ -72,7 +72,7 @@ class ChangeSettings:
     # Settings with which `fit_splines` fits joint densities, and products of 1-D densities.
     # The first number is the number of cells along each axis.
     # The second number counts the parts of a mixture; 0 stands for a flow.
-    # The third number is the weight of the smoothness penalty.
+    # The third number of a setting is the weight of the smoothness penalty.
     # The first joint setting is also fitted in each round, to place the points of the next round.
     # Without the flow, the variance of a ridge across two axes is 17 times as large.
     # Without the product of 24 cells, the fitted density follows a narrow peak less well.

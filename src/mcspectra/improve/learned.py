@@ -12,13 +12,13 @@ A fit by the mean of log p alone would follow the random density of the points.
 The smoothness penalty uses second differences of log spline weights, as in P-splines
 [Eilers1996]_.
 
-A candidate is defined by numbers of cells and parts, and by the weight of the penalty.
+A candidate is a density with given numbers of cells and mixture parts and a given smoothness.
 Candidates are compared by the variance of f/p with points of the sampler itself.
 Only evaluations that were not used in the fit are compared.
 The integral ∫f²/p alone does not measure the roughness of f/p.
-This roughness causes the variance that nets and strata do not remove.
+The roughness of f/p causes the variance that nets and strata do not remove.
 The best candidate is checked on fresh points.
-If it has no less variance than uniform points, the result is the uniform density.
+If the best candidate does not beat uniform points, the result is the uniform density.
 """
 
 from __future__ import annotations
@@ -64,8 +64,8 @@ class LearnSettings:
 
     # Candidates of the two kinds, from smooth to fine.
     # The first number of each candidate is the number of cells along each axis.
-    # The second number is the number of parts of a mixture, or 0 for a flow.
-    # The third number is the weight of the smoothness penalty.
+    # The second number of a candidate is the number of parts of a mixture, or 0 for a flow.
+    # The third number of a candidate is the weight of the smoothness penalty.
     # The first candidate is also fitted in each round, to place the points of the next round.
     # Evaluations that were not used in any fit choose one candidate.
     # If one candidate is left out, the variances of two test functions change by −30 to +6 %.
@@ -85,17 +85,17 @@ class LearnSettings:
     # Maximum number of dims of a learned density. The fit of a flow in 24-D takes 9 s.
     most_dims: int = 24
     # Least allowed number of evaluations. Half of these 256 evaluations are for the fit.
-    # A quarter is for the choice of one of five candidates: six sets of two points for each.
-    # Another quarter is for the check of the result on fresh points.
+    # A quarter of the 256 chooses one of five candidates, with six sets of two points for each.
+    # Another quarter of the 256 checks the result on fresh points.
     least_evaluations: int = 256
     # Least number of evaluations by default.
     # The fit, the choice of a candidate and the check take `most_fitted` evaluations each.
     usual_evaluations: int = 3 * 2**13
     # Default number of evaluations for each of the n points, in addition to `most_fitted`.
-    # The choice takes half of the 16 n: each of five candidates has six sets of n/4 points.
-    # The check takes half of the 16 n: 16 sets of n/4 points of the result, and 16 uniform sets.
+    # Half of the 16 n evaluations choose one of five candidates, with six sets of n/4 points each.
+    # The other half of the 16 n check the result: 16 sets of its points, and 16 uniform sets.
     evaluations_per_point: int = 16
-    # Ratio of n to the smallest number of points at which candidates may be compared.
+    # n divided by the smallest number of points with which candidates are compared.
     # With n/16 points, nets give nearly the same ratios of variances as with n points.
     # With fewer points, nets do not resolve the splines.
     fewest_divisor: int = 16
@@ -133,7 +133,7 @@ class LearnSettings:
     least_checks: int = 16
     # Least effective number (Σ|f|)²/Σf² of uniform points, in the fit and in the check.
     # With 16, all points miss a peak with a third of ∫|f| with probability e^(−16/3) = 0.5 %.
-    # With 4, one of three equal peaks was missed, and the variance was 2.3 times as large.
+    # With the limit 4, a fit missed one of three equal peaks, and had 2.3 times the variance.
     least_effective: float = 16.0
     # Weight that is added to every spline at the start of a fit, so that logarithms are finite.
     # For values from 1e-8 to 1e-4, the variances differ by 0.3 % at most.
@@ -143,8 +143,9 @@ class LearnSettings:
     most_ratio: float = 0.5
     # Least number of evaluations for each weight of a flow.
     # With fewer evaluations, weights would follow the noise of the points.
-    # Regressions have a similar limit (`mcspectra.improve.improved.RegressionSettings`).
-    # In 2-D and 3-D, results are the same for 2 and 8.
+    # Regressions also need a few evaluations per weight
+    # (`mcspectra.improve.improved.RegressionSettings`).
+    # In 2-D and 3-D, 2 or 8 evaluations per weight give the same results.
     evaluations_per_gate: int = 4
 
 
@@ -250,7 +251,7 @@ class _Seen:
         """Fit the shares (K,) of the parts of a mixture, and their log spline weights (K, d, M)."""
         from scipy.special import log_softmax, softmax
 
-        # Start from the means of the splines over the groups
+        # Start from the mean values of the splines over the groups of points
         tables = np.empty((count, *self.uniform.shape))
         whole = np.maximum(np.bincount(own, self.weight.ravel(), count), 0.1 / count)
         for k in range(count):
@@ -291,7 +292,7 @@ class _Seen:
         def loss_of(followed: Array) -> tuple[Array, Callable[[Array], tuple[float, Array]]]:
             """Return a mask of the coefficients in use, and the loss.
 
-            The matrix (d, d) states for each axis on which other axes it depends.
+            `followed` (d, d) states for each axis on which other axes its density depends.
             """
             columns = np.insert(np.repeat(followed, DEGREE, axis=1), 0, True, axis=1)
             used = np.broadcast_to(columns[:, None], shape)
@@ -388,7 +389,7 @@ def learned_density(
     ----------
     f
         An integrand with one or more channels, or a spec.
-        Another choice is a function that maps points (k, d) to values (k,).
+        Instead of an integrand, f may be a function that maps points (k, d) to values (k,).
     kind
         ``"mixture"`` is a mixture of products of splines.
         In a ``"spline-flow"``, the spline weights of a coordinate depend on earlier coordinates.
@@ -399,8 +400,8 @@ def learned_density(
     evaluations
         Maximum number of evaluations of f, at least 256.
         Half of the evaluations are for the fit, but at most 8192.
-        Of the remaining evaluations, one half chooses between candidates.
-        The other half checks the chosen density.
+        Half of the evaluations after the fit are for the choice between candidates.
+        The other half are for the check of the chosen density.
         The default is 16 n + 8192, and at least 24576.
     defensive
         Lower bound δ of the density, between 0 and 1. Then |f|/p is at most |f|/δ.
@@ -415,8 +416,8 @@ def learned_density(
         A continuous density with an exact inverse and a continuous warp.
         The `spec` of the density names its file.
         If no candidate halves the variance of uniform points, the density is ``uniform``.
-        It is also ``uniform`` if the check does not confirm the gain.
-        In this case a `NoGainWarning` is issued.
+        The density is also ``uniform`` if fresh points do not confirm the gain.
+        If the density is ``uniform``, a `NoGainWarning` is issued.
 
     Raises
     ------
@@ -434,12 +435,12 @@ def learned_density(
     Candidate densities (`mcspectra.improve.learned.LEARNED`) range from smooth to fine.
     The variance of f/p is compared for at least six realizations of the sampler.
     Each realization has n points if the evaluations allow it.
-    Otherwise it has at least n/16 points, and by default usually n/4.
+    With fewer evaluations, a realization has at least n/16 points, and by default usually n/4.
     The best candidate is checked on fresh points, with at least 16 realizations.
     The check must show with 95 % confidence that the variance is less than for uniform points.
     In addition, ∫f²/p must be smaller than ∫f².
     The effective number (Σ|f|)²/Σf² of uniform points must be at least 16.
-    With a smaller number, peaks may be missed.
+    With a smaller effective number, peaks may be missed.
     `mcspectra.improve.learned` describes the method of fitting.
 
     Examples
@@ -552,7 +553,7 @@ def learned_density(
         f"no candidate has less than {settings.most_ratio:g} of the variance of uniform points"
     )
 
-    # Check the choice on fresh points: compare variances of sets, and mean squares of points.
+    # Check the chosen density on fresh points, by variances of sets and by means of f²/p.
     # If the fit has missed a peak, the sets of p may miss it as well, but ∫f²/p is large.
     # If only few uniform points have nonzero f, all points may miss other peaks
     if best is not uniform:

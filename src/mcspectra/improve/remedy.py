@@ -51,18 +51,18 @@ class RemedySettings:
     steps: int = 5
     # Ratio of successive budgets. A smaller ratio costs more.
     # The sum of all budgets is 1/(1 − 1/ratio) = 4/3 times the largest budget.
-    # With a larger ratio, the smallest budgets would not pay for two points.
+    # With a larger ratio, the smallest budgets would not be enough for two points.
     ratio: int = 4
     # Expected number of changes of each kind, for estimates of cost and memory before a run.
     # For functions in 2-D, all 16 kinds together make 18 to 25 changes; ``sampler`` makes eight.
     tries: int = 3
     # If all estimates of a set-up are equal, they must agree with the exact integral.
-    # This is the largest allowed relative difference.
+    # Largest allowed relative difference between the estimates and the exact integral.
     # Means are rounded to about 1e-15.
-    # The limit is much larger, because a sum can cancel to 1e-6 of the size of its terms.
+    # The limit is far above rounding, because a sum can cancel to 1e-6 of the size of its terms.
     exact_tolerance: float = 1e-9
     # Largest allowed difference from an integral that was computed by quadrature or by many points.
-    # This limit is larger, because the estimated error of such an integral can be too small.
+    # The limit for computed integrals is larger, because their estimated error can be too small.
     # Equal estimates that miss a rare event differ from the integral by far more than this.
     quadrature_tolerance: float = 1e-3
     # If the integral is an estimate, a difference of this many standard errors is also allowed.
@@ -143,7 +143,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
         )
 
     def _evaluations(self, given: Setup) -> int:
-        """Return the evaluations of the given set-up and of the diagnosis of a user's function."""
+        """Return the evaluations of the given set-up, and of its diagnosis if f is a user's."""
         measured = given.cost * sum(_affordable(given, self.budget).values())
         diagnosed = self.budget if given.is_black_box else 0
         return self.realizations * (measured + diagnosed)
@@ -154,7 +154,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
         start = Candidate("given", "as given", "leave everything as it is", given)
         unknown = np.isnan(given.estimator.known_integral()[0]).any()
         search = Budget(self.budget, self.realizations, stream.child(_SEARCH))
-        # Divide the evaluations that the given set-up leaves equally among the kinds
+        # All kinds of changes have equal shares of the evaluations that the given set-up leaves
         limit = self.max_evaluations
         first = self._evaluations(given)
         share = None if limit is None else max(1, (limit - first) // len(self._kinds))
@@ -221,7 +221,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
         for step, n in _affordable(setup, self.budget).items():
             try:
                 estimator = setup.at(n)
-            except McspectraError:  # The strata need a larger n to have borders at all edges of g
+            except McspectraError:  # n is too small for strata with borders at all edges of g
                 continue
             cost.append(n * setup.cost + setup.overhead)
             own = stream.child(step)
@@ -290,16 +290,16 @@ def remedies(
     max_evaluations
         Maximum number of evaluations of the integrand.
         If the given set-up and its diagnosis need more, an error is raised before any evaluation.
-        All kinds have equal shares of the remaining evaluations.
-        A change that needs more than the share of its kind is not tried.
+        All kinds of changes have equal shares of the remaining evaluations.
+        If a change needs more than the share of its kind, the change is not tried.
 
     Returns
     -------
     xarray.Dataset
         A dataset. The dim ``remedy`` lists changes by name, with the least variance first.
         The name of the given set-up is ``"as given"``.
-        ``error`` with ``error_ci`` is the variance at the budget, summed over channels.
-        For a biased change, ``error`` is the mean squared error.
+        For an unbiased change, ``error`` is the variance at the budget, summed over channels.
+        For a biased change, ``error`` is the mean squared error. The interval is ``error_ci``.
         ``error_ratio`` with ``error_ratio_ci`` is the error relative to the given set-up.
         ``rate`` with ``rate_ci`` is the rate of the variance.
         ``rate_difference`` with ``rate_difference_ci`` is the change of the rate by the remedy.
@@ -332,16 +332,16 @@ def remedies(
     A user's function is evaluated at most 4/3 · budget · realizations times for each set-up.
     The given set-up and its diagnosis take at most 7/3 · budget · realizations evaluations.
     Searches for offsets of strata and for widths of smooth edges take more evaluations.
-    These changes are therefore not tried for a user's function.
+    Searches for offsets and widths are therefore not made for a user's function.
 
     A change is biased if it smooths, or if its sampler is not randomized.
     The error of a biased change is taken about the integral of the given estimator.
     If ∫f is unknown, biased changes are not tried.
-    A change to another integral has no rate, since its error converges to the square of the bias.
+    A biased change has no rate, because its error converges to the squared bias instead of 0.
     All evaluations count, including those in pilots of heuristics and in means over boxes.
 
     If all estimates are equal but differ from the integral, they have missed a rare event.
-    In this case error and ratio are NaN, and the verdict is undecided.
+    If a rare event was missed, error and ratio are NaN, and the verdict is undecided.
     In the ranking by rate, set-ups without a rate are last.
 
     Examples

@@ -11,7 +11,7 @@ For q = 1 this is the midpoint grid, which requires its half-sample phase exp(�
 In contrast to a plain FFT, the jump between f(1) and f(0) does no harm: it is at a cell's edge.
 For smooth f, periodic or not, the rule converges spectrally in q.
 If a cell contains a discontinuity, it is divided there into pieces of q nodes each.
-There are few such pieces, so the rule sums over their nodes directly.
+Few cells contain a discontinuity, so the rule sums over the nodes of their pieces directly.
 """
 
 from __future__ import annotations
@@ -68,18 +68,19 @@ PROBE = 2**17
 """Number of points of `probe`. Each of them represents 1/PROBE of the volume."""
 _SIGMAS = 3.0
 # f is evaluated near the corners of a box, at a distance that is this fraction of the box.
-# The first number is for 1-D, and the second for more dims
+# The first fraction is for boxes in 1-D, and the second for boxes in more dims
 _INSET = (1e-10, 1e-6)
 _LEAST_INSET = 2.0**-51  # Least distance to a corner, as a fraction of its coordinate
 # Near a corner, f may differ from its polynomial by this multiple of the last coefficients.
 # A larger difference indicates a jump
 _SMOOTH = 100.0
-# If at least this many residuals are not 0, their standard error replaces the error of boxes
+# If this many probe points differ from the polynomials, their standard error replaces the
+# error that is estimated from the boxes
 _LEAST_SEEN = 30
-_LOOKS = 2  # Number of points of the second probe, as a multiple of the first
+_LOOKS = 2  # The second set of probe points is this many times as large as the first
 # Smallest size of a box as a fraction of its coordinates, and smallest size next to 0
 _SMALLEST, _TINIEST = 2.0**-44, 2.0**-500
-# Upper limit of the ratio of successive differences, and number of levels that give the ratio
+# Upper limit of the ratio of successive differences, and number of levels for this ratio
 _SLOW, _LEVELS = 0.99, 4
 _HALVES, _UNSETTLED = 0.55, 1.5
 
@@ -88,12 +89,12 @@ _CANDIDATES = 16  # Jumps are searched for in this many of the largest steps of 
 # Number of times that a step is cut in two, which reduces its width to 2^-46.
 # Cuts are not at the middle, to avoid dyadic fractions
 _CUTS, _CUT = 34, 0.4871
-# Number of peaks that are examined on a line, and number of halvings of the interval at each.
-# If the values grow by more than the third number, the peak is a pole
+# Number of peaks that are examined on a line, and number of bisections toward each peak.
+# A peak is a pole if its values grow by more than the factor `_GROWN`
 _PEAKS, _CLIMBS, _GROWN = 4, 24, 4.0
 # At a jump, at least this fraction of the change across the first step remains after all cuts
 _STAYS = 0.5
-# Offset of a second line, and distance from a jump at which the two lines are compared
+# Offset of a second, parallel line. Both lines are compared at this distance from a jump
 _ASIDE, _ABOUT = 2.0**-20, 2.0**-30
 _SAME_BREAK = 2.0**-40
 _FOUND = 2.0**-46  # Uncertainty of the position of a break that was detected
@@ -150,7 +151,7 @@ class AxisRule:
     ----------
     cells, order
         Number C of equal cells, and number q of nodes in each cell.
-        The first C q nodes belong to these cells, and are called *uniform*.
+        The first C q nodes, which belong to the equal cells, are called *uniform*.
         All other nodes belong to parts of cells that are cut at a break.
     nodes, weights
         Arrays of shape (P,). Uniform nodes in cut cells have weight 0.
@@ -200,10 +201,10 @@ class AxisRule:
 
 
 def refined_coefficients(function: QuadratureIntegrand, m: Sequence[Array]) -> Estimate:
-    """Return coefficients (U_0, …, U_{d−1}[, channels]) at the product of integers m[i] (U_i,).
+    """Return coefficients (U_0, …, U_{d−1}[, channels]) at all combinations of integers m[i].
 
     The first grid has 16 nodes per wavelength of the highest frequency, or 8 in three or more dims.
-    If this would exceed 2^24 evaluations, it has 4 nodes per wavelength.
+    If that many nodes exceed 2^24 evaluations, the first grid has 4 nodes per wavelength.
     The grid has at least 256 nodes per axis (64 in 3-D, 32 in 4-D, 16 in more dims).
     The number of nodes is doubled until two grids agree to 1e-10 of the largest coefficient.
     Doubling also ends if the next grid would exceed 2^22 evaluations.
@@ -290,14 +291,13 @@ def adaptive_integral(
     Each point of the probe represents 2^-17 of the volume.
 
     While the `budget` of evaluations lasts, a cell is divided into 2^d parts in two cases.
-    First, integrals over cell and parts differ by more than the cell's share of 1e-12 ∫|f|.
-    Second, f at a point of the probe differs from the polynomial through the nodes of a part.
+    In the first case, the integral changes by more than the cell's share of 1e-12 ∫|f|.
+    In the second case, f at a probe point differs from the polynomial through nearby nodes.
 
     The error is the sum of the last differences, and of an estimate of all later ones.
-    There is also a second value. The means of the polynomials are corrected at the probe's points:
-    the correction is the mean of f minus the polynomials.
-    The error of this second value is three standard errors of the correction.
-    Of the two values, the one with the smaller error is used.
+    A second value of ∫ f adds a correction: the mean of f minus the polynomials at probe points.
+    The error of the corrected value is three standard errors of the correction.
+    The value with the smaller error is used.
 
     If boxes were divided only because of the probe, other regions may have been missed.
     In this case, 2^18 other points correct the value and give its error.
@@ -329,7 +329,7 @@ def adaptive_integral(
     # Sum of the errors at the probe's points, in boxes whose integral did not change
     alone = np.zeros(coarse.shape[1])
     levels: list[tuple[Array, Array, Array, Array, Array]] = []
-    left: list[Array] = []  # sum of differences at each level, over cells whose integral changed
+    left: list[Array] = []  # summed changes of the integrals of cells, by level
     while True:
         # Halve the boxes along every axis. The parts of a box are stored next to each other
         budget -= len(low) * (2 * order) ** dims
@@ -384,8 +384,8 @@ def adaptive_integral(
     if not surprises.any():
         return Estimate(total, float(error.max()), method)
 
-    # Test the unchanged cells again, at other points.
-    # In 1-D, the first probe cannot have missed a region as wide as one that it found.
+    # Probe points have found regions that all nodes missed, so test the other cells at new points.
+    # In 1-D, the first probe points hit every region that is as wide as one of the found regions.
     # In more dims, there may be a region that all 2^18 points miss, with probability 5 %
     again = probe(dims, _LOOKS)
     rest = _hidden(levels, again, cells_of(again), _at_points(function, again)) / len(again)
@@ -442,7 +442,7 @@ def search_breaks(
         low, high, first = t[rows, chosen], t[rows, chosen + 1], step[rows, chosen]
         y_low, y_high = y[rows, chosen], y[rows, chosen + 1]
 
-        # Bisect these steps down to the jump that remains
+        # Bisect the largest steps of each line, down to the jump that remains
         for _ in range(_CUTS):
             middle = low + _CUT * (high - low)
             y = at(middle)
@@ -510,9 +510,9 @@ def _after(left: list[Array]) -> Array:
     """Return the sum of all later differences as a multiple of the last difference.
 
     The differences are taken to form a geometric series.
-    If each difference is half of the difference before, the sum is 1.
-    Next to a pole, the differences between levels shrink slowly, and their ratio still rises.
-    Therefore, if the ratio exceeds 0.55, the sum is increased by half.
+    If each difference is half of the difference before, the result is 1.
+    Next to a pole, successive differences shrink slowly, and the ratio of differences rises.
+    Therefore, if the ratio of differences exceeds 0.55, the result is increased by half.
     """
     first, last = np.maximum(left[0], 1e-300), left[-1]
     ratio = np.minimum((last / first) ** (1.0 / max(1, len(left) - 1)), _SLOW)
@@ -530,7 +530,7 @@ def _hidden(
     Each of the `levels` has the lower corners, sizes and values at nodes of its boxes.
     Two flags tell for each box whether it was divided again, and whether its integral changed.
     `cell` is the index of the starting box of each of the points (K, d).
-    If the integral of a box changed at the last division, the result at its points is 0.
+    The difference is set to 0 in boxes whose integral changed at the last division.
     """
     dims, found, number = points.shape[1], np.zeros(seen.shape), np.arange(len(points))
     digits = 2 ** np.arange(dims)[::-1]
@@ -550,10 +550,10 @@ def probe(dims: int, times: int = 1) -> Array:
     """Return points (2^17 `times`, d) that avoid cell borders, nodes and dyadic numbers.
 
     The points are the same in every call. They form a Latin hypercube.
-    Along each axis, their coordinates are a permuted regular grid with an irrational offset.
+    Along each axis, the points form a permuted regular grid with an irrational offset.
     A slab normal to an axis is always hit if its width is at least 2^-17.
     Another region of volume v is hit with probability 1 − exp(−2^17 v).
-    For v = 8e-5, the probability that it is missed is below 5e-5.
+    A region of volume 8e-5 is missed with a probability below 5e-5.
     """
     keys = Stream(times - 1).uniforms(0, dims, times * PROBE)
     offsets = np.sqrt(np.arange(2, 2 + dims) + 0.5)[:, None] % 1.0
@@ -634,8 +634,8 @@ def lattice_integral(function: QuadratureIntegrand) -> Estimate:
     """Return ∫ f in any number of dims as a mean over 2^20 Kronecker points: value (C,).
 
     The points are ½ + k α modulo 1, with the steps α of `golden_vector`.
-    They are divided into 16 successive parts, which are shifted copies of each other.
-    The error is three standard errors of the means of these parts. The true error is smaller.
+    The points are divided into 16 successive parts, which are shifted copies of each other.
+    The error is three standard errors of the mean over the 16 parts. The true error is smaller.
     """
     alpha, sums = golden_vector(function.dims), []
     for start in range(1, _LATTICE_POINTS, 2**14):
@@ -738,7 +738,7 @@ def cell_integrals(f: QuadratureIntegrand, size: int) -> tuple[Array, str]:
 
 
 def _sum_by(values: Array, axis: int, weights: Array, cell: Array) -> Array:
-    """Return weighted sums over the nodes of each nonempty cell along an axis, in order."""
+    """Return weighted sums of values over the nodes of each cell on an axis; skip empty cells."""
     order = np.argsort(cell, kind="stable")
     first = np.flatnonzero(np.diff(cell[order], prepend=-1))
     shape = [1] * values.ndim

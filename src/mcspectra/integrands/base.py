@@ -124,9 +124,9 @@ class IntegrandCache:
         Positions along each axis where f jumps, whether declared or detected (`found_breaks`).
     probed
         Values at the points of `mcspectra.integrands._quadrature.probe`.
-        The search for breaks stores these values for the integral. The integral then deletes them.
+        The search for jumps stores the values at probe points. The integral uses and deletes them.
     cut
-        The integrand with these breaks declared. If f declares all of them, this is f.
+        The integrand with all found jumps declared. If f declares all of them, this is f.
         See `mcspectra.estimators.quadrature.looked_at`.
     moments
         A number a close to ∫ f, then ∫ (f − a) and ∫ (f − a)², and the errors of both integrals
@@ -144,7 +144,7 @@ class IntegrandCache:
         (`mcspectra.estimators.quadrature.beyond_points`).
     separable
         f as sums or products of functions of single axes, for each channel.
-        It is empty if f has no such form (`mcspectra.prediction.separable.separated`).
+        It is empty if f is no such sum or product (`mcspectra.prediction.separable.separated`).
     """
 
     integral: Estimate | None = None
@@ -366,7 +366,7 @@ class Integrand(Component, ABC):
         ParameterError
             If the function is not callable.
             If it returns another shape, complex numbers, NaN or infinity on 28 test points.
-            No other calls are made here.
+            The function is called at the test points only.
         """
         if not callable(function):
             raise ParameterError(
@@ -392,7 +392,7 @@ class Derived(Integrand):
 
     Subclasses are dataclasses with the field `integrand`.
     A subclass sets the format string `text`, in which ``{0}`` is replaced by the instance.
-    The text after the replacement is the `spec`, which messages show.
+    After this replacement, `text` is the `spec` of the integrand, which messages show.
     """
 
     text: ClassVar[str]
@@ -590,7 +590,7 @@ def fourier_accuracy(integrand: Integrand, half_width: int) -> tuple[str, float]
         Description of the method, and an estimate of its largest absolute error.
         The error is 0 if the coefficients are exact.
         Otherwise the error is the largest difference from a grid with half the nodes.
-        For smooth f, this difference is far above the true error.
+        For smooth f, the difference between two grids is far above the true error.
     """
     if _as_integrand(integrand)._fourier(np.zeros((1, integrand.dims))) is not None:
         return integrand.fourier_source, 0.0
@@ -605,7 +605,7 @@ def numeric_integral(integrand: Integrand) -> Any:
     The boxes are cut at the breaks, and at jumps normal to an axis that line searches detect.
     Boxes are divided until the accuracy is 1e-12 of ∫|f|, or after 2^21 evaluations.
     In more dims, the result is the mean over 2^20 points of a Kronecker sequence.
-    This mean has three to six accurate digits.
+    The mean over a Kronecker sequence has three to six accurate digits.
     An integrand with its own rule, such as a pixel, uses its own rule.
     `integral_accuracy` returns an estimate of the error.
     """
@@ -648,7 +648,7 @@ def _quadrature(integrand: Integrand, m: Sequence[Array]) -> Estimate:
     if all((axis == 0).any() for axis in m):
         # The integral replaces the coefficient at 0. It is exact or comes from a better rule.
         # Two grids may agree by chance, for instance if a border runs along their diagonals.
-        # In this case, the difference from the integral reveals their error
+        # The difference from the integral reveals the error of grids that agree by chance
         zero = tuple(int(np.flatnonzero(axis == 0)[0]) for axis in m)
         value, integral = found.value.copy(), integrand.integral
         error = max(found.error, float(np.abs(value[zero] - integral).max()))

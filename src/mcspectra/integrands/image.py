@@ -3,7 +3,7 @@
 Environment maps follow `mcspectra.core.environments`: x_0 is φ/2π and x_1 is θ/π.
 The matching density is ``environment`` of `mcspectra.densities.environment`.
 If points are sampled by luminance, the ratio L_c / luminance remains in each channel c.
-This ratio jumps at the borders of colored pixels.
+The ratio L_c / luminance jumps at the borders of colored pixels.
 With the channel's own density, f/p is proportional to the cosine between light and normal.
 This cosine is smooth except at the horizon.
 """

@@ -59,7 +59,7 @@ class RectangleLight(Integrand):
         Radiance L of the light, at least 0.
     occluder
         None, or the corner and the two edges of an opaque parallelogram: ``[[x, y, z], …]``.
-        Its shadow makes f discontinuous.
+        The shadow of the occluder makes f discontinuous.
 
     Notes
     -----

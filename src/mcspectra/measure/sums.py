@@ -77,12 +77,12 @@ class StoredGroups:
 
     @staticmethod
     def of(law: Law, realizations: int, first: int) -> StoredGroups | None:
-        """Return the groups of stored sets of a sampler's law, or None if no set is reused."""
+        """Return groups of the stored sets that realizations reuse, or None if no set is reused."""
         sets = independent_sets(law)
         if sets is None or sets >= realizations:
             return None
         # A group needs two realizations for a variance.
-        # These can be two translations of one set, or two different sets
+        # The two realizations may be translations of one set, or two different sets
         alone = law.stationary and realizations >= 2 * sets
         return StoredGroups(
             first, sets, min(sets if alone else max(sets // 2, 1), BATCH_SETTINGS.least)
@@ -95,7 +95,7 @@ class StoredGroups:
 
 @dataclass(frozen=True)
 class TermSums:
-    """Sums over realizations, and the estimates of each block."""
+    """Sums of spectra and estimates over realizations, and the terms of each block."""
 
     sums: SpectralSums
     measured: Moments
@@ -151,7 +151,7 @@ class Partition:
     # Stored coefficients f_m of all techniques, one technique after another.
     # The shape is (C, H), real or complex
     coefficients: Array
-    double: Array  # 2.0 for a coefficient that also stands for −m, else 1.0: (H,)
+    double: Array  # 2.0 if a coefficient counts for both m and −m, else 1.0: (H,)
     dc: Array  # Whether a coefficient belongs to the constant function: bool (H,)
     band: Array  # Band of each coefficient: int64 (H,)
     shell: Array  # Smallest half width that includes each coefficient: int64 (H,)
@@ -160,18 +160,18 @@ class Partition:
 
 @dataclass(frozen=True)
 class SpectralSums:
-    """Sums over `count` realizations. `merge` adds other realizations."""
+    """Sums of S and of estimates over `count` realizations; `merge` adds more realizations."""
 
     count: int
     mean: Array  # (H,) complex: S̄
     estimate_mean: Array  # Mean of the estimates of each channel, (C,)
     m2: Array  # Sums of |S − S̄|² over realizations, (H,)
-    cov: Array  # Sums of (S − S̄) times the deviation of the estimate, (C, H) complex
+    cov: Array  # Sums of S − S̄ times (estimate − its mean), (C, H) complex
     band_mean: Array  # Mean of the estimate from each band, (C, A)
     band_m2: Array  # Sums of products of deviations of two bands' estimates, (C, A, A)
     truncated: Moments  # Moments of the estimate truncated at each half width: (C, K+1)
     # Σ_r (S − S̄)_m conj(S − S̄)_l, and Σ_r (S − S̄)_m (S − S̄)_l without the conjugate: (H, 2H).
-    # These sums give the covariances for all four signs of (m, l)
+    # Both sums together give the covariances between ±m and ±l
     matrix: Array | None
 
     @staticmethod
@@ -242,11 +242,11 @@ class SpectralSums:
 
 @dataclass(frozen=True)
 class RunningSpread:
-    """Sums over blocks, whose arrays x have weights w, for the error of the weighted mean.
+    """Sums over blocks that give the standard error of a weighted mean of arrays.
 
-    The array x of a block has the same shape and type in all blocks.
-    Each x is compared with the mean over blocks with weights w².
-    This is the plain mean if all blocks are equally long.
+    Block by block there is an array x and a weight w; all x have the same shape and type.
+    For the error, the array x of each block is compared with a mean that weights blocks by w².
+    If all blocks are equally long, this mean is the plain mean over blocks.
     For complex numbers the error is the root of the mean |error|².
     """
 
@@ -258,7 +258,7 @@ class RunningSpread:
 
     @staticmethod
     def of(values: Array, weight: float) -> RunningSpread:
-        """Return the sums for a single array."""
+        """Return the sums over a single block with the array `values`."""
         weight = float(weight)
         total = weight**2 * values
         return RunningSpread(total, (total * values.conj()).real, weight, weight**2)
@@ -274,19 +274,19 @@ class RunningSpread:
 
 @dataclass(frozen=True)
 class Batches:
-    """Terms and variance of each block of realizations, and standard errors of covariances."""
+    """Terms of the variance in each block of realizations, and the spread of covariances."""
 
     weights: JOIN  # Degrees of freedom of each block: (B,)
     values: JOIN  # dc, power and cross term and measured variance: (B, 4, C)
-    # Spread of the contributions (C, H) and of the covariances of bands (C, A, A).
-    # If requested, also the spread of the stored covariances (H, 2H)
+    # Spread over blocks of the contributions (C, H) and of the covariances of bands (C, A, A).
+    # The spread of the covariances between frequencies (H, 2H) is None if it was not requested
     contribution: RunningSpread
     band_covariance: RunningSpread
     matrix: RunningSpread | None
 
     @staticmethod
     def of(sums: SpectralSums, measured: Moments, partition: Partition) -> Batches | None:
-        """Return the estimates of a block, or None if the block has a single realization."""
+        """Return the terms of the variance in a block, or None if it has a single realization."""
         degrees = sums.count - 1
         if degrees < 1:
             return None
@@ -315,7 +315,7 @@ class Batches:
         return spread(terms - weighted_sum(share, terms), share)
 
     def captured_factors(self) -> Array:
-        """Return two factors. Times predicted/measured, they are the 95 % interval of this ratio.
+        """Return the ends of the 95 % interval of predicted/measured, divided by this ratio.
 
         The shape is (C, 2).
         """
@@ -332,13 +332,13 @@ def spread(deviation: Array, share: Array) -> Array:
 
 
 def ratio_factors(above: Array, below: Array, share: Array) -> Array:
-    """Return two factors. Times a ratio of two means, they are the 95 % interval of this ratio.
+    """Return the ends of the 95 % interval of a ratio of two means, divided by the ratio.
 
     The shape is (..., 2).
-    Both means are over positive values of blocks (B, ...).
+    The two means are weighted means of positive numbers, one per block: (B, ...).
     The interval is logarithmic, by the jackknife with Student's t [Miller1974]_.
     If the error comes mostly from few blocks, the tail is not resolved.
-    The interval is then 1 + √(excess kurtosis / B) times as wide.
+    With such a tail, the interval is 1 + √(excess kurtosis / B) times as wide.
     The skewness also widens the interval on the side of this tail.
     The coverage of these intervals is measured by ``python -m benchmarks coverage``.
     """
@@ -347,7 +347,7 @@ def ratio_factors(above: Array, below: Array, share: Array) -> Array:
         return np.full((*above.shape[1:], 2), np.nan)
     weight = share.reshape(-1, *[1] * (above.ndim - 1))
     with np.errstate(invalid="ignore", divide="ignore"):
-        # Blocks that capture only rounding noise have no spread
+        # Predictions at rounding level are replaced by a fixed fraction, which has no spread
         above = np.maximum(above, np.finfo(float).eps ** 2 * below)
         a, b = ((weighted_sum(share, v) - weight * v) / (1.0 - weight) for v in (above, below))
         influence = (1.0 - 1.0 / weight) * np.log(a / b)

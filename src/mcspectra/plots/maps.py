@@ -61,7 +61,7 @@ _MOST_STOPS = 64.0
 _DARKEST = 1e-3  # smallest relative power that is shown
 _UNCERTAIN = "the variance is 0, or its standard error exceeds half of it"
 _GRAY = {
-    # Reasons for pixels without a value, by variable
+    # For each variable, the reason why some pixels have no value
     "variance": "the variance is 0",
     "rate": "too little variance, or too few realizations, for a rate",
     "rate_se": "too little variance, or too few realizations, for a rate",
@@ -83,7 +83,8 @@ _GRAY = {
 _NO_SURFACE = "no lit surface is seen (a light, a mirror or nothing)"
 _WORST = 5  # number of noisy pixels that are listed and marked
 _RING = 0.02  # radius of the ring around a pixel, relative to the longer side of the picture
-_SMOOTHED = ("rate", "rate_se", "bottleneck")  # these variables are averaged over windows of pixels
+# Variables whose values are averaged over windows of pixels
+_SMOOTHED = ("rate", "rate_se", "bottleneck")
 
 
 def _image_map(
@@ -100,7 +101,7 @@ def _image_map(
 
     If `once` is true, the quantity does not depend on the sampler and is shown once.
     """
-    # Use the largest number of samples. Predictions exist only at some rows and columns
+    # Show the largest number of samples. Predictions exist only at some of the pixels
     shown = {name: each[variable] for name, each in group.items()}
     shown = {name: data.isel(n=-1) if "n" in data.dims else data for name, data in shown.items()}
     if variable == "predicted_ratio" and all(np.isfinite(d.values).any() for d in shown.values()):

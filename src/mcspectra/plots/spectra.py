@@ -340,7 +340,7 @@ def _shells(data: xr.Dataset) -> tuple[Array, Array, Array]:
     kept = [d for d in ("technique",) if d in data.dims]
     grid = np.meshgrid(*[data[d].values.astype(float) for d in dims], indexing="ij")
     shell = np.rint(np.sqrt(sum(np.square(m) for m in grid))).astype(np.int64).ravel()
-    last = int(max(data[dims[0]].values)) + 1  # shells beyond this are incomplete
+    last = int(max(data[dims[0]].values)) + 1  # shells of a larger radius are incomplete
     found = [
         np.bincount(shell, data[name].sum(kept).transpose(*dims).values.ravel())[1:last]
         for name in ("integrand_power", "power_contribution")
@@ -735,9 +735,10 @@ def _by_frequency(data: xr.Dataset) -> tuple[Array, Array, Array]:
 
 
 def _band_shares(matrix: Array) -> tuple[Array, Array]:
-    """Return two shares of each band in the predicted variance.
+    """Return two parts of the predicted variance for each band, as fractions of the variance.
 
-    The first is the variance of the band itself. The second comes from correlations with others.
+    The first part is the variance of the band alone.
+    The second part comes from the correlations of the band with other bands.
     """
     total = float(matrix.sum())
     if not np.isfinite(total) or total == 0:

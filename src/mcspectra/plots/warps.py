@@ -180,7 +180,7 @@ def _warp_words(data: xr.Dataset) -> str:
 def _jump_words(data: xr.Dataset) -> str:
     """Return the size of two kinds of jumps in words, such as ``inside 1.89 × 1.00, sides none``.
 
-    The two factors are the length of the jumps and their mean height.
+    In this text, 1.89 is the length of the jumps, and 1.00 is their mean height.
     """
     words = []
     for kind, word in (("interior", "inside"), ("boundary", "sides")):

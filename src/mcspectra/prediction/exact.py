@@ -2,14 +2,14 @@
 
 The formulas for strata and for nested uniform scrambling are in docs/theory.md:
 see the sections "Exact variances of strata" and "Gains of scrambled nets".
-Strata may have a common offset. Further samplers have these formulas:
+Strata may have a common offset. The formulas for other samplers are:
 
 * Digital shift in base 2, for coordinates that are multiples of 2^-L. The shift has L random bits.
   Below these bits is an offset δ that is uniform in a cell and the same for all points.
   For given δ, the values of g on the grid have the Walsh spectrum ĝ_m(δ).
   The points have the Walsh coefficients ŝ_m = (1/n) Σ_k wal_m(x_k).
   For digital nets |ŝ_m|² is 1 on the dual net and 0 elsewhere.
-  The variance is a mean over δ plus the variance of ĝ_0:
+  The variance of an estimate is a mean over δ, plus the variance of ĝ_0 over δ:
 
       Var = E_δ [Σ_{m ≠ 0} ĝ_m² ŝ_m²] + Var_δ ĝ_0.
 * Latin hypercubes: along each axis, two points lie in two different strata out of n.
@@ -29,7 +29,7 @@ Strata may have a common offset. Further samplers have these formulas:
   If each point is uniform, random reflections add E[Var(g | point)]/n = (Var g − Var ḡ)/n.
 
 Quadratures of two orders must agree with each other and with ∫g and ∫g² (`blindness`).
-Otherwise the method raises NoClosedForm.
+If they disagree, the method raises NoClosedForm.
 """
 
 from __future__ import annotations
@@ -109,8 +109,7 @@ EXACT_TOLERANCE = 1e-6
 class ExactSettings:
     """Settings for the agreement of quadratures, and for the cells of curves along axes.
 
-    Some comments say that results are the same.
-    This means that no variance changes by more than 1e-9 in twelve cases.
+    In comments, "the same results" means that variances change by at most 1e-9 in twelve cases.
     The cases are sums and products with jumps, kinks and poles, a wave, a disk and a ridge.
     Every case was measured with n = 64 and 1024 points.
     """
@@ -118,9 +117,9 @@ class ExactSettings:
     # An error below this fraction of ∫g²/n is always small enough, for any tolerance.
     # Halving or doubling this value gives the same results.
     negligible: float = 1e-9
-    # The error of the higher order is at most the difference of two orders times this factor.
-    # At a jump both orders have errors of about the same size.
-    # With half this value, the integrand with a ridge gets no second attempt.
+    # The error of a quadrature is at most its difference from a lower order, times this factor.
+    # At a jump, quadratures of both orders have errors of about the same size.
+    # With the factor 1.5, no second attempt is made for the integrand with a ridge.
     safety: float = 3.0
     # An error message suggests a larger tolerance if the relative error is below this value.
     offered: float = 0.5
@@ -130,33 +129,32 @@ class ExactSettings:
     finer: int = 4
     hope: float = 10.0
     # Least number of dims, and least tolerance, for fits by sums of products.
-    # The functions of single axes in such a fit have relative errors of 2e-3.
+    # Fits by sums of products give functions of single axes with relative errors of 2e-3.
     # Halving or doubling the values gives the same results.
     many_dims: int = 4
     loose: float = 1e-3
     # Largest number of binary digits of a coordinate. It limits the cells of digital shifts.
     most_bits: int = 24
     # Factor for the reported error of ∫h² next to a pole.
-    # The factor changes intervals, but not variances.
+    # The factor changes the intervals of variances, but not the variances.
     doubt: float = 3.0
     # `rounding` is the relative rounding error of ∫g².
     # `exact` is the relative rounding error of a sum along an axis.
     rounding: float = 4e-15
     exact: float = 1e-9
     # Largest number of cells of an axis. It matters for halton | shift at n = 1024:
-    # half this number changes the variance by 2e-4, and twice this number by 5e-5.
+    # half as many cells change the variance by 2e-4, and twice as many by 5e-5.
     # `most_pairs` limits the time: the number of pairs of points times d is at most this number.
     most_cells: int = 2**18
     most_pairs: float = 2.0**32
     # Number of quadrature nodes per cell, and a smaller number for more than 2^14 cells.
     # For a sum with poles, 3 instead of 6 nodes change the variance by 3e-6.
-    # For the same sum, 12 instead of 6 nodes change the variance by 8e-11.
+    # For a sum with poles, 12 instead of 6 nodes change the variance by 8e-11.
     many_nodes: int = 16
     few_nodes: int = 6
     deep: int = 14
-    # Beyond the last octave the power is not computed. This is the relative error of its value.
-    # At these frequencies, the power is assumed to equal its mean over the last octave.
-    # This error changes intervals, but not variances.
+    # Relative error of the power beyond the last octave, which is set to the mean over the octave.
+    # The error of the power changes the intervals of variances, but not the variances.
     white: float = 0.02
     # Rounding error of the mean of a curve h over a set, as a fraction of √∫h².
     # Rounding error of the variance of means over sets, as a fraction of ∫h²/n.
@@ -198,7 +196,7 @@ def exact_variance(
     estimator, sampler, n
         Any estimator with one of the following samplers.
         The samplers random, jittered, regular and uniform-jitter are allowed.
-        They may have one of the randomizations shift, strata-shift and mirror.
+        These four samplers may have one of the randomizations shift, strata-shift and mirror.
         The samplers antithetic-jittered and latin-hypercube are also allowed.
         The sampler latin-hypercube may also have shift.
         Nets and sequences, such as sobol or halton, are allowed with the randomization owen.
@@ -212,8 +210,8 @@ def exact_variance(
         The default is the number of dims of the sampler, unless the sampler is a spec.
     tolerance
         Largest relative error of the variance, 1e-12 to 1.
-        Undeclared jumps of f that are not across an axis limit the tolerance:
-        the least value is 1e-3 with random points, and about 0.1 with strata.
+        Undeclared jumps of f that are not across an axis limit the tolerance.
+        The least possible tolerance is 1e-3 with random points, and about 0.1 with strata.
         The message of the error gives a tolerance that is possible.
         With 1e-3 or more in at least 4 dims, f may be fitted by a sum of products.
         The factors of these products are functions of one axis.
@@ -234,21 +232,21 @@ def exact_variance(
     NoClosedForm
         If the variance is not known for this sampler, or the quadrature does not converge.
         Quadratures may not converge at discontinuities that are not axis-aligned.
-        This does not matter if f is integrated in closed form.
+        Such discontinuities do not matter if f has an integral in closed form.
         If g is equal at all points of the probe, but not declared constant.
     ParameterError
         If `tolerance` is not a number from 1e-12 to 1.
 
     Notes
     -----
-    Undeclared jumps and poles of g across an axis are found along lines. Cells are cut there.
+    Undeclared jumps and poles of g across an axis are found along lines, and cut the cells.
 
     If ∫g has no closed form, the quadrature is compared with ∫g and ∫g² by other rules.
-    The other rules are checked at 2^17 probe points.
+    The rules for this comparison are checked at 2^17 probe points.
     The probe points find a slab across an axis in which g differs, if its width is 2^-17 or more.
     The probe points hit any other region of volume v with probability 1 − exp(−2^17 v).
-    For v = 8e-5 this probability is 1 − 5e-5. Narrower peaks and their variance may be missed.
-    Regions that only the probe finds are examined at 2^18 other points and enter the error.
+    A region of volume 8e-5 is hit with probability 1 − 5e-5. Narrower peaks may be missed.
+    Regions that only probe points find are examined at 2^18 other points, and add to the error.
 
     ∫g² is infinite if g grows across an axis like t^-½ or faster (exponent at least 0.4995).
     ∫g² is also infinite if the contribution of the poles does not shrink under refinement.
@@ -294,7 +292,7 @@ def estimated_variance(
                 raise
             found = by_axes.variance, by_axes.error
         total = total + np.stack(found)
-    if not total[0].any():  # One technique may have a constant g, but not all of them
+    if not total[0].any():  # an error only if g is constant for all techniques
         said = [constant(given.primary_integrand(t)) for t in range(len(given.counts))]
         if all(said):
             raise NoClosedForm(f"{said[0]}.")
@@ -307,8 +305,8 @@ def of_integrand(
     """Return variance and a bound of its error, (channels or 1,). It is 0 at rounding level.
 
     The error is the difference between two orders of the quadrature.
-    The `blindness` of the higher order is added for structures that its nodes do not resolve.
-    For random points, the error is the error of ∫g².
+    The error includes an estimate (`blindness`) for structures between the nodes.
+    For random points, the error comes from ∫g² alone.
     If higher orders of the quadrature would suffice, the orders are raised once.
     If `most` is below the default, the orders are not raised, because other methods follow.
 
@@ -316,7 +314,7 @@ def of_integrand(
     ------
     NoClosedForm
         If `exact_variance` raises this error, or the error exceeds `tolerance` times the variance.
-        This error is also raised if a rule would take more than about `most` evaluations.
+        The same error is raised if a quadrature rule takes more than about `most` evaluations.
     """
     g, lines = looked_at(g), False
     if not (in_closed_form(g) or g.costly):
@@ -387,7 +385,7 @@ def _by_cells(law: Law, g: Integrand, tolerance: float, most: float) -> tuple[Ar
     if law.uniform:  # Next to a pole, one point outweighs all others
         high = np.where(np.isinf(square), np.inf, high)
     # The rounding error of Σ (mean g² − (mean g)²)/n is about 1e-15 ∫g²/n.
-    # A computed variance of 0 also has this rounding error
+    # Even a computed variance of 0 may be wrong by 1e-15 ∫g²/n
     rounding = 4e-15 * square / n
     known = agree | np.isinf(high) | (error <= _SETTINGS.safety * rounding)
     if not known.all():
@@ -432,7 +430,7 @@ def _by_axes(law: Law, g: Integrand) -> tuple[Array, Array]:
     Raises
     ------
     NoClosedForm
-        If the law of the pairs of points is not known.
+        If the joint distribution of two points of the sampler is not known.
     """
     law = Independent(n=1, dims=law.dims) if law.n == 1 and law.uniform else law
     image = isinstance(law, Folded) or (isinstance(law, Mirrored) and law.inner.uniform)
@@ -581,7 +579,7 @@ def _of_projections(law: Law, inner: Fixed, g: Separable) -> tuple[float, float]
         if curve.square == 0.0:
             continue
         if isinstance(law, Scrambled) and law.nested_pairs:
-            # Compute the gains of the projection, until no two coordinates agree in all digits
+            # Compute the gain of each digit, until all coordinates differ in their leading digits
             base, level, agree, gains = law.bases[axis], 0, float(n), [0.0]
             while agree > 1.0 and base ** (level + 1) <= _SETTINGS.most_cells:
                 level += 1
@@ -658,7 +656,8 @@ def _of_projections(law: Law, inner: Fixed, g: Separable) -> tuple[float, float]
                     energy[-1] *= 0.5
                     found.append(float(energy[1:] @ power[1:]) + float(spreads.mean()) / n)
                     continue
-                # For other points, measure the power at low frequencies, which cells resolve.
+                # If points are not evenly spaced, measure their power at low frequencies only.
+                # Cells resolve these frequencies.
                 # At higher frequencies, use white noise
                 most = size // 8
                 m = np.arange(1, most + 1)
@@ -737,7 +736,7 @@ def _of_set(law: Law, g: Separable) -> tuple[float, float]:
 def _refined(fine: float, middle: float, coarse: float) -> tuple[float, float]:
     """Extrapolate to cells of width 0 from the results for widths 1, 2 and 4 (Richardson).
 
-    The error is also returned.
+    The second number is the error of the extrapolated value.
     """
     first, second = fine + (fine - middle) / 3.0, middle + (middle - coarse) / 3.0
     return first, abs(first - second)
@@ -833,15 +832,15 @@ def _latin(law: Law, g: Integrand, rule: Rule, *, shifted: bool) -> tuple[Array,
     """Average over the offset of the cells. For each offset the points are uniform.
 
     If n^d cells are too many, larger cells are used, which hold a whole number of small cells.
-    The larger cells are combined with slabs of width 1/n along each axis.
-    Interactions within these larger cells have a weight from 1 to 1 + 1/(n − 1).
+    Inside larger cells, slabs of width 1/n resolve the parts of g that depend on single axes.
+    Inside larger cells, the variance of interactions counts 1 to 1 + 1/(n − 1) times.
     """
     n = law.n
     fine, nodes, weights = (n,) * g.dims, np.zeros((1, g.dims)), np.ones(1)
     if shifted:  # The mean over all cells is a smooth function of the offset
         nodes, weights = offset_rule(g, fine, rule.order // 2 + 2)
     one = float(len(nodes) * rule.each(g))
-    # Shifted cells at 0 and 1 are cut into pieces, which raises the cost in 1-D and 2-D
+    # Shifted cells wrap around, and are cut at 0 and 1: this raises the cost in 1-D and 2-D
     most = rule.most / one / (1 if in_closed_form(g) or g.dims > 2 else 2)
     side = next((m for m in range(n, 1, -1) if n % m == 0 and m**g.dims <= most), 1)
     if side < n:
@@ -943,7 +942,7 @@ def level_variances(means: Array, bases: tuple[int, ...], axis: int = 0) -> Arra
 
     Means have shape (b_0^L_0, b_1^L_1, …, channels), where b_i is the base of axis i.
     The result has shape (L_0 + 1, L_1 + 1, …, channels).
-    At level 0 of all axes, the result is the square of the mean.
+    The entry for level 0 of all axes is the squared mean of the function.
     Along `axis`, the means are divided into parts: one part for each digit of the coordinate.
     The later axes are split in the same way, one after the other.
     """

@@ -83,7 +83,7 @@ class PiecewiseSettings:
     # Halving or doubling this value gives the same results.
     pole: float = 0.02
     # Relative error of the distances to a pole that is not at 0.
-    # This error changes intervals, but not variances.
+    # The error changes the intervals of variances, but not the variances.
     place: float = 2.0**-16
     # Smallest change of a function from one distance to the next that counts as a pole.
     # The change is relative to the value of the function.

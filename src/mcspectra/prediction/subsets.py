@@ -8,21 +8,21 @@ The variance of the mean of g over the set is a mean over pairs (a, b) of points
 
     Var = (1/n²) Σ_{a,b} Σ_v C_v(a, b),    C_v = Cov(g_v(a), g_v(b)) over the randomization.
 
-On each axis, the covariance C_v depends on a single quantity:
+On each axis, the covariance C_v depends on a single quantity, which is
 the number of common digits of a_i and b_i under nested scrambling,
-the difference of their digits under a digital shift,
+the difference of the digits of a_i and b_i under a digital shift,
 and the difference a_i − b_i on the torus under a shift.
 
 For a subset v of one axis the sum is exact.
 For larger subsets g is fitted by a sum of products Σ_r Π_i h_ri(x_i).
-For these products, the covariances of all subsets add up to
+For a sum of products, the covariances of all subsets v add up to
 
     Σ_v C_v = Σ_{r,s} Π_i (μ_ri μ_si + k_i^rs(a_i, b_i)) − I²
 
 Here μ_ri is the mean of the factor h_ri.
 The covariance of the factors h_ri and h_si under the randomization is k_i^rs.
 The part of g outside the fit is treated as white noise, so its energy is divided by n.
-The interval covers a noise between zero and twice this size.
+The interval covers white noise with zero to twice this energy.
 The interval also covers a correlation of ½ between this noise and the fit.
 
 All quantities come from values of g at points of this module:
@@ -30,14 +30,14 @@ All quantities come from values of g at points of this module:
 * Profiles g(·, z) along each axis for many z. Their leading singular vectors are the basis of h_ri.
 * Least squares over scrambled nets, one axis after another.
 * The energy of g minus the fit, at the points of another net.
-* ∫g² with Student's t.
+* ∫g² as a mean over scrambled nets, with an interval from Student's t.
 
 The function g_i of axis i is the mean over profiles.
-It is computed as the function of the fit, plus the mean difference between profiles and the fit.
+The function g_i is taken from the fit, plus the mean difference between profiles and the fit.
 
 Strata of a grid need no fit: Var = E (g(x) − g(x'))² / 2n with x and x' in the same stratum.
 In Latin hypercubes, the two points of any pair lie in different strata on each axis [Stein1987]_.
-All pairs therefore have the same distribution.
+All pairs of points therefore have the same distribution.
 """
 
 from __future__ import annotations
@@ -101,19 +101,19 @@ _GRADED = 0.25 ** np.arange(6.0, 0.0, -1.0)
 class SubsetSettings:
     """Settings for the fit of g by sums of products, and for its curves.
 
-    The stated changes were measured in six cases at n = 64 and 256.
+    All changes that are stated below were measured in six cases at n = 64 and 256.
     The integrands are smooth functions, a ball in 4-D, a slab, a jump along a line and a kink.
     The samplers are latin-hypercube, rank1-lattice | shift, and sobol with owen or digital-shift.
-    The half interval is 63 % for the ball, and 0.2 to 1.3 % for the other integrands.
-    "Only the result for the ball" means that the ball's result changes by less than 8 %.
-    The results for the other integrands do not change in this case.
+    The variance is predicted within ±63 % for the ball, and within ±0.2 to 1.3 % otherwise.
+    "Only the variance of the ball" means that this variance changes by less than 8 %.
+    The predicted variances of all other integrands do not change.
     "The same results" means changes of less than 1e-6.
 
     Attributes
     ----------
     few_dims
         Largest number of dims in which quadrature computes ∫g² better than nets.
-        In so few dims, the fit of g needs only a small number of products.
+        In few dims, the fit of g needs only a small number of products.
     replicates, replicate
         Number of scrambled nets for ∫g², and number of their points.
         Halving or doubling either value changes smooth cases by less than 0.005 %.
@@ -122,32 +122,32 @@ class SubsetSettings:
         A total of 131,072 pairs gives a half interval of 0.8 % for normal differences.
     profile_work
         Total number of evaluations of g for the profiles along all axes.
-        Halving or doubling this number changes only the result for the ball.
+        Halving or doubling this number changes only the variance of the ball in 4-D.
     nodes
         Number of nodes of a profile along an axis.
         Half this number changes the variance for the kink by 0.1 %.
-        Twice this number changes only the result for the ball.
+        Twice this number changes only the variance of the ball in 4-D.
     groups
         Number of independent groups of profiles. Their spread is the error.
-        Halving or doubling this number changes only the result for the ball.
+        Halving or doubling this number changes only the variance of the ball in 4-D.
     fitted
         Number of replicates to which products are fitted. One further replicate tests the fit.
-        Halving or doubling this number changes only the result for the ball.
+        Halving or doubling this number changes only the variance of the ball in 4-D.
     basis, negligible
         Largest number of basis functions of an axis, and least energy of a basis function.
         The energy is a fraction of the energy of all profiles of the axis.
-        Halving or doubling either value changes only the result for the ball.
+        Halving or doubling either value changes only the variance of the ball in 4-D.
     rank, few_rank
         Largest number of products in many dims, and in at most `few_dims` dims.
-        In few dims only functions with jumps across axes need this method.
-        More products would not resolve these jumps.
-        With three products the half interval of the ball is 86 %, with twelve products 53 %.
+        In few dims, only functions with jumps across axes are predicted by a sum of products.
+        More products would not resolve the jumps of such a function.
+        The ball is predicted within ±86 % with three products, and within ±53 % with twelve.
         The results for the other integrands do not change.
     sweeps, settled
         Largest number of sweeps of a fit.
         A fit stops earlier if the ratio of successive residuals exceeds `settled`.
         Halving or doubling the number of sweeps changes nothing.
-        Ratios of 0.95 and 0.995 change only the result for the ball.
+        Ratios of 0.95 and 0.995 change only the variance of the ball in 4-D.
     block
         Number of points of a block in the least-squares fit.
         Blocks are so small that numerical libraries start no threads.
@@ -160,14 +160,14 @@ class SubsetSettings:
     stands_out
         A profile jumps where its step is this many times as large as the neighboring steps.
         A profile has a kink at a node if its slope changes far more there than at nearby nodes.
-        The ratio of these changes must exceed this number.
-        Halving or doubling this value changes only the result for the ball.
+        The change at the node must exceed `stands_out` times the nearby changes.
+        Halving or doubling this value changes only the variance of the ball in 4-D.
     halvings
         Number of bisections of a jump. They reduce steps of 1/128 to 2^-47.
         Values from 20 to 80 give the same results.
     shared
         A jump is shared by profiles if the mean profile has a large step.
-        The square of this step must exceed this fraction of the mean square step of all profiles.
+        The squared step of the mean must exceed this fraction of the mean square of all steps.
         Values from 0.05 to 0.2 give the same results.
     bent
         Least change of the slope at a kink, as a fraction of the largest slope.
@@ -178,20 +178,20 @@ class SubsetSettings:
         Values from 2^11 to 2^13 give the same results.
     fine, finest
         Number of cells along an axis for the functions of single axes.
-        The first value is for axes along which g is smooth, the second for axes with jumps.
+        `fine` is for axes along which g is smooth, and `finest` is for axes with jumps.
         For Latin hypercubes and lattices only the variance within cells remains.
         Halving or doubling either value changes variances by less than 0.01 %.
     start
         Standard deviation of the random coefficients with which the fit of a new product starts.
         The constant coefficient of each factor starts at 1.
     adds_up
-        If all points move by the same offset, the residual of the fit is multiplied by this factor.
-        The factor widens only the interval.
+        If all points move by one offset, the variance outside the fit is multiplied by this factor.
+        The factor widens the interval, and does not change the variance.
         On lattices the contributions of kinks add up. For other sets the factor is 1.
     resolved
         Relative errors of curves between their nodes, for smooth curves and for curves with jumps.
     most_work
-        Largest work, about 1.7e10 operations.
+        Maximum work of a prediction, about 1.7e10 operations.
         The work is the number of pairs of points, times axes, times the squared number of products.
     draws
         Number of sets that are drawn if a random set is shifted or scrambled.
@@ -204,7 +204,7 @@ class SubsetSettings:
         Number of offsets within a stratum. The mean over them replaces a uniformly random offset.
         The offsets are at the centers of equal parts of the stratum.
         With 8 and 32 offsets, variances differ by 0.2 %. With 4 and 8 offsets they differ by 2 %.
-        These changes are for a sum of two jumps, with latin-hypercube | shift at n = 64.
+        The numbers 0.2 and 2 % are for a sum of two jumps, latin-hypercube | shift and n = 64.
     """
 
     few_dims: int = 3
@@ -251,7 +251,7 @@ def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
     law
         Law of the sampler, for example of independent points, strata or Latin hypercubes.
         Sets that are statistically the same after any translation are also possible.
-        So are nested scrambles, linear scrambles, and digital shifts in base 2.
+        Nested scrambles, linear scrambles, and digital shifts in base 2 are possible as well.
     known
         The integrand, in at least two dims. It takes about 2^20 evaluations.
         The evaluations are made once for all counts and samplers.
@@ -305,7 +305,7 @@ def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
         sets, mean = by_set[:, 0] + by_set[:, -1], by_set.mean(axis=0)
         ones, more = mean[:-1], mean[-1]
         # The variance of g minus the fit is between zero and twice that of white noise.
-        # The correlation of this part of g with the fit is at most ±½.
+        # The correlation between the fit and the rest of g is at most ±½.
         # If all points move by the same offset, contributions of g minus the fit may add up
         tail = p.residual / n
         together = pairs.kind != "digits" and len(codes) == 1
@@ -320,7 +320,7 @@ def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
         )
         joint, joint_half = min(p.joint, of_whole, key=lambda each: each[1])
         if pairs.latin and joint_half < p.residual:
-            # The weight of interactions is 1 within strata and n/(n − 1) between strata
+            # The variance of interactions counts once within strata, n/(n − 1) times between strata
             joint = max(joint, 0.0) / n
             either = 0.5 * joint / max(n - 1.0, 1.0)
             tail, half = joint + either - more, joint_half / n + either
@@ -397,8 +397,8 @@ class AnovaModel:
 class _Pairs:
     """Quantity of each axis that determines the covariance of the values at two points.
 
-    For digits, it is the number of common leading digits in `bases`, at most `levels`.
-    For xor and torus, it is the difference of two multiples of 1/bases.
+    If `kind` is digits, the quantity is the number of common leading digits, at most `levels`.
+    If `kind` is xor or torus, the quantity is the difference of two multiples of 1/bases.
     The difference is taken digit by digit (xor) or on the torus.
     `offsets` displace the cells of each axis. Covariances are averaged over several offsets.
     """
@@ -415,9 +415,10 @@ class _Pairs:
         return self.latin or self.kind != "digits"
 
     def tables(self, parts: AnovaModel) -> tuple[Array, Array, Array, Array]:
-        """Return the four arguments of `pair_sums`.
+        """Return four tables from which `pair_sums` computes covariances.
 
-        The arguments are covariances of g_i and of products, means and weights.
+        The tables hold the covariances of the functions g_i and of the factors of products,
+        the means of these factors, and the weights of the products.
         """
         singles, pairs, averages = list[Array](), list[Array](), list[Array]()
         for base, levels, curves, main, factors, offsets in zip(
@@ -446,7 +447,7 @@ class _Pairs:
                 mean = values.mean(axis=-1, keepdims=True)
                 values = values - mean
                 if self.kind == "digits":
-                    # Entry k: the first k digits agree. Last entry: all digits agree
+                    # Entry k is for points with k common digits; in the last entry all digits agree
                     means = values.reshape(len(values), cells, -1).mean(axis=-1)
                     energy = [(values[left] * values[right]).mean(axis=-1)]
                     while means.shape[-1] > 1:
@@ -491,21 +492,21 @@ def pair_sums(
     means: Array,
     weights: Array,
 ) -> Array:
-    """Sum the covariances of some points a with all points b: shape (rows, variants + 1).
+    """Sum the covariances of chosen points with all points of a set: (rows, variants + 1).
 
-    `rows` holds the indices of the points a.
-
-    Shapes of the inputs: codes (n, d, digits), rows (rows,), first (d, differences, variants).
-    Shapes of the other inputs: rest (d, differences, q), means (d, q), weights (q,).
-    Each row begins with Σ_i first_i for every variant, the covariances of single axes.
-    The last entry is Σ_q weight Σ_{|v| ≥ 2} Π_{i∈v} rest_i Π_{i∉v} mean_i.
-    A covariance depends on a number for each axis. The mode states which number this is.
+    `rows` holds the indices of the chosen points, and `codes` (n, d, digits) the digits of all.
+    `first` (d, differences, variants) holds the covariances of functions of single axes.
+    `rest` (d, differences, q) holds the covariances of the factors of q products.
+    The factors have the means `means` (d, q), and the products have the weights `weights` (q,).
+    In each row of the result, the first entries are sums of `first` over the axes.
+    The last entry is the sum of interactions: Σ_q weight Σ_{|v| ≥ 2} Π_{i∈v} rest_i Π_{i∉v} mean_i.
+    On each axis, the covariance depends on a comparison of two points, which `mode` chooses.
     Mode 0 counts the common digits of two points. Mode 1 is the exclusive or of their digits.
-    Mode 2 is the difference of their digits modulo `cells`.
+    Mode 2 is the difference of the digits of two points modulo `cells`.
     """
     variants, q = first.shape[2], rest.shape[2]
     out = np.zeros((rows.size, variants + 1))
-    # Sums of products over the empty subset, over subsets of one axis, and over larger subsets
+    # Products of factors, summed over the subsets with no axis, with one axis, and with more axes
     none, one, more = np.empty(q), np.empty(q), np.empty(q)
     for r in range(rows.size):
         a = codes[rows[r]]
@@ -717,9 +718,9 @@ def _fitted(
             [t[1:] for t in tested], axis=0
         ).sum(0)
         missed = scale**2 * float(((values[-1] / scale - sums) ** 2).mean())
-        # The energy of the fit may differ from its sample variance at the test points.
-        # This difference also counts as missed energy.
-        # The same difference for g is sampling error and is subtracted
+        # The energy (variance) of the fit may differ from its sample variance at the test points.
+        # The difference between energy and sample variance also counts as missed energy.
+        # For g itself, such a difference is sampling error and is subtracted
         curves = [w @ c for w, c in zip(weights, cells, strict=True)]  # Rows: sum, products
         averages = np.stack([c.mean(axis=1) for c in curves])
         squares = np.stack([c @ c.T / c.shape[1] for c in curves])
@@ -759,7 +760,7 @@ def _fitted(
         main.append(own + np.concatenate([beside.mean(axis=0)[None], beside]))
 
     # The energy of interactions is the energy of g minus its functions of single axes.
-    # Errors of these functions add energy, which is subtracted
+    # Errors of the functions of single axes add energy, which is subtracted
     at_all = zip(axes, main, np.moveaxis(every, -1, 0), strict=True)
     alone = np.sum([a.at(m[0], t.ravel()).reshape(t.shape) for a, m, t in at_all], axis=0)
     left = ((all_values - alone - (all_values - alone).mean()) ** 2).mean(axis=1)
@@ -777,8 +778,8 @@ def _least_squares(
 ) -> list[Array]:
     """Fit Σ_r Π_i h_ri(x_i) to `target`, one axis at a time. Add Σ_i f_i(x_i) if `additive`.
 
-    The target has shape (blocks, size), and the bases of each axis (blocks, functions, size).
-    The weights have shape (1 + products, functions), with the f_i first.
+    The shape of `target` is (blocks, size). A basis has the shape (blocks, functions, size).
+    Weights of an axis have the shape (1 + products, functions): row 0 is f_i, row r is h_ri.
     """
     weights = [w.copy() for w in weights]
     curves = [w @ b for w, b in zip(weights, bases, strict=True)]  # (blocks, 1 + products, size)
@@ -821,8 +822,8 @@ def pairs_of(law: Law, stream: Stream) -> tuple[_Pairs, Array, Array]:
     """Return how pairs of points are compared, the points' digits, and indices of some points.
 
     The digits have shape (sets, n, d, digits).
-    Only pairs that contain one of these points are needed.
-    They have the same distribution as all pairs of points.
+    It is enough to sum over the pairs that contain one of the points with these indices.
+    Pairs with such a point have the same distribution as all pairs of points.
 
     Raises
     ------
@@ -866,7 +867,7 @@ def pairs_of(law: Law, stream: Stream) -> tuple[_Pairs, Array, Array]:
     codes = np.zeros((*x.shape, max(levels)), np.int64)
     for axis, (b, most) in enumerate(zip(bases, levels, strict=True)):
         # Rounding may move a coordinate slightly below a multiple of b^−most.
-        # Add a small number, so that the coordinate gets the digits of the multiple
+        # Adding 1e-9 gives such a coordinate the digits of the multiple of b^−most
         whole = np.floor(x[..., axis] * b**most + (0.0 if b & (b - 1) == 0 else 1e-9))
         for level in range(most):
             codes[..., axis, level] = whole // b ** (most - 1 - level) % b

@@ -2,8 +2,8 @@
 
 An elementary interval in base b is a box with sides b^-k_j.
 The corners of the box are multiples of its sides.
-A set of n = b^m points is a (t, m, d)-net
-if every elementary interval of volume b^(t−m) contains b^t points.
+A (t, m, d)-net is a set of n = b^m points with this property:
+every elementary interval of volume b^(t−m) contains b^t of its points.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ __all__ = [
 ]
 
 _MAX_PAIR_WORK = 2**27  # Largest n² d for loops over pairs: a second for 8192 points in 2-D
-_TREE_DIMS = 6  # Largest number of dims for a tree. In more dims a tree visits nearly all pairs
+_TREE_DIMS = 6  # Largest number of dims for a k-d tree. In more dims it visits nearly all pairs
 _TREE_POINTS = 2**21
 
 _BEST_LATTICE = {
@@ -191,8 +191,8 @@ def _star_discrepancy_2d(x: Array, y: Array) -> float:
     """Return the star discrepancy D* of the points (x_i, y_i), with x ascending.
 
     The supremum of |share of points − volume| is taken over boxes [0,a) × [0,b).
-    It is enough that a and b take the values of the points' coordinates, and 1.
-    The grid of these values is scanned column by column.
+    The supremum is found by boxes whose sides a and b are coordinates of points, or 1.
+    The grid of all pairs (a, b) is scanned column by column.
     For each column, the points to its left are sorted by y.
     """
     n = len(x)
@@ -225,7 +225,7 @@ def l2_discrepancy(points: object, kind: str = "star") -> float:
     kind
         ``"star"``, ``"centered"``, ``"wraparound"`` [Hickernell1998]_ or ``"mixture"``.
         The definition of ``"mixture"`` is from [ZhouFangNing2013]_.
-        The result is not squared. SciPy returns squares for the last three kinds.
+        The result is the discrepancy; SciPy returns its square for the last three kinds.
 
     Raises
     ------
@@ -303,7 +303,7 @@ def _diaphony_sum(x: Array) -> float:
     n, dims = x.shape
     total = 0.0
     for i in range(n):
-        # Sum over the pairs of each point first.
+        # Sum the terms of point i first, and then add the sums of all points.
         # A single sum of n² terms would accumulate more rounding errors
         row = 0.0
         for j in range(i):

@@ -57,7 +57,7 @@ def sequence_files(groups: list[FrameFiles], pattern: str | None) -> list[FrameF
     Returns
     -------
     list of FrameFiles
-        The same groups; `times` is set to their number of frames per sequence.
+        The given groups of files, with `times` set to the number of frames per sequence.
         Groups whose names are not recognized are returned unchanged.
 
     Raises
@@ -201,7 +201,7 @@ def temporal_of(found: TimeStatistics, m2: Array, count: int) -> Temporal:
     waves[:, 0] = 1.0
     power = np.maximum(pooled[:-1] @ waves.T, 0.0) / rings.sizes[:, None]
 
-    # Use at least the error of normal noise: few sequences may agree by chance
+    # The error is at least that of normal noise, because few sequences may agree by chance
     ring_power = np.nan_to_num(pooled[:-1, 0] / rings.sizes)
     alike = max(1.0, float(np.nansum(rings.sizes * ring_power**2) / np.nansum(rings.sizes)))
     one = math.sqrt(alike / ((m2 > 0).sum() * (count - 1)))

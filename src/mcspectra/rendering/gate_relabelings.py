@@ -40,10 +40,10 @@ __all__ = ["relabelled"]
 _SHARED = 4
 # Variances are averaged over neighbors only if there are at least this many tiles
 _MANY = 64
-# Added to the score −log p of the whole image, which most errors change
+# Number that is added to the score −log p of the whole image: most bugs change its mean
 _FAVOR = 1.5
-# Least degrees of freedom for tests of single pixels. With few frames, a pixel that is lit
-# in half of them would often separate the two sets perfectly by chance
+# Least degrees of freedom for tests of single pixels.
+# With few frames, pixels that are lit in half of the frames often separate the sets by chance
 _FREE = 12
 # Least number of tiles for the test that averages the differences of all tiles
 _TILES = 16
@@ -200,7 +200,7 @@ def _largest_family(
     contrast: Contrast,
     weights: Array,
 ) -> tuple[_Family, Array | None]:
-    """Return the largest difference of a level, and the p-value of each tile alone."""
+    """Test the largest difference among tiles of one size; also return p-values of the tiles."""
     count = int(valid.sum())
     largest, own, degrees, error, rank = _largest(rows, total, valid, each, contrast, weights)
     surprise = _surprise(largest, degrees, count)
@@ -255,7 +255,7 @@ def _one_sided(share: Array, degrees: int) -> tuple[Array, float]:
     share = np.clip(share, -1.0 + 1e-12, 1.0 - 1e-12)
     t = share * np.sqrt(degrees / (1.0 - share**2))
     score = _surprise(t**2, degrees, 1) + _MEDIAN
-    # A negative correlation contradicts the alternative hypothesis
+    # A negative correlation speaks against the tested alternative, so its score is small
     return np.where(t > 0, score, -np.log1p(-0.5 * np.exp(_MEDIAN - score))), float(t[0])
 
 
@@ -264,10 +264,11 @@ def _largest(
 ) -> tuple[Array, Array, float, Array, Array | None]:
     """Return the largest t² for each relabeling, and for the true labels t², error and p-value.
 
-    The variance is the one within the relabeled sets.
+    The variance in t² is computed within the two sets of each relabeling.
     In wide tiles, the variance is averaged with the mean over the 3 × 3 neighborhood.
-    Single pixels and the image use their own variance, and t² is then a function of r².
-    The p-value of each of these alone is also returned; it is exact for any noise.
+    Single pixels and the image use their own variance: t² = ν r²/(1 − r²).
+    Here ν is the number of degrees of freedom, and r is the correlation of values and labels.
+    For pixels and the image, exact p-values of each difference alone are also returned.
     """
     from scipy.ndimage import uniform_filter
 

@@ -36,8 +36,8 @@ _SKEW = 0.25
 # Skewness below which the tails of a difference of image means count as normal
 _EVEN = 0.02
 # Few frames underestimate the tail, so the skewness is multiplied by this factor.
-# At level 0.01, clean pairs of 1 + 8 skewed frames then alarm in 15 of 1,000 cases.
-# Without the factor they alarm in 17 of 1,000 cases
+# At level 0.01, unbiased pairs of 1 + 8 skewed frames give 15 false alarms in 1,000 cases.
+# Without the factor, such pairs give 17 false alarms in 1,000 cases
 _UNSEEN = 1.5
 
 
@@ -241,7 +241,7 @@ def _image_skewness(levels: list[Level], contrast: Contrast) -> float:
     """Return the absolute skewness of the difference of image means.
 
     The image is a mean of tiles. Errors of tiles of 8 pixels are nearly independent.
-    The skewness of their mean therefore falls as 1/√(number of tiles).
+    The skewness of the image's mean therefore falls as 1/√(number of tiles).
     """
     tiles = [each for each in levels if 0 < each.size <= _NORMAL and each.count]
     if not tiles:

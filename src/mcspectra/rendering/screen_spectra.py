@@ -4,16 +4,15 @@ Let f be an integrand with integral I, and u_i(x, y, t) the points of a pixel an
 The error of the pixel is e(x, y, t) = (1/n) Σ_i f(u_i(x, y, t)) − I.
 Its power P_err(ν_y, ν_x, ν_t) is the squared Fourier transform over a block of pixels and frames.
 A linear filter K, in space or in time, leaves the mean squared error ∫ |K(ν)|² P_err(ν) dν.
-The paper's slides have the same formula for the variance of an estimate.
-In their formula, the integrand takes the place of the filter.
+In the paper's slides, the formula for the variance of an estimate is the same, with f instead of K.
 
 The power is normalized: for white noise it equals the mean squared error of a pixel.
 
 The transform treats a block as periodic, which is right for masks that repeat within the block.
 For all other points, filtered errors are averaged only where the filter stays inside the block.
 Their spectra are computed from blocks with a Hann taper.
-Without a taper, the border would spread 1 % of the power of blue noise to low frequencies,
-in a block of 64 × 64 pixels.
+Without a taper, 1 % of the power of blue noise would move to low frequencies,
+because blocks of 64 × 64 pixels end abruptly at their border.
 """
 
 from __future__ import annotations
@@ -67,7 +66,7 @@ class ScreenSpectrumSettings:
     remembered
         A moving average over frames also contains frames from before the block with some weight.
         Averages in which this weight exceeds `remembered` are not used, unless the points repeat.
-        If errors are correlated in time, the variance changes by about this weight.
+        If errors are correlated in time, a weight changes the variance by about the same fraction.
     """
 
     most_values: int = 2**23
@@ -134,7 +133,7 @@ def screen_spectrum(
         The intervals ``filtered_ratio_ci`` have 95 % confidence for all samplers together.
         By filter: ``best``, the index of the best sampler, or −1 if intervals overlap.
         ``error_image(sampler, y, x)`` is frame 0 of the first block.
-        ``error_slice(sampler, frame, x)`` is row 0 of all its frames.
+        ``error_slice(sampler, frame, x)`` is row 0 of all frames of that block.
         ``blocks`` is the number of independent blocks. The attribute ``note`` has warnings.
 
     Raises
@@ -381,7 +380,7 @@ def _white_gain(kind: str, sigma: float, alpha: float) -> float:
 def _share(power: Array, width: int, part: Array) -> float:
     """Return the mean power over a part of the frequencies, divided by the mean over all."""
     across = np.arange(power.shape[-1])
-    # Columns with positive frequencies also count for the frequencies of opposite sign
+    # Columns with positive frequencies count twice: also for the opposite frequencies
     both = np.broadcast_to(np.where((across > 0) & (2 * across < width), 2.0, 1.0), power.shape)
     weighted, whole = power * both, float(np.sum(power * both))
     if not whole:

@@ -156,7 +156,7 @@ def bench_table(bench: xr.Dataset) -> tuple[list[str], list[list[str]]]:
 def _sampler_table(bench: xr.Dataset) -> tuple[list[str], list[list[tuple[str, float]]]]:
     """Return randomization, n, quality at the largest n and speed of each sampler.
 
-    Each entry of a row is a pair: a text, and a number by which rows are sorted.
+    Each table cell is a pair: the text that is shown, and a number by which rows are sorted.
     The first column header is for the names of samplers, which the rows do not contain.
     """
     names = [name for name in BENCH_QUALITY if name in bench]

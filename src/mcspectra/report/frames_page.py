@@ -44,7 +44,7 @@ _SURE = 2.24
 _HEAVY = 0.5  # tail index above which the variance is infinite
 _CARRIED = 0.05  # fireflies are reported if they hold more than this share of the variance
 _MOST = 0.5  # a cause with more than this share is called the main source of the variance
-# A finding that changes the meaning of all numbers, for example a bias, gets this large effect
+# Large effect of a finding that changes the meaning of all numbers, for example a bias
 _SURELY = 100.0
 
 
@@ -287,14 +287,14 @@ def _compare(ratio: float) -> str:
 
 
 class _Finding(NamedTuple):
-    """A sentence with its effect; findings are sorted by effect."""
+    """A sentence about frames, and its effect on the variance, by which findings are sorted."""
 
     effect: float
     text: str
 
 
 def _lost(share: float) -> float:
-    """Return the effect of a cause to which the given share of the variance is due."""
+    """Return the effect of a cause of noise from its share of the variance."""
     return -math.log1p(-min(max(share, 0.0), 1.0 - 1e-9))
 
 

@@ -196,7 +196,7 @@ def _power(found: dict[str, Any]) -> Iterator[str]:
         text = "If the variance falls as 1/n"
     else:
         text += ", with 90 % probability. If the variance falls as 1/n"
-    # Choose the next power of ten below this bias, and compute how many samples would find it
+    # Choose a power of ten below the detectable bias, and compute the samples that detect it
     wanted = found.get("target")
     if wanted is None or wanted >= seen:
         wanted = 10.0 ** math.floor(math.log10(seen / 1.5))
@@ -229,7 +229,7 @@ def _rounded(count: float) -> str:
 
 
 def _remarks(found: dict[str, Any]) -> Iterator[str]:
-    """Yield sentences about further failures, the method, and what was left out."""
+    """Yield sentences about other failed tests, the method, and the tests that were omitted."""
     others = _failed(found)[1:] if found["verdict"] == "fail" else []
     sizes: dict[str, list[int]] = {}
     for each in others:

@@ -184,7 +184,7 @@ class Figure:
     live
         Whether the page also has an interactive version.
     slider
-        Plots that are shown instead when a slider is moved.
+        Plots that replace this plot when a slider is moved.
     """
 
     plot: Plot

@@ -114,7 +114,7 @@ def _ramp(width: float) -> Claim:
     """Compare the exact variance with 1/(12 δ n³), a sum over the strata on a ramp of slope 1/δ."""
     n = 1024
     smoothed = mcs.smoothed(mcs.integrand("step(at=0.47)", dims=1), width)
-    # The ramp covers δn strata. At each of its two ends, it may cover only a part of a stratum
+    # The ramp covers δn strata. At each of its two ends, it may end inside a stratum
     bound = 2 / (width * n)
     return Claim(
         f"In one dim a step smoothed over δ = {width} has the variance 1/(12 δ N³) with jittered "

@@ -1,4 +1,4 @@
-"""The third term depends on phase: shifted strata, and functions with equal power spectra."""
+"""The cross term depends on phase: examples with shifted strata, and with equal power spectra."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["exhibit"]
 COUNTS = (16, 64, 256, 1024)
 N = 16
 HALF_WIDTH = 48
-BAR = "disk(center=0.5, radius=0.25)"  # its edges 1/4 and 3/4 are borders of 4^k strata
+BAR = "disk(center=0.5, radius=0.25)"  # 1/4 and 3/4 are borders of 4^k strata
 OFFSETS = (0.0, 0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875)
 LABELS = {
     0.0: "not displaced",
@@ -281,7 +281,7 @@ def _stratified(m: Array, f: Array) -> float:
 
 
 def _predicted(f: Array) -> tuple[float, float]:
-    """Return the second and third terms of jittered points for a series."""
+    """Return the power and cross terms of the variance of a Fourier series at jittered points."""
     _, c = _matrix("jittered", _HIGHEST)
     return float(np.abs(f) ** 2 @ np.diag(c).real), _third(f, c)
 

@@ -27,7 +27,7 @@ class SamplerFacts:
     Attributes
     ----------
     dims
-        Allowed numbers of dims, such as ``any`` or ``1–1111``; ``as given`` if parameters decide.
+        Allowed numbers of dims, such as ``any`` or ``1–1111``; ``as given`` if a parameter sets it.
     counts
         Allowed counts, such as ``any`` or ``1, 4, 9, 16, …`` (in 2-D if the sampler allows 2-D).
     sources

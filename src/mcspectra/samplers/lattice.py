@@ -87,7 +87,7 @@ class Rank1Lattice(_Lattice):
 
     The minimum is over all z_j ≤ n/2 coprime to n.
     The search tries all z_j if this takes at most 2^24 values of B_2 (n up to 5,792).
-    Otherwise the search tries at least 16 evenly spaced values of z_j.
+    For larger n, the search tries at least 16 evenly spaced values of z_j.
     The vector for each pair (n, d) is kept in memory.
 
     References
@@ -146,7 +146,7 @@ def nested_lattices(sampler: Sampler, n: int, parts: int, *, at_once: bool = Fal
         Number of points n, a multiple of `parts`.
         By default, `parts` is a power of two.
         For each power of two k up to `parts`, the points 0, k, 2k, … form a lattice.
-        With `at_once`, these points form a lattice for k = parts only.
+        With `at_once`, only the points 0, parts, 2 parts, … form a lattice.
         The smallest lattice is the default lattice of n/parts points.
     """
     plain = sampler.plain
@@ -198,7 +198,7 @@ class Korobov(_Lattice):
     The search minimizes P_2, as in `Rank1Lattice` but with equal weights γ_j = 1.
     Candidates are all a ≤ n/2 coprime to n, since n − a gives the reflected lattice.
     The search tries all candidates if it takes at most 2^24 values of B_2 (n ≤ 4,096 in 2-D).
-    Otherwise the search tries at least 16 evenly spaced values of a.
+    For larger n, the search tries at least 16 evenly spaced values of a.
     The generator for each pair (n, d) is kept in memory.
 
     References
@@ -350,7 +350,7 @@ class Kronecker(FixedSet):
 @lru_cache(maxsize=64)
 def golden_steps(dims: int) -> Array:
     """Return φ^(−1) … φ^(−d) in units of 2^-64, φ^(d+1) = φ + 1: uint64 (dims,), read-only."""
-    bits = _BITS + 32  # extra bits, because the powers of φ increase the error
+    bits = _BITS + 32  # 32 extra bits, because each power of φ adds rounding error
     one = 1 << bits
 
     # Find 1/φ by bisection: x = 1/φ solves x^(d+1) + x^d = 1

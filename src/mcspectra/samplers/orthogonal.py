@@ -121,8 +121,8 @@ class OrthogonalArray(Sampler):
     Notes
     -----
     The arrays were found by Bush [Bush1952]_ (for t = 2 by Bose), over the integers modulo s.
-    Each row belongs to one polynomial of degree below t:
-    it contains the leading coefficient, and the values of the polynomial at 0 … s − 1.
+    Each row belongs to one polynomial of degree below t.
+    The row contains the polynomial's leading coefficient, and its values at 0 … s − 1.
     Any t columns contain each of the s^t combinations of levels once.
     The levels of each column are renamed by a random permutation, as in [Owen1992]_.
     Points come in the order of the array.
@@ -178,7 +178,7 @@ def _orthogonal(n: int, dims: int, strength: int, jitter: str, keys: Array) -> A
     return out
 
 
-# An analysis needs arrays for few n. An array of int32 is half as large as a set of points.
+# Four arrays are cached: an analysis uses few n, and an array takes half the memory of a set.
 @lru_cache(maxsize=4)
 def _slots(s: int, dims: int, strength: int, jitter: str) -> Array:
     """Return the stratum of each point on each axis before shuffles: int32 (s^t, dims), read-only.
@@ -214,7 +214,7 @@ def _prime_powers_near(n: int, power: int, dims: int) -> tuple[int | None, int]:
 @kernel
 def _bush_levels(s: int, strength: int, out: Array) -> None:
     # Bush's array: row i belongs to the polynomial with the base-s digits of i as coefficients.
-    # The result is out int32 (s^strength, d), d ≤ s + 1.
+    # The levels are written to the array `out`, int32 (s^strength, d) with d ≤ s + 1.
     # Column 0 is the leading coefficient, column j + 1 is the value at j modulo the prime s.
     n, dims = out.shape
     for i in range(n):

@@ -11,7 +11,7 @@ Darts are thrown only where they can be accepted, in the cells of a grid.
 The cells have diagonal r, so that each cell has at most one point.
 Cells that may have room for a point are kept in a list.
 From time to time, the cells of the list are halved along every axis.
-Parts that a disk covers are dropped [Ebeida2012]_.
+Cells that a disk covers completely are removed from the list [Ebeida2012]_.
 Accepted darts are still uniform on the uncovered region, so the law does not change.
 The set is maximal when no cell remains.
 
@@ -84,15 +84,15 @@ class PoissonDisk(Sampler):
     boundary
         ``"toroidal"``: distances are on the torus. ``"bounded"``: distances are in the cube.
         In the cube disks extend beyond the domain, and points near the boundary are more likely.
-        Points are then not uniform.
+        With distances in the cube, points are therefore not uniform.
     mode
         ``"exact"``: the minimum distance is the same for all sets, see `radius`.
         ``"maximal"``: no further disk fits into a set, and each set has its own minimum distance.
     radius_
         Minimum distance in mode ``"exact"``, from 0.25 to 1.
         The unit is the distance in the densest known packing of n points [Lagae2008]_.
-        The default is 0.7 in 1-D, else 0.75. This is near the limit of dart throwing,
-        which on average jams at 0.748, 0.777, 0.803 and 0.806 in 1 to 4 dims.
+        The default is 0.7 in 1-D, else 0.75, which is near the limit of dart throwing.
+        Dart throwing jams on average at 0.748, 0.777, 0.803 and 0.806 in 1 to 4 dims.
 
     References
     ----------
@@ -130,7 +130,7 @@ class PoissonDisk(Sampler):
         Raises
         ------
         ParameterError
-            If the mode is "maximal", because every set then has its own minimum distance.
+            If the mode is "maximal", in which every set has its own minimum distance.
         """
         if self.mode == "maximal":
             raise ParameterError(
@@ -186,7 +186,7 @@ class PoissonDisk(Sampler):
 class DartThrowing(Sampler):
     """Random points, rejected if too close to an earlier one, until n are accepted (Cook).
 
-    The law is the same as for `poisson-disk`, which is faster. Here up to 8 dims are allowed.
+    Sets have the same distribution as those of `poisson-disk`, which is faster in up to 4 dims.
     Distances are on the torus. A set restarts after 100,000 rejected darts in a row.
 
     Attributes
@@ -195,7 +195,7 @@ class DartThrowing(Sampler):
         Number of dims, 1 to 8.
     radius_
         Minimum distance relative to the densest known packing of n points [Lagae2008]_.
-        This ratio is above 0 and at most 1.
+        The relative distance is above 0 and at most 1.
         Dart throwing jams at a ratio of about 0.75 in 1-D, 0.78 in 2-D, and 0.8 in more dims.
         Classic rejection becomes slow at smaller ratios.
 

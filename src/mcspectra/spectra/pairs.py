@@ -73,7 +73,7 @@ def pair_correlation(
         ``pair_correlation_ci`` is a 95 % interval from Student's t of the logarithm of g.
         The interval is 0 to 0 if a bin has no pairs.
         If the sampler has fewer different sets than realizations, only the sets are independent.
-        Then errors and Student's t are computed with the number of sets.
+        If sets are reused, errors and Student's t are computed with the number of sets.
 
     Notes
     -----

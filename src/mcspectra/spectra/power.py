@@ -4,7 +4,7 @@ For each realization, power is summed by frequency, and over rings and wedges of
 Frequencies of one set are not independent:
 with a density, random changes of the weights affect all frequencies.
 Means over many frequencies are therefore also summed for each realization.
-These sums give the standard errors of the means.
+The spread of such means over realizations gives the standard errors.
 """
 
 from __future__ import annotations
@@ -103,9 +103,9 @@ def power_spectrum(
         See `mcspectra.spectra.transforms`.
     eps
         Relative accuracy of the transforms.
-        By default, single precision with an accuracy of 1e-5 or 1e-6 is used if errors are small:
-        on all rings of the first two realizations, its errors must be below 0.02 standard errors.
-        If its errors are larger, the default is 1e-9, in double precision.
+        By default, single precision with an accuracy of 1e-5 or 1e-6 is used if errors are small.
+        Small errors are below 0.02 standard errors on all rings of the first two realizations.
+        If errors of single precision are larger, the default is 1e-9, in double precision.
         The attribute ``transform_error`` is the largest transform error, in standard errors.
         The attribute ``eps`` is the accuracy that was used.
     workers
@@ -121,12 +121,12 @@ def power_spectrum(
         ``radial_power`` and its standard error ``radial_power_se``, on the dim radius.
         The radius is |m| in cycles per unit. Rings are one frequency step wide and exclude m = 0.
         Errors are computed from the realizations' means over a ring.
-        The reason is that frequencies of one set are not independent.
+        Means of realizations are used because frequencies of one set are not independent.
         ``radial_power_ci`` is a 95 % interval from Student's t of the logarithm of power:
         power · exp(±t se/power), where t has realizations − 1 degrees of freedom.
-        The attribute ``student_t`` is this t. It applies to ``power_se`` as well.
+        The attribute ``student_t`` is the factor t, which applies to ``power_se`` as well.
         If the sampler has fewer different sets than realizations, only the sets are independent.
-        Then errors and Student's t are computed with the number of sets.
+        If sets are reused, errors and Student's t are computed with the number of sets.
 
         In two dims there are also ``wedge_power``, its standard error and interval (`wedge_means`).
         With `mean` there are also the complex ``mean_coefficient`` and its error, on m0, m1, …
@@ -247,8 +247,8 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
                 return double, None
             points, weights = weighted_points(source, p, self.n, stream, (0, 2))
             exact = _powers(double, points, weights)
-            # Estimate the standard deviation of the power from two realizations: for exponentially
-            # distributed powers, it equals the mean absolute difference of two powers
+            # Estimate the standard deviation of the power from two realizations. For a power
+            # with an exponential distribution, it is the mean absolute difference of two powers
             spread = polar.rings(np.abs(exact[0] - exact[1])) / self.realizations**0.5
             for single in singles:
                 error = polar.rings(np.abs(_powers(single, points, weights) - exact).mean(axis=0))

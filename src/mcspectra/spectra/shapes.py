@@ -47,8 +47,8 @@ __all__ = [
 
 _MAX_SLICE_DIMS = 4
 _LEVEL = 0.95
-# The power counts as isotropic if its variance over directions, beyond noise,
-# is at most this fraction of the squared mean. For jittered points the fraction is 0.001.
+# Largest variance over directions, beyond noise, at which the power counts as isotropic.
+# The unit is the squared mean power. For jittered points this variance is 0.001.
 _ISOTROPIC = 0.1
 _CLASS_WEDGES = 8
 # Misfit of one line for all directions, as χ² per degree of freedom.
@@ -135,7 +135,7 @@ def radial_statistics(spectrum: xr.Dataset) -> xr.Dataset:
         Anisotropies are NaN if a ring has only one direction, or has no power.
         ``radial_power`` is the mean, and ``radial_power_se`` is its standard error.
         The standard error is copied from the spectrum.
-        If the spectrum has no such error, it is computed as if frequencies were uncorrelated.
+        Without errors in the spectrum, it is computed as if frequencies were uncorrelated.
         ``anisotropy`` is the variance over directions, divided by the mean² [Ulichney1988]_.
         ``anisotropy_db`` is 10 log10 of the anisotropy.
         ``anisotropy_noise_db`` is the anisotropy (dB) that noise causes in an isotropic spectrum.
@@ -236,7 +236,7 @@ def wedge_means(spectrum: xr.Dataset, wedges: int = 12) -> xr.Dataset:
         Angles are in degrees, at the centers of the wedges.
         Values are NaN for wedges without frequencies.
         The spectrum has standard errors for its own number of wedges only.
-        For any other number of wedges, errors are NaN if the spectrum has a density.
+        If `wedges` is another number, and the points have a density, errors are NaN.
         Without a density, errors are computed as if frequencies were uncorrelated.
     """
     half = _HalfSpectrum.of(spectrum)
@@ -270,7 +270,7 @@ def low_frequency_exponent(
     spectrum
         Result of `power_spectrum` with at least two realizations.
         Between the integers ⟨S_ν⟩ is not 0, so the variance ⟨|S_ν|²⟩ − |⟨S_ν⟩|² is fitted.
-        In this case the spectrum must contain the means of S (``mean=True``).
+        Between the integers, the spectrum must contain the means of S (``mean=True``).
     up_to
         Largest |ν| that is fitted. The default is a quarter of the points' mean frequency n^(1/d).
         The fitted range has at least three lengths |ν|, and does not exceed the half width.
@@ -287,8 +287,8 @@ def low_frequency_exponent(
         If this χ² exceeds 1, the interval is widened by √χ².
         The attributes ``up_to``, ``lengths`` and ``directions`` describe the fit.
         The attribute ``reason`` explains why the exponent is NaN or unresolved.
-        NaN has three possible reasons. First, some lengths have no power, as for a lattice.
-        Second, all realizations have the same power. Third, χ² per degree of freedom exceeds 10.
+        The exponent is NaN if some lengths |ν| have no power, as for a lattice.
+        It is also NaN if all realizations have the same power, or if this χ² exceeds 10.
         The exponent is unresolved if its interval is wider than ±0.5.
 
     Raises
@@ -302,7 +302,7 @@ def low_frequency_exponent(
     The fit uses weighted least squares of log power on log |ν|.
     All frequencies of one length (and class of directions) are averaged.
     If there are k classes, the interval of each class has the level 1 − 0.05/k.
-    The exponent depends on the largest frequency of the fit.
+    The fitted exponent b depends on the largest frequency |ν| that is fitted.
     For example, the power 1 − sinc² of jittered points has b = 2 at 0 and b = 1.8 at n^(1/d)/4.
 
     Examples
@@ -336,7 +336,7 @@ def low_frequency_exponent(
     label, lengths = np.full(len(square), -1), np.sqrt(squares)
     label[wanted] = inverse
 
-    # Choose the window of the fit. It contains at least three lengths
+    # Choose the range of frequencies for the fit, with at least three lengths |ν|
     if len(lengths) < 3:
         raise ParameterError(
             f"A fit needs three lengths of frequency, of which the spectrum has {len(lengths)}; "
@@ -417,7 +417,10 @@ class _LowFrequencyFit:
 
 
 def _over_directions(half: _HalfSpectrum, label: Array, lengths: Array) -> _LowFrequencyFit:
-    """Fit all directions if they agree. Else fit the class with the largest low-frequency power."""
+    """Fit all directions together if they have the same power.
+
+    Otherwise fit the class of directions with the largest power at the lowest frequency.
+    """
     whole = _fit_class(half, label, lengths, "all", 1)
     assert whole is not None
     # Compute the variance over directions beyond noise, relative to mean², and average over lengths
@@ -451,7 +454,10 @@ def _over_directions(half: _HalfSpectrum, label: Array, lengths: Array) -> _LowF
 def _fit_class(
     half: _HalfSpectrum, label: Array, lengths: Array, name: str, classes: int
 ) -> _LowFrequencyFit | None:
-    """Fit the lengths of one class; None if there are fewer than three, or one has no power."""
+    """Fit the power at the lengths |ν| of frequencies in one class of directions.
+
+    The result is None if there are fewer than three lengths, or if the power is 0 at a length.
+    """
     from scipy.special import stdtrit
 
     power, se, count = half.mean_by(label, len(lengths))
@@ -483,7 +489,7 @@ def variance_from_spectrum(spectrum: xr.Dataset, coefficients: Any) -> float:
         The variance of randomly shifted sets, at *integer* frequencies (``frequency_step=1``).
         At integer frequencies, the result is exact up to the truncation of the grid.
         Between the integers, where ⟨S_ν⟩ is not 0, the sum includes the bias of a finite window.
-        The sum is never smaller than the bias of the window [Singh2019]_.
+        Between the integers, the sum is never smaller than this bias of the window [Singh2019]_.
 
     Raises
     ------

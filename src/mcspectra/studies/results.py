@@ -176,8 +176,8 @@ def open_results(source: str | Path, select: str | None = None) -> xr.DataTree:
     select
         Path of a cell, or a pattern such as ``"estimator/*"``; all cells by default.
         Only selected cells are read from a ledger; a store is always read and checked completely.
-        If a single cell of a ledger is selected, the root has no attribute ``study``.
-        To read the study would take longer than to read the cell.
+        If a single cell of a ledger is selected, the tree lacks the attribute ``study``.
+        Reading the text of the study would take longer than reading the cell.
 
     Raises
     ------
@@ -252,7 +252,7 @@ def result_scalars(source: str | Path, select: str | None = None) -> dict[str, d
     Raises
     ------
     ParameterError, StoreError
-        Same as in `open_results`, except that no cell has to match.
+        For the same reasons as in `open_results`, but a pattern may match no cell.
     """
     ledger = _ledger(source, select)
     if ledger is None:
@@ -270,7 +270,7 @@ def study_status(folder: str | Path, *, verify: bool = False) -> StudyStatus:
     ----------
     verify
         Check the ledger and ``results.zarr`` completely against their digests.
-        The lock is always checked.
+        The lock file of the folder is always checked.
 
     Raises
     ------
@@ -556,7 +556,7 @@ def _read_cell(ledger: Ledger, path: str) -> xr.Dataset:
     """Read a cell in the form of a store; texts become attributes, as Zarr v3 lacks a text type.
 
     The labels of a coordinate are stored as the attribute ``labels_<name>``.
-    The labels of ``bound`` are equal in all cells and belong to the root.
+    The labels of the dim ``bound`` are equal in all cells, and are stored once for all cells.
     """
     import xarray as xr
 

@@ -102,7 +102,7 @@ def run_study(
     ClusterError
         If workers cannot be started or reached, cannot build the study, or are lost.
     CellFailed
-        If cells failed; it is raised after all other cells have run.
+        If cells failed. The error is raised after all other cells have run.
     MissingDependency
         If a time limit or an engine needs the missing extra ``cluster``.
     KeyboardInterrupt

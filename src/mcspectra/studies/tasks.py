@@ -55,7 +55,7 @@ WARM = ("numba", "scipy.stats", "xarray")
 
 
 class StudyTask(msgspec.Struct, frozen=True, kw_only=True):
-    """One chunk of a reduction of a cell, or all of a cell.
+    """A part of a study that one worker computes: some blocks of a cell, or a whole cell.
 
     Attributes
     ----------
@@ -223,7 +223,7 @@ def _cell(text: StudyText, path: str) -> StudyCell:
 
 @functools.lru_cache(maxsize=_REDUCTIONS)
 def _reduction(text: StudyText, path: str, run: str) -> Reduction[Any]:
-    """Return a reduction of a cell, the same object while it is cached."""
+    """Return the sum over blocks `run` of a cell, from a cache if possible."""
     cell = _cell(text, path)
     return cell.analysis.part(cell.subject, Stream.from_rng(text.seed), run)
 

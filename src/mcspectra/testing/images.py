@@ -43,7 +43,7 @@ def assert_same_image(
     Parameters
     ----------
     new, reference, level, target
-        Same as in `mcspectra.rendering.gate`.
+        The same parameters as in `mcspectra.rendering.gate`.
     report
         Folder for a page with figures, which is written if the assertion fails.
     **options
@@ -61,7 +61,7 @@ def assert_same_image(
     ImagesUndecided
         If the verdict is ``undecided``.
     FileFormatError, ParameterError
-        Same as in `mcspectra.rendering.gate`.
+        For the same reasons as in `mcspectra.rendering.gate`.
 
     Notes
     -----

@@ -44,7 +44,7 @@ class ObjectiveSettings:
     """Settings of classes of integrands."""
 
     # Maximum number of dims of a class. The searches use tables of 2^18 values.
-    # In 8-D such a table has about 2^2 values along each axis.
+    # In 8-D, 2^18 values are only about 2^2 values along each axis.
     most_dims: int = 8
     # Maximum number of waves of a spectrum. It is also the limit for eigenvectors of a covariance.
     # The waves or eigenvectors with the largest power are kept.
@@ -131,7 +131,7 @@ def _read(given: Any, dims: int | None) -> Objective:
     if isinstance(given, Mapping):
         return _of_waves(given, dims)
     if isinstance(given, Sequence):
-        # Give each part the same share. If all parts are integrands, the list is the whole class
+        # All parts of the list count equally. If all are integrands, they are the whole class
         if not given:
             raise ParameterError("The objective is an empty list; give one integrand at least.")
         # Integrands given as text get the number of dims from the other integrands
@@ -160,8 +160,8 @@ def _read(given: Any, dims: int | None) -> Objective:
                 found = given(rng)
             except McspectraError:
                 raise
-            # The argument of a user's function is a random generator.
-            # A function that expects points instead raises one of these errors
+            # The argument of a user's function is a random generator. If the function
+            # expects points instead, it raises an AttributeError, a TypeError or a ValueError
             except (AttributeError, TypeError, ValueError) as error:
                 raise ParameterError(
                     f"{name} raised {type(error).__name__} of a generator: {error}; give a "

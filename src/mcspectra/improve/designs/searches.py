@@ -6,13 +6,13 @@ For a lattice, the variance is the sum of P over the dual lattice.
 A digital shift has the same property in the Walsh basis. Let κ be the Walsh series of P.
 The variance is (1/n²) Σ_ij κ(x_i xor x_j). For a digital net this is the mean of κ over the points.
 If sets are folded after the shift, both statements hold for g(x) = f(1 − |2x − 1|).
-This function g is continuous on the torus [Hickernell2002]_.
+The folded function g is continuous on the torus [Hickernell2002]_.
 Each search tries plain sets and folded sets, and keeps the kind with less variance.
 
 If sets together contain each cell of a grid exactly once, they need no shift.
 *Features* are functions φ_t with Σ_t φ_t(x) φ_t(y) = Cov(f(x), f(y)) at centers of cells.
 The variance is the mean over sets of Σ_t (mean φ_t)².
-Exchanges of cells between sets lower this variance.
+The search exchanges cells between sets to lower the variance.
 Exchanges start from random sets, or from the cosets of a digital net if these are better.
 All points of a set have the same offset within their cells, except for reflections.
 A reflection changes the sign of a feature's slope. Signs are chosen so that the slopes cancel.
@@ -80,8 +80,8 @@ class SearchSettings:
     # Numbers of points and of class members with which samplers are measured during a search.
     # Samplers are measured in searches of nets, and in searches of lattices in 3 or more dims.
     # The variance ratio of nets is 0.167 for half or twice as many points.
-    # The ratio is 0.164 to 0.167 for half or twice as many members of the class.
-    # In 3-D, another lattice is chosen with 128 members; its ratio is 0.313 instead of 0.295.
+    # The variance ratio of nets is 0.164 to 0.167 for half or twice as many members of the class.
+    # In 3-D, a search with 128 members chooses another lattice, of ratio 0.313 instead of 0.295.
     judge_points: int = 2**16
     judge_members: int = 256
 
@@ -90,13 +90,13 @@ class SearchSettings:
     # Number of points of the table from which the spectrum of a class is estimated.
     # Above three dims this number is doubled.
     # With half or twice as many points, the variance ratio of lattices is 0.020 to 0.021 in 2-D.
-    # In 3-D this ratio is 0.27 to 0.30.
+    # In 3-D, half or twice as many points give lattices with ratios of 0.27 to 0.30.
     frequencies: int = 2**16
     # Number of initial vectors in the search of lattices in three dims or more.
     # One vector is built axis by axis, and the others are random.
     # In 3-D the variance ratio is 0.295 with 24 or 48 vectors, and 0.274 with 96 in twice the time.
     vectors: int = 48
-    # Number of the best vectors of this search that are measured.
+    # Number of the best generating vectors whose variances are measured at the end of a search.
     # In 3-D the variance ratio is the same for 6 and 24 measured vectors.
     judged: int = 12
 
@@ -145,9 +145,9 @@ class SearchSettings:
     # (tests/improve/test_design.py).
     cosets: bool = True
     # Number of shapes of strata that are compared, starting with the most even shapes.
-    # The second number is the number of realizations in each comparison.
+    # Shapes are compared by `shape_realizations` realizations of each shape.
     # A variance of 32 realizations has a relative error of √(2/31) = 25 %.
-    # Good and bad shapes differ by more than 25 %.
+    # The variances of good and bad shapes of strata differ by more than 25 %.
     shapes: int = 12
     shape_realizations: int = 32
 
@@ -156,7 +156,7 @@ class SearchSettings:
     # Number of points in the table from which the spectrum is estimated.
     # With more points, each gradient takes more time.
     # For designs of kind ``points`` at n = 5000, the ratio is 0.082 with this number of points.
-    # The ratio is 0.20 with half of this number, and 0.078 with twice this number.
+    # With half as many points in the table, the ratio is 0.20, and with twice as many it is 0.078.
     torus_frequencies: int = 2**14
 
 
@@ -305,7 +305,7 @@ def _lattices(
         kept = 1 if plane else settings.judged
         for value, vector in sorted(found, key=lambda each: each[0])[:kept]:
             made = made_of(vector, fold)
-            if not plane:  # The table may lack frequencies that matter
+            if not plane:  # the table of frequencies may lack important frequencies
                 value = judge(made)
             yield Design(value, (fold + 1) / 2, partial(_as_made, made))
 
@@ -485,7 +485,7 @@ def _shared(
             (most,),
         )
     # A set of n points can make the means of about n features nearly 0.
-    # These features can be computed from about n members of the class
+    # About n members of the class are enough to compute that many features
     members = min(2 * settings.members, max(settings.members, 8 * n))
     values = objective.functions(members, stream.generator(0))
 
@@ -579,7 +579,7 @@ def _cosets(
 def _of_cells(features: Array, owner: Array, cells: Array, sides: Array, path: Path) -> Sampler:
     """Make a sampler from sets of cells, and choose in which cells the offset is reflected.
 
-    In each set, the reflections make the sum of the slopes of the features small.
+    Reflections are chosen so that the slopes of the features nearly cancel in each set.
     """
     sets = np.argsort(owner, kind="stable").reshape(owner.max() + 1, -1)
     signed = cells[sets] + 1
@@ -630,7 +630,7 @@ def _energy(m: Array, power: Array, dims: int) -> Callable[[Array], tuple[float,
     for sign in (1, -1):
         weights[tuple((sign * m + side // 2).T)] = 0.5 * power
     along = np.arange(side) - side // 2
-    # With this tolerance, the energy agrees with a direct sum to 1e-8 (`test_design.py`)
+    # With the tolerance 1e-9, the energy agrees with a direct sum to 1e-8 (`test_design.py`)
     options = {"eps": 1e-9, "nthreads": 1, "upsampfac": 1.25}
     forward = getattr(finufft, f"nufft{dims}d1")
     backward = getattr(finufft, f"nufft{dims}d2")
