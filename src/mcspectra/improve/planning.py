@@ -60,7 +60,7 @@ class PlanSettings:
     # `predict` also searches for the asymptotic rate up to this count.
     octaves: int = 16
     # The predicted curve extends below the target variance by this factor.
-    # Then the upper ends of intervals also reach the target.
+    # Because of this margin, the upper ends of intervals reach the target as well.
     margin: float = 4.0
     # Largest planned number of points. Larger numbers do not fit into a 64-bit integer.
     most: int = 2**62
@@ -91,7 +91,8 @@ class MeasuredPlanSettings:
     # In all other stages, the number of points per set is doubled.
     # With doubling = 3, there are 128 sets at 2^18 evaluations.
     # The standard error of the variance is then 12 %.
-    # With doubling = 2, sets are half as large. Rates of functions with jumps become uncertain.
+    # If the number of sets were doubled in every second stage, sets would be half as large.
+    # Rates of functions with jumps would then become uncertain.
     doubling: int = 3
     # Least number of points in each set of the first stage.
     # With 8 points, parts of a set give variances at smaller counts, and these give a rate.
@@ -525,7 +526,7 @@ class _Nets:
         assert sizes is not None
         nets, n = sizes[0], 1 << (sizes[1] // sizes[0]).bit_length() - 1
         points = estimator.draw(as_sampler(NETS, estimator.dims), n, self.stream, 0, nets)
-        # The first points of the first nets are known from the previous stage
+        # Values at the first points of the first nets are known from the previous stage
         values = []
         for t, u in enumerate(points):
             all_values = np.empty((*u.shape[:2], channels))
@@ -861,7 +862,7 @@ def plan(
         ``planned_error`` is the RMSE at ``planned_n``.
         ``target_variance`` is the square of the target.
         ``predicted_variance(n)`` with ``predicted_variance_ci(n, bound)`` is the curve of variance.
-        The counts of this curve are allowed powers of two.
+        The predicted curve has values at the powers of two that the sampler allows.
         The curve ends at a quarter of the target variance or at 2^16 points.
         For larger n it is extrapolated by the last slope, which ``how`` reports.
         The coordinates ``method`` and ``how`` are the same as in `predict`.

@@ -50,7 +50,7 @@ class MitsubaSampler(Sampler):
         ``"orthogonal"`` (Jarosz et al. 2019) or ``"ldsampler"`` (Kollig & Keller 2002).
     jitter
         Whether points are random in their strata, or at the centers of their strata.
-        This applies to the three samplers with strata.
+        Only "stratified", "multijitter" and "orthogonal" have strata.
 
     Notes
     -----
