@@ -56,7 +56,8 @@ def ratio(ours, other, pixels):
 def compare(name, spp):
     """Compare predicted with rendered ratios of variances for one scene.
 
-    Return predicted / rendered for each rival, and the number of wrongly predicted winners.
+    For each sampler of Mitsuba, return the predicted ratio divided by the rendered ratio.
+    Also return the number of wrongly predicted winners.
     """
     scene = as_scene(SCENES[name](width=WIDTH, height=HEIGHT))
     tiles, side = chosen_tiles(Film.of(scene), WIDTH * HEIGHT, Stream.from_rng(0))

@@ -84,7 +84,7 @@ class Linear(_Separable):
     In one dim, the cdf is low·x + s x²/2 with low = 1 − s/2 = p(0).
     The inverse of the cdf is 2u / (low + √D) with D = low² + 2 s u.
     For s < 0, D is written as high² − 2 s (1 − u) with high = p(1).
-    Both forms are sums of positive terms, so there is no cancellation for s → 0 or s = ±2.
+    Both forms of D are sums of positive terms, so nothing cancels for s → 0 or s = ±2.
     """
 
     slope: float | tuple[float, ...] = per_dim(1.0, least=-2.0, most=2.0)
@@ -102,7 +102,7 @@ class Linear(_Separable):
 
     def _pdf(self, x: Array) -> Array:
         s = self._slopes
-        # Both forms start from the end where the density is lower
+        # Compute p(x) from its value at the end where the density is lower, to avoid cancellation
         line = np.where(s >= 0, (1.0 - 0.5 * s) + s * x, (1.0 + 0.5 * s) - s * (1.0 - x))
         return bounded_product(line, self.spec)
 

@@ -448,7 +448,8 @@ def draw_sets(
     if sampler.sequence:
         return np.split(drawn[0], np.cumsum([n * c for c in counts])[:-1], axis=1)
 
-    # Distribute the points within each group of Σ counts consecutive points among the techniques
+    # Divide the set into groups of Σ counts consecutive points. Within each group,
+    # distribute the points at random among the techniques
     total, group = n * sum(counts), sum(counts)
     keys = stream.child(_DEAL).uniforms(first, count, total).reshape(count, n, group)
     order = np.argsort(keys, axis=2)[..., None]

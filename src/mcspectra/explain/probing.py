@@ -112,7 +112,8 @@ class LineSettings:
     # A sum of a thousand terms in random order is off by about √1000 = 32 spacings.
     # Values from 16 to 64 give the same results.
     grains: float = 32.0
-    # g grows up to the end of a line if the last gain, divided by the gain before, is above this.
+    # g grows up to the end of a line if |g| grows enough between the last two distances.
+    # The last growth, divided by the growth before, must be above this number.
     # The ratio is 2^−10 for a bounded function, 1 for ln t, and 2^(10a) for t^−a.
     # Values from 0.33 to 0.65 give the same results.
     # With the value 1.3, logarithmic growth is missed, and six of 152 causes are wrong.
@@ -712,6 +713,6 @@ def _measured(
 
 
 def _slopes(values: Array) -> Array:
-    """Return exponents a of values c + b r^−a at radii r, 4r, … (m, k), as (m − 2, k)."""
+    """Return the exponents a, (m − 2, k), if c + b r^−a has the values (m, k) at radii r, 4r, …"""
     falls = np.maximum(values[:-1] - values[1:], 1e-300)
     return np.asarray(np.log(falls[:-1] / falls[1:]) / math.log(4.0))

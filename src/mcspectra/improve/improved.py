@@ -483,7 +483,8 @@ class Cubic(_Changed):
         at, weights = np.polynomial.legendre.leggauss(self.order)
         means = lagrange((cell - first)[..., None] + 0.5 * at).swapaxes(-1, -2) @ (0.5 * weights)
 
-        # Multiply the polynomials of all axes, and subtract the products of their means: (k, r^d)
+        # Compute the weight of each value of g: products of the polynomials of all axes,
+        # minus products of their means, (k, r^d)
         stencil = np.indices((self.order,) * self.dims).reshape(self.dims, -1)
         axes = np.arange(self.dims)
         found = [lagrange(x * self.side - 0.5 - first) for x in places]
@@ -785,7 +786,7 @@ def improvements(
 ) -> Iterator[Candidate]:
     """Yield changed estimators with the same integral, without new evaluations of g.
 
-    Expected ratios of variances hold for random points.
+    The expected ratios of variances are those with random points.
     For *order*, main effects are excluded from the compared variances, because nets remove them.
     All ratios are computed from evaluations that were not used in the fit.
 

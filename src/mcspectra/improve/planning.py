@@ -7,8 +7,8 @@ Scrambled nets give the variance of several samplers at once (`mcspectra.explain
 Other samplers draw their own sets.
 A measurement has stages. Each stage doubles the evaluations, and none is repeated.
 The measurement ends at the first stage whose interval of n is narrow enough.
-A smaller target error never gives fewer points, because it does not change any simulation.
-The target error is only compared with the errors of the simulations.
+A smaller target error never gives fewer points.
+The simulations do not depend on the target error, which is only compared with their errors.
 No stage returns an n that an earlier stage excluded.
 """
 
@@ -105,7 +105,7 @@ class MeasuredPlanSettings:
     # A variance from 256 sets has a relative standard error of √(2/256) = 9 %.
     enough: int = 256
     # The target error is compared with a piecewise linear curve of the variance.
-    # This is the number of counts per octave on the curve.
+    # The curve has this number of points per octave of n.
     parts: int = 16
 
 
@@ -389,9 +389,9 @@ def _least(
     before = [k for k in known if k < first]
 
     # Bisect between the last count that misses the target and the first count that reaches it.
-    # Several octaves can be between these counts, because the curve need not be monotone.
-    # Searches for two targets take the same steps while both are reached or both are missed.
-    # If only the larger target is reached, the search for the smaller one continues to larger n.
+    # The two counts can differ by several octaves, because the curve need not be monotone.
+    # A smaller target never gives a smaller n: its search bisects at the same counts,
+    # or continues at larger n where only the larger target is reached.
     # Nets are balanced only at powers of their base
     if not before or _base(estimator.law(sampler, counts[first])):
         return best
@@ -707,7 +707,8 @@ class _Ladder:
     def reaches(self, target: Array, side: int) -> float:
         """Return the logarithm of the least n at which a curve reaches the target.
 
-        Side 0 is the curve of the variance; sides −1 and 1 are the ends of its interval.
+        Side 0 is the curve of the variance.
+        Sides −1 and 1 are the curves of the lower and the upper end of its interval.
         """
         off = (self.logs + side * self.half - np.log(target)).max(axis=1)
         return _crossing(np.log(self.n), off)

@@ -349,7 +349,7 @@ def _strata(
 ) -> Predicted:
     """Predict the variance of a mean of n independent values of g, one in each of n equal strata.
 
-    If there is a single stratum, all n values lie in it.
+    If the whole cube is a single stratum, all n values are at uniform points of the cube.
 
     If `whole`, g is the same for all n, so that one computation of ∫g² serves all counts.
     """

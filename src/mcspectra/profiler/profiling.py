@@ -89,7 +89,7 @@ class ProfileSettings:
     # Points of each net to which changes are fitted; 20 nets take 1280 evaluations.
     # Half and twice this number were tested in 12 profiles of 8192 evaluations.
     # The profiles were of six functions, with two seeds. The advice was the same.
-    # One of the fitted changes gave an RMSE that differed by a factor of 2.4.
+    # In one profile, the RMSE after a fitted change depended on the number, by a factor of 2.4.
     fitted_points: int = 64
     # Dependence of draws is reported as a cause if few of the draws are effective.
     # The ratio of effective draws to all draws must be below this limit.
@@ -132,7 +132,7 @@ class ProfileSettings:
     # Few points do not show whether a steep rate continues.
     # Without the limit, an extrapolation to the whole budget would exaggerate the gain of a change.
     # The advice of 12 profiles was the same for 8 or 32 points, and for rates of −1.5 or −3.
-    # The RMSE after one of the changes differed by a factor of up to 1.9 between these values.
+    # For one of the changes, the RMSE depended on these settings, by a factor of up to 1.9.
     few_points: int = 16
     steepest_rate: float = -2.0
     # A change must lower the log variance by at least this number of standard errors.
@@ -172,7 +172,7 @@ _SETTINGS = ProfileSettings()
 _PAIRS, _FOLDED = "antithetic-jittered", f"{LATTICE} | mirror(mode='fold')"
 # Causes that concern the sets of a sampler and not g
 _OF_SETS = {"deterministic-set", "few-realizations", "correlated-replicates"}
-# Causes for which the profile tries lattices; it also tries them for smooth g
+# If g is smooth or has one of these causes of noise, the profile tries lattices
 _GAINED = {
     "kink",
     "cusp",
@@ -182,7 +182,7 @@ _GAINED = {
     "axis-parallel-jump",
 }
 _JUMPS = {"interior-jump", "axis-parallel-jump"}
-# For each cause, the gain e of the exponent of the variance over random points.
+# Exponents e for each cause of noise.
 # In theory, variances fall as n^(−1 − e/d) with strata, and as n^(−1 − e) with nets
 _EXPONENTS = {"interior-jump": 1.0, "axis-parallel-jump": 1.0, "none": 2.0}
 

@@ -6,8 +6,8 @@ The variance of an estimator combines the spectrum of its integrand with the sam
 
 The covariance C_ml is a property of the sampler's law.
 A sampler states its law once, in `Sampler.law`. All else is computed by functions of the law.
-Examples are closed forms, exact variances, predictions and rates.
-Another example is the choice of an orthonormal basis that fits the sampler.
+Such functions compute closed forms, exact variances, predictions and rates.
+Another function of the law chooses the orthonormal basis that fits the sampler.
 Each function chooses a formula by the class at the root of a law, and calls itself on subtrees.
 No function tests a sampler's name.
 

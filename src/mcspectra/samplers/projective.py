@@ -54,7 +54,7 @@ class ProjectiveBlueNoise(Sampler):
         Minimum distance in every projection on k axes, from 0.01 to 1.
         The unit is the distance in the densest known packing of n points in k dims.
         The default is 0.65, 0.6, 0.5, 0.4, 0.33 and 0.25 in 1 to 6 dims.
-        These values are slightly below the largest ones at which darts place 1000 points.
+        With slightly larger values, dart throwing could not place 1000 points any more.
 
     References
     ----------

@@ -335,7 +335,7 @@ def certificate(
         Samplers that are compared with the design.
         The default samplers are the nets sobol | owen, pmj02 and pmj02-blue-noise.
         Shifted lattices (Korobov, rank-1 and Fibonacci) are also included, with and without folds.
-        Of these, only samplers with sets of n points in these dims are used.
+        Default samplers that have no sets of n points in these dims are left out.
     members
         Number of random members, which are divided into 20 groups.
     realizations
