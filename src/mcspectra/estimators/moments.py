@@ -136,7 +136,7 @@ class StoredSets:
     """Moments for groups of stored sets, for samplers that reuse a limited number of sets.
 
     Realization r uses the set r mod `sets`. Realizations with the same set are not independent.
-    Therefore errors come from a jackknife that omits one group of sets at a time.
+    Therefore standard errors come from a jackknife, which omits one group of sets at a time.
     """
 
     sets: int
