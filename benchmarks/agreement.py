@@ -10,7 +10,7 @@ A function agrees with brute force under these conditions:
 * `profile`: for the recommended set-up, its RMSE interval overlaps the interval by brute force;
 * `remedies`: the recommended set-up is the same as in the profile.
     A different set-up is accepted if its RMSE intervals by `profile` and `remedies` overlap.
-    Such a set-up is, for example, a preintegration along one direction, or a regression.
+    Examples of different set-ups are a preintegration along one direction, and a regression.
     A different set-up is also accepted if both set-ups have the same RMSE within their intervals;
 * `plan`: the RMSE by brute force is the target, and `plan` returns an interval of the n needed.
   This interval overlaps a reference interval around the n that 4,096 evaluations allow.
@@ -41,7 +41,7 @@ from mcspectra.estimators import AbstractEstimator, as_estimator
 from mcspectra.measure.setup import Setup, affordable_count
 
 BUDGET = 4096
-ESTIMATES, RENDERED = 1000, 200  # number of estimates by brute force: for functions, for scenes
+ESTIMATES, RENDERED = 1000, 200  # estimates by brute force for each function, and for each scene
 REALIZATIONS = 100  # realizations of each candidate in remedies
 KINDS = ("sampler", "unshifted", "mirrored", "regression", "preintegrated", "fitted", "techniques")
 SIGMAS = 1.96

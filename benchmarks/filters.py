@@ -26,7 +26,7 @@ from scipy.ndimage import convolve1d, gaussian_filter
 SIZE, SPP = 96, 4
 MEASURED, HELD = 24, 48  # number of independent frames for the prediction, and of other frames
 SEEDS, HELD_SEEDS, TIMES, REUSED = 4, 8, 24, 4
-FIRST = 0.1  # largest weight of the first frame in an average that is compared
+FIRST = 0.1  # averages are compared once the weight of the first frame is below this
 BORDER = 16  # width in pixels of the border that one of the two measurements leaves out
 SPLINE = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16.0
 

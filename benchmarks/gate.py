@@ -165,7 +165,7 @@ def _alarms(libraries: dict[str, Array], pairs: int) -> None:
 def _errors(cosine: Array) -> dict[str, Callable[[Array, Array], Array]]:
     """Return functions by name; each makes faulty frames from whole paths and direct light."""
     corner = np.zeros((SIZE, SIZE), bool)
-    corner[20:26, 24:31] = True  # one error makes these 42 of 4096 pixels too dark
+    corner[20:26, 24:31] = True  # the error "light dropped in 1 %" darkens these 42 of 4096 pixels
 
     return {
         "none": lambda whole, _: whole,
@@ -200,7 +200,7 @@ def _denoised(frames: Array) -> Array:
     spline = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16.0
     found = frames.astype(np.float32)
     for level in range(3):
-        # The tolerance is the noise of the frames after the earlier levels
+        # The filter's tolerance is the noise that remains after the earlier filter levels
         noise = found.std(axis=0, ddof=1).mean() * 2.0
         total, weights = np.zeros_like(found), np.zeros_like(found)
         wide = np.pad(found, ((0, 0), *2 * [(2 * 2**level,) * 2]), mode="edge")
@@ -302,8 +302,9 @@ def _shares(hits: Array) -> str:
 
 
 def _half(whole: Array, pairs: int) -> None:
-    """Print at which number of samples half precision is found, as sums and as running means.
+    """Print how many samples it takes until the gate detects that frames use half precision.
 
+    Frames in half precision are sums of samples, or running means.
     Samples of a frame are drawn from the library with replacement.
     New frames have 16 and N samples, and the reference has N samples in single precision.
     """
@@ -351,7 +352,7 @@ def _halves(samples: Array, rng: np.random.Generator, total: int, running: bool 
 
 
 def _stated(whole: Array, trials: int) -> None:
-    """Print how often the smallest bias that the gate states is found: it should be 90 %."""
+    """Print how often the gate detects the smallest bias that it claims to detect at 90 %."""
     rng, found = np.random.default_rng(5), 0
     for k in range(trials):
         order = rng.permutation(len(whole))[: 2 * 16 * FRAMES]

@@ -1,9 +1,9 @@
 """Throughput of stock integrators with our samplers compared with the stock sampler.
 
-The two samplers of each printed line are timed in turns, in the same run.
+Each printed line compares two samplers, which render in turn during the same run.
 The points of ``sobol | owen`` are computed in the kernel.
 Other samplers draw new tables of points for every image.
-A single set that is moved in each pixel is the cheapest.
+The cheapest sampler has a single point set, which is displaced anew in each pixel.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ The predicted winner is wrong if the two intervals lie on opposite sides of 1.
 ``python -m benchmarks scenes --profile`` checks the samples per pixel that a profile states.
 ``python -m benchmarks scenes --bias`` tests renders against reference images with variances.
 ``python -m benchmarks scenes --joint`` compares numbers of joint dims and other points.
-With ``--scene=NAME`` each of them measures one scene.
+The option ``--scene=NAME`` limits each of these commands to one scene.
 """
 
 import math
@@ -48,7 +48,7 @@ def images(name, plugin, spp, renders, first=0):
 
 
 def ratio(ours, other, pixels):
-    """Mean over pixels of log(Var(ours) / Var(other)), and the standard error of this mean."""
+    """Return the mean over pixels of log(Var(ours) / Var(other)), and its standard error."""
     logs = np.log(ours.var(axis=0, ddof=1)[pixels] / other.var(axis=0, ddof=1)[pixels])
     return logs.mean(), logs.std(ddof=1) / math.sqrt(len(logs))
 
@@ -56,7 +56,8 @@ def ratio(ours, other, pixels):
 def compare(name, spp):
     """Compare predicted with rendered ratios of variances for one scene.
 
-    Return predicted / rendered for each rival, and the number of wrongly predicted winners.
+    For each sampler of Mitsuba, return the predicted ratio divided by the rendered ratio.
+    Also return the number of wrongly predicted winners.
     """
     scene = as_scene(SCENES[name](width=WIDTH, height=HEIGHT))
     tiles, side = chosen_tiles(Film.of(scene), WIDTH * HEIGHT, Stream.from_rng(0))
@@ -134,9 +135,10 @@ def bias(scenes, spp=2**15):
 
 
 def joint(scenes, renders=256):
-    """Print variances in relation to multijitter, by the number of joint dims and for nets apart.
+    """Print variances divided by those of multijitter, for several numbers of joint dims.
 
-    Nets apart are ``larcher-pillichshammer | digital-shift(jitter=True)``, padded.
+    The label "apart" is for ``larcher-pillichshammer | digital-shift(jitter=True)``.
+    The points of these 2-D nets are far apart. Each pair of dims has its own net (padding).
     """
     choices = {"multijitter": "multijitter"}
     choices |= {f"joint {k}": {"type": "mcspectra", "joint_dims": k} for k in (0, 2, 4, 6, 8)}

@@ -45,7 +45,7 @@ nb_ipywidgets_js = {}  # Sphinx's default would load a script from another site
 nb_merge_streams = True
 nb_output_stderr = "remove"  # progress bars are written to stderr
 
-autodoc_typehints = "none"  # signatures show the types already
+autodoc_typehints = "none"  # no types in descriptions, because signatures show them
 autodoc_member_order = "bysource"
 autodoc_preserve_defaults = True
 napoleon_google_docstring = False

@@ -1,8 +1,8 @@
 """Make the page of samplers: an overview by family with thumbnails, then a card for each sampler.
 
-Run it from the root of the repository. ``python docs/samplers/make.py`` takes minutes, because it
-measures all samplers. With the option ``--overview`` it only makes the overview,
-from the pictures of the existing cards.
+Run ``python docs/samplers/make.py`` from the root of the repository.
+The script takes minutes, because it measures all samplers.
+With the option ``--overview`` it makes the overview only, from pictures of existing cards.
 """
 
 import re

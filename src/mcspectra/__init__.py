@@ -1,8 +1,9 @@
 """mcspectra: a profiler for Monte Carlo noise.
 
-Give it an estimator (an integrand, an importance density or several, a sampler); it measures the
-variance and its convergence rate, predicts them from spectra, and explains them. All names below
-load their modules when first used.
+An estimator has an integrand, one or several importance densities, and a sampler.
+The package measures the variance and the convergence rate of an estimator,
+predicts variance and rate from spectra, and explains them.
+All names below load their modules when first used.
 """
 
 import lazy_loader

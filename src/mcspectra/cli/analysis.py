@@ -295,7 +295,7 @@ def _of_splits(chosen: str, options: dict[str, tuple[Option, ...]]) -> list[Decl
     """Declare the options for all values of --split. Only those of the chosen value may be given.
 
     Options that apply to all values of --split come first.
-    Each group after them has the options that apply to the same value or values.
+    Options that apply to some values of --split follow, one group for each set of values.
     """
     owners: dict[str, list[str]] = {}
     for split, its in options.items():

@@ -4,7 +4,7 @@ A decimal number w/10^k with at most 19 digits and k ≤ 22 is divided in twice 
 In this division, w, 10^k and the remainder of the first quotient are exact.
 A second quotient divides this remainder by 10^k.
 The sum of the first and the second quotient is correctly rounded, except in rare cases.
-In these cases it lies within about 2^-40 of the midpoint of two neighboring float64 numbers.
+In the rare cases, the sum is close to the midpoint of two float64 numbers (within about 2^-40).
 The kernel leaves such numbers, and numbers of other forms, to the caller.
 """
 
@@ -61,7 +61,7 @@ def parse_lines(text: Array, values: Array, runs: Array, hard: Array) -> tuple[i
     runs
         int64 (K, 4): one row for each run of lines between comments.
         A row has four entries. The first is the index of the first line with numbers, from 0.
-        The next two are the index of the first value and the index after the last value.
+        The second and third entries are the index of the first value and the index after the last.
         The last entry is the number of values per line.
         A comment between runs has its own row, with 0 values per line.
     hard
@@ -73,7 +73,7 @@ def parse_lines(text: Array, values: Array, runs: Array, hard: Array) -> tuple[i
     tuple of int
         Number of lines, and numbers of entries in the three outputs `values`, `runs` and `hard`.
         The number of lines is −1 if the text is not printable ASCII, or has words outside comments.
-        It is also −1 if lines of one run have different numbers of values.
+        The number of lines is also −1 if lines of one run have different numbers of values.
     """
     bad = (-1, 0, 0, 0)
     line = count = used = left = 0

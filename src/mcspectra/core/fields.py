@@ -2,7 +2,8 @@
 
 A class declares, for example, ``strength: int = whole(1, least=1, most=2)``.
 When an instance is created, `check_fields` replaces each given value by the checked value.
-`mcspectra.core.spec.Component` does this for samplers, densities, integrands and similar classes.
+The base class `mcspectra.core.spec.Component` calls `check_fields` for samplers, densities,
+integrands and similar classes.
 None stays None if it is the default of the field.
 """
 

@@ -56,7 +56,7 @@ def check_light(what: str, corner: Array, edge0: Array, edge1: Array) -> float:
     corner
         One corner, relative to the illuminated point.
     edge0, edge1
-        The two edges from this corner.
+        The two edges of the light that begin at `corner`.
 
     Raises
     ------

@@ -343,7 +343,7 @@ def _exr_head(name: str) -> tuple[set[str], int, int]:
 def _read_exr(name: str, size: int, layer: str | None) -> Array:
     listed, stored, largest = _exr_head(name)
     names = _picture_channels(name, listed, layer)
-    # Memory is needed for float64 values and a mask
+    # Reading needs memory for the float64 values of the image and for a mask of its pixels
     check_decoded_size(name, size, stored + 9 * len(names) * largest)
     parts = _exr_file(name, header_only=False).parts
     planes = {name: c.pixels for part in reversed(parts) for name, c in part.channels.items()}

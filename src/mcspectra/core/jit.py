@@ -2,7 +2,8 @@
 
 `nogil` lets a thread pool run kernels in parallel; `cache` keeps compiled code between runs.
 Kernels use neither `parallel=True` nor cached `guvectorize`.
-Both options have open race conditions under worker processes (numba issues 4807, 10128).
+In worker processes, `parallel=True` and cached `guvectorize` can fail by race conditions
+(open numba issues 4807 and 10128).
 If several processes need the same kernel, one compiles it, and the others wait for its code.
 """
 
@@ -35,7 +36,8 @@ def kernel(function: Function) -> Function:
         def compile_once(signature: Any) -> Any:
             # Take numba's lock first, as nested kernels do, so that threads do not block each other
             with global_compiler_lock, _locked(f"{function.__module__}.{function.__name__}"):
-                return compile_now(signature)  # which loads the code if another process stored it
+                # This call loads the code if another process has stored it
+                return compile_now(signature)
 
         compiled.compile = compile_once
     return compiled  # type: ignore[no-any-return]
@@ -45,7 +47,8 @@ def kernel(function: Function) -> Function:
 def _locked(name: str) -> Iterator[None]:
     """Hold a lock that excludes other processes, if the platform has one; a lost lock is harmless.
 
-    Nested kernels are locked in the order of their calls, which has no circle.
+    Kernels that call each other are locked in the order of the calls.
+    No kernel calls itself through others, so no two processes wait for each other.
     After the longest wait, for example for a stopped process, the lock is not needed any more.
     """
     try:

@@ -3,7 +3,8 @@
 The annotation of a field (`msgspec.Meta`) holds the meaning and the limits of its option.
 The field holds the option's default.
 Python functions, study files, commands, the explorer and the docs use these annotations.
-Each interface passes a value to `Option.check` or a text to `Option.read`.
+Python and study files check values by `Option.check`.
+The command line and forms convert texts by `Option.read`.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ __all__ = [
     "whole_number",
 ]
 
-# Limits above this number only keep values within 64 bits. Messages do not mention them
+# Messages do not mention limits above this number, which only keep values within 64 bits
 _NO_LIMIT = 2**31
 _LISTS = (inspect.VarTupleType, inspect.TupleType)
 _SORTS: Mapping[type, Any] = {  # Python types that fit each type of option
@@ -238,7 +239,8 @@ def options_of(struct: Any) -> tuple[Option, ...]:
     for field in kind.fields:
         about, extra = _annotation(field.type)
         given = field.default
-        if field.default_factory is not msgspec.NODEFAULT:  # a function makes the default
+        # Some fields have a function that makes the default value
+        if field.default_factory is not msgspec.NODEFAULT:
             given = field.default_factory()
         found.append(Option(field.name, field.type, given, about, extra))
     return tuple(found)

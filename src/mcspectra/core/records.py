@@ -2,7 +2,8 @@
 
 A state is a dataclass whose fields are arrays, numbers or other records.
 Two states are merged field by field.
-Records with a method `merge` use this method. For example, fields of moments depend on each other.
+A record with a method `merge` is merged by this method.
+For example, the merged variance in a record of moments depends on the means of both records.
 For arrays and numbers, the annotation of the field names the rule.
 The rules are: add all (`SUM`), concatenate (`JOIN`), or keep one of equal values (`SAME`).
 The stored form is one buffer: a MessagePack header with names, types and shapes, then the numbers.
@@ -78,7 +79,7 @@ class MeanSums:
         """Return the mean over realizations and its standard error (NaN for one realization).
 
         If `sets` is given, there are only `sets` different realizations.
-        Each of them occurs equally often.
+        All different realizations occur equally often.
         """
         mean, count = self.total / self.count, self.count
         independent = count if sets is None else min(count, sets)

@@ -84,7 +84,7 @@ class Linear(_Separable):
     In one dim, the cdf is low·x + s x²/2 with low = 1 − s/2 = p(0).
     The inverse of the cdf is 2u / (low + √D) with D = low² + 2 s u.
     For s < 0, D is written as high² − 2 s (1 − u) with high = p(1).
-    Both forms are sums of positive terms, so there is no cancellation for s → 0 or s = ±2.
+    Both forms of D are sums of positive terms, so nothing cancels for s → 0 or s = ±2.
     """
 
     slope: float | tuple[float, ...] = per_dim(1.0, least=-2.0, most=2.0)
@@ -102,7 +102,7 @@ class Linear(_Separable):
 
     def _pdf(self, x: Array) -> Array:
         s = self._slopes
-        # Both forms start from the end where the density is lower
+        # Compute p(x) from its value at the end where the density is lower, to avoid cancellation
         line = np.where(s >= 0, (1.0 - 0.5 * s) + s * x, (1.0 + 0.5 * s) - s * (1.0 - x))
         return bounded_product(line, self.spec)
 
@@ -253,7 +253,7 @@ class Power(_Separable):
 
     def _pdf(self, x: Array) -> Array:
         a = self._exponents
-        # For a < 0, 0^a is infinite. Finite values may overflow, at x = 1e-320 or in products
+        # For a < 0, 0^a is infinite. Powers of tiny x, and products of powers, may overflow
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             factors = (a + 1.0) * x**a
             product = factors.prod(axis=-1)
@@ -288,7 +288,7 @@ class Exponential(_Separable):
 
     @cached_property
     def _rates(self) -> Array:
-        """Rates of all dims; flat dims have the value 1."""
+        """Rates of all dims. Dims in which the density counts as uniform have the value 1."""
         return np.where(self._flat, 1.0, self._each("rate"))
 
     def reciprocal_integral(self) -> float:
@@ -370,7 +370,7 @@ class Tent(_Separable):
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """The peak, as a position in x and in u: the cdf at the peak equals its position."""
+        """Position of the peak on each axis: the same in x and in u, because cdf(peak) = peak."""
         return tuple((c,) if 0 < c < 1 else () for c in self._peaks.tolist())
 
     def reciprocal_integral(self) -> float:
@@ -378,7 +378,7 @@ class Tent(_Separable):
         return math.inf
 
     def _rising(self, x: Array) -> Array:
-        """Whether x (or u) is on the rising side. The cdf at the peak equals its position."""
+        """Whether x is on the rising side. This also works for u, because cdf(peak) = peak."""
         return np.asarray((x < self._peaks) | (self._peaks == 1))
 
     def _heights(self, x: Array) -> tuple[Array, Array]:

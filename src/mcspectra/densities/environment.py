@@ -123,7 +123,7 @@ class EnvironmentDensity(Wrapper):
         The multiple of the mean radiance to subtract: p ∝ max(0, L − multiple · mean L).
         The subtraction is the version of [Karlik2019]_ that does not depend on a surface normal.
         False means no subtraction.
-        True means 1, which suits equal numbers of direction and BSDF samples.
+        True means the multiple 1, which suits equal numbers of light samples and BSDF samples.
         The density is then 0 at places where f is not 0, so combine it with another technique.
     warp
         The warp of the table, as in `PiecewiseConstant`, for ``interpolation="constant"``.
@@ -200,7 +200,8 @@ def compensated(
     others
         Densities of the other techniques, or spec strings.
     counts
-        Numbers of points of `density` and of the other densities, as in `MultipleImportance`.
+        Numbers of points that are drawn from `density` and from each of the other densities,
+        as in `MultipleImportance`.
         By default, all techniques have the same number of points.
 
     Returns
@@ -283,13 +284,16 @@ def _taken(others: list[Density], shares: Array, shape: tuple[int, ...]) -> Arra
 
 
 def _level(p: Array, taken: Array, share: float) -> float:
-    """Return λ such that the mean of max(0, λ p − taken) is `share`. It is found by sorting."""
+    """Return the number λ for which the mean of max(0, λ p − taken) is `share`.
+
+    The array `taken` has the densities of the other techniques, weighted by their shares.
+    """
     inside = p.ravel() > 0
     own, other = p.ravel()[inside], taken.ravel()[inside]
     ratio = other / own
     order = np.argsort(ratio)
-    # For each k, compute the λ for which exactly the first k cells exceed 0.
-    # This λ is valid if cell k + 1 does not exceed 0
+    # Sort the cells by taken/p. For each k, compute λ as if λ p > taken in the first k cells only.
+    # The computed λ is right if λ p ≤ taken in cell k + 1
     levels = (share * p.size + np.cumsum(other[order])) / np.cumsum(own[order])
     ends = np.append(ratio[order][1:], np.inf)
     return float(levels[np.flatnonzero(levels <= ends)[0]])

@@ -16,7 +16,7 @@ The point sets of the techniques are independent, shared or joint:
   Errors of techniques cancel if their integrands vary in opposite ways, and add up otherwise.
 * ``"joint"``: one set of n · Σ counts points is divided among the techniques.
   From a *sequence* (`Sampler.sequence`), technique t gets n · counts[t] consecutive points.
-  Other sets are divided into groups of Σ counts consecutive points.
+  Sets that are not sequences are divided into groups of Σ counts consecutive points.
   From each group, technique t gets counts[t] points that are chosen at random.
   Consecutive points of a stratified set are neighbors in space.
   Therefore each technique has points in every neighborhood.
@@ -302,7 +302,7 @@ class DomainEstimator(AbstractEstimator):
 
     @property
     def dims(self) -> int:
-        """Number of dims of the sampler: the dims of f, unless a warp needs more."""
+        """Number of dims of the sampler: the dims of f, or more if a warp uses more numbers."""
         return self.integrand.dims
 
     @property
@@ -431,8 +431,9 @@ def draw_sets(
 ) -> list[Array]:
     """Return the points of each technique, (count, n · counts[t], d), for several realizations.
 
-    The realizations are first … first+count−1. The first set is drawn with `stream` itself.
-    Therefore its points equal those of ``sampler.draw(size, rng)``.
+    The realizations are first … first+count−1.
+    The first technique uses `stream` itself.
+    Therefore it has the same points as ``sampler.draw(size, rng)``.
     """
     sizes = set_sizes(sets, counts, n)
     streams = [stream, *(stream.child(_TECHNIQUE + t) for t in range(1, len(sizes)))]
@@ -447,7 +448,8 @@ def draw_sets(
     if sampler.sequence:
         return np.split(drawn[0], np.cumsum([n * c for c in counts])[:-1], axis=1)
 
-    # Distribute the points within each group of Σ counts consecutive points among the techniques
+    # Divide the set into groups of Σ counts consecutive points. Within each group,
+    # distribute the points at random among the techniques
     total, group = n * sum(counts), sum(counts)
     keys = stream.child(_DEAL).uniforms(first, count, total).reshape(count, n, group)
     order = np.argsort(keys, axis=2)[..., None]

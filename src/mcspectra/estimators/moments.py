@@ -36,11 +36,11 @@ _LEAST_TAIL = 300  # With fewer values, the extreme values are not a tail
 _CLUMPS = 4.0  # If the kurtosis is at most this, extreme values are not a tail
 _LEAST_POINTS = 3000  # With fewer points, the 256 farthest values are not a tail
 # Limits for the share of the variance that comes from values beyond all sampled values.
-# This share is small if g is bounded.
-# Each key is a number of farthest values, to which a tail is fitted; its value is the limit
+# If g is bounded, values beyond the sampled values have a small share of the variance.
+# Each key is the number of farthest values to which a tail is fitted; the entry is the limit
 _BEYOND = {16: 0.005, 64: 0.02, 256: 0.15}
 # Largest allowed square of the standard error of log s².
-# Larger squares mean that s² has less than one degree of freedom.
+# With a larger error, s² has less than one degree of freedom.
 # The upper end of the interval of the variance would then be above 100 s²
 _MOST_ERROR = 2.0
 # Three limits for tails. If the tail index is above the first number,
@@ -115,7 +115,7 @@ class Measured:
         return Measured(value, value * math.exp(-half), value * math.exp(half), log=True)
 
     def __sub__(self, other: Measured) -> Measured:
-        """Return the difference from another number whose error is independent."""
+        """Return this number minus another one. The errors of the two numbers are independent."""
         value = self.value - other.value
         half = math.hypot(*((each.high - each.low) / 2 for each in (self, other)))
         return Measured(value, value - half, value + half)
@@ -136,7 +136,7 @@ class StoredSets:
     """Moments for groups of stored sets, for samplers that reuse a limited number of sets.
 
     Realization r uses the set r mod `sets`. Realizations with the same set are not independent.
-    Therefore errors come from a jackknife that omits one group of sets at a time.
+    Therefore standard errors come from a jackknife, which omits one group of sets at a time.
     """
 
     sets: int
@@ -159,7 +159,7 @@ class StoredSets:
         return StoredSets(sets, count, mean, m2)
 
     def merge(self, other: StoredSets) -> StoredSets:
-        """Return the moments of two such objects, merged group by group."""
+        """Return the moments of the sets of both objects, merged group by group."""
         count = self.count + other.count
         part = self._by_group(np.divide(other.count, count, out=0.0 * count, where=count > 0))
         delta = other.mean - self.mean
@@ -170,7 +170,7 @@ class StoredSets:
         """Return standard errors of the variance and of the mean, computed from all values.
 
         The error of the variance is divided by the variance.
-        Both errors are infinite for a single set. Each group must have values.
+        Both standard errors are infinite for a single group. Each group must have values.
         """
         groups, total = len(self.count), self.count.sum()
         if groups < 2:
@@ -245,7 +245,10 @@ class Moments:
 
     @staticmethod
     def of_points(values: Array) -> Moments:
-        """Return moments of values (N, ...) at single points, with extremes for `beyond`."""
+        """Return moments of values (N, ...) at single points.
+
+        The smallest and largest values are stored as well, because `beyond` needs them.
+        """
         return Moments.of(values, tails=True, kept=max(_BEYOND))
 
     def merge(self, other: Moments) -> Moments:
@@ -300,8 +303,9 @@ class Moments:
         """Relative standard error of the variance, from the kurtosis of the values.
 
         Var(s²)/σ⁴ = (κ − (R−3)/(R−1))/R [Kenney & Keeping 1951].
-        Few values underestimate the kurtosis κ. Therefore κ is averaged with 3, the normal one.
-        The weight of κ is the number of values, and the weight of 3 is 20.
+        Few values underestimate the kurtosis κ.
+        Therefore κ is averaged with 3, the kurtosis of a normal distribution.
+        In this average, κ has the number of values as weight, and 3 has the weight 20.
         If stored sets are reused, the result is at least the error from the jackknife.
         """
         return np.maximum(self._alone_se, self._stored_errors()[0])
@@ -355,11 +359,11 @@ class Moments:
         [Bonett2006]_ takes the kurtosis about a trimmed mean instead.
         The interval is wider upward: values that miss a tail make s² and its error too small.
         If the tail index is above 0.05, the upper end is at least the quantile for values u^−k.
-        Here k is one standard error above the index.
+        The exponent k is the estimated tail index plus one standard error.
         With these constants, 93 to 97 % of the intervals from 20 or more values are correct.
         This was tested by ``python -m benchmarks coverage``, for kurtoses up to 10.
         The tested laws were skewed, heavy-tailed, flat and two-peaked.
-        The effect of the constants vanishes as the number of values R grows.
+        As the number of values R grows, the interval depends less and less on these constants.
         """
         low, high = self._log_errors()
         few = student_t(self.degrees) * self._stored_errors()[0]
@@ -379,7 +383,7 @@ class Moments:
 
         In three cases the values do not bound the variance.
         First, one or two values may have most of the variance.
-        Second, the tail index of the squared values may exceed 0.64 while the kurtosis exceeds 4.
+        Second, the squared values may have a tail index above 0.64 and a kurtosis above 4.
         Above 0.64 the mean is far from normal for any feasible number of values [Vehtari2024]_.
         Values that form a few clumps have a kurtosis of at most 4, so they do not count as a tail.
         Third, each value may be a mean over points, and g at these points may follow a power law.
@@ -399,7 +403,7 @@ class Moments:
 
         An index of 0 means an exponential tail, and ½ means infinite variance.
         Probability-weighted moments [HoskingWallis1987]_ estimate the index from 63 distances.
-        They are the distances of the 63 largest values from the 64th, in the longer tail.
+        In the longer tail, these are the distances of the 63 largest values from the 64th largest.
         The two sides are not combined, because one tail may end where the other begins.
         The index is NaN for fewer than 300 values, or without `tails`.
         """
@@ -419,7 +423,10 @@ class Moments:
         return np.asarray(np.where(np.isfinite(index), share * law, 0.0))
 
     def _farthest(self, many: int) -> tuple[Array, Array]:
-        """Return distances of far values from the mean, on the farther side, and the tail index."""
+        """Return the largest distances from the mean, and the tail index fitted to them.
+
+        Of the two tails, the one that reaches farther from the mean is used.
+        """
         assert self.extremes is not None
         below = (self.mean - self.extremes[:many])[::-1]
         above = self.extremes[-many:] - self.mean
@@ -428,7 +435,7 @@ class Moments:
 
         # Some values lie on a grid, for example the fraction of points that hit a light.
         # Such a value represents the grid cell around it.
-        # Therefore the tail begins half a grid step below the smallest of the far values
+        # Therefore the tail begins half a grid cell below the smallest value in the tail
         step = np.where(excess > 0, excess, np.inf).min(axis=0)
         grid = (excess[0] == 0) & (far[0] > 0) & np.isfinite(step)
         excess = excess + np.where(grid, step / 2, 0.0)
@@ -469,8 +476,8 @@ def _tail_end(index: Array, count: int) -> Array:
     k = np.clip(index + _INDEX_ERROR, _TAIL_INDICES[0], _TAIL_INDICES[-1])
     columns = np.arange(len(_TAIL_INDICES))
     place, rows = np.interp(k, _TAIL_INDICES, columns), np.log(_TAIL_COUNTS)
-    # Between two rows, the upper end is interpolated as a power of the count.
-    # For counts outside the table, the power between the two nearest rows is used
+    # Between two rows of the table, interpolate the upper end as a power of the count.
+    # For counts outside the table, use the power that fits the two nearest rows
     x = math.log(count)
     row = int(np.clip(np.searchsorted(rows, x) - 1, 0, len(rows) - 2))
     part = (x - rows[row]) / (rows[row + 1] - rows[row])
@@ -495,7 +502,7 @@ def variance_interval(variance: Array, relative_se: Array) -> Array:
     from scipy.special import gammaincinv
 
     half = 1.0 / np.square(relative_se)
-    with np.errstate(divide="ignore"):  # If ν is tiny, there is no upper end
+    with np.errstate(divide="ignore"):  # If ν is tiny, the upper end is infinite
         low, high = (variance * half / gammaincinv(half, p) for p in (0.975, 0.025))
     return np.stack([low, high], axis=-1)
 

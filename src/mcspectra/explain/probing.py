@@ -5,14 +5,14 @@ The step is halved repeatedly around the largest second difference.
 Each halving takes two evaluations of g.
 The second difference shrinks with the square of the step where the function is smooth.
 At a kink, the second difference is proportional to the step.
-At a cusp |t|^a, it is proportional to the power a of the step.
+At a cusp |t|^a, the second difference is proportional to the power a of the step.
 The second difference stays constant at a jump, and it grows at a pole.
 Steps shrink faster toward the ends of lines along the axes.
 There the slope of log |g| is the exponent with which g grows at the border.
 
 Another search, called a climb, moves uphill to poles.
 A climb starts at the largest or the smallest known value of g.
-It moves in random directions in which |g| grows.
+The climb moves in random directions in which |g| grows.
 If |g| grows in none of the tried directions, the step is halved.
 The ellipsoid of directions adapts to the moves ([Hansen2001]_).
 The climb ends early if the function is bounded.
@@ -25,7 +25,8 @@ If the top is on faces of the cube, each of these faces adds one to the codimens
 The volume in which |g| > λ is ∝ λ^(−k/a).
 Therefore ∫g² is infinite for a/k ≥ ½, and the integral does not exist for a/k ≥ 1.
 Where several faces meet, g may be a product of powers of the distances to these faces.
-The tail of g follows the largest power at a single face, or the mean power of all faces.
+The distribution of large |g| depends on the largest power at a single face,
+or on the mean of the powers at all these faces.
 """
 
 from __future__ import annotations
@@ -99,7 +100,7 @@ class LineSettings:
     kink: float = 1.6
     # Smallest height of a jump, as a fraction of the spread of g.
     # A jump of 1e-4 of the spread has 1e-8 of the variance.
-    # Such a jump does not matter at any number of points of a profile.
+    # With the points of a profile, the variance of so small a jump is always negligible.
     # Values from 5e-5 to 2e-4 give the same results.
     least_jump: float = 1e-4
     # Second differences below this fraction of the spread of g count as rounding.
@@ -111,23 +112,24 @@ class LineSettings:
     # A sum of a thousand terms in random order is off by about √1000 = 32 spacings.
     # Values from 16 to 64 give the same results.
     grains: float = 32.0
-    # g grows up to the end of a line if the last gain, divided by the gain before, is above this.
+    # g grows up to the end of a line if |g| grows enough between the last two distances.
+    # The last growth, divided by the growth before, must be above this number.
     # The ratio is 2^−10 for a bounded function, 1 for ln t, and 2^(10a) for t^−a.
     # Values from 0.33 to 0.65 give the same results.
     # With the value 1.3, logarithmic growth is missed, and six of 152 causes are wrong.
     goes_on: float = 0.65
     # Largest distance of the parallel line that tests whether a jump is normal to the axis.
-    # If the edge has a slope of 1, its place on the parallel line differs by at least 0.0025.
-    # This distance is a hundred times the last step of the halvings.
+    # If an edge has a slope of 1, it crosses the parallel line at least 0.0025 farther.
+    # After the last halving, the step is only a hundredth of 0.0025.
     # Values from 0.0025 to 0.01 give the same results.
     aside: float = 0.005
     # Number of groups of axes. An oblique line (chord) is displaced along one group at a time.
     # If an edge is normal to an axis, only the group with this axis moves a chord off the edge.
     # An edge that is oblique to two axes seems normal to an axis with probability 1/3.
-    # With more axes this probability is smaller.
+    # If the edge is oblique to more than two axes, the probability is smaller.
     groups: int = 3
     # Distances from both ends at which g is evaluated on a line along an axis.
-    # The last two distances have the ratio 2^10. Between them, even t^−0.08 grows 1.7 times.
+    # Between the last two distances, which have the ratio 2^10, even t^−0.08 grows 1.7 times.
     # 2^−40 is still exact next to 1. Half and twice these distances give the same results.
     ends: tuple[float, ...] = (2.0**-4, 2.0**-12, 2.0**-20, 2.0**-30, 2.0**-40)
     # Distance from an end of a line at which g must be computable.
@@ -172,10 +174,10 @@ class PoleSettings:
     # Number of halvings in a group. The climb is judged by the medians of its last three groups.
     # With 2, one of 18 poles is wrong; values from 3 to 6 give the same results.
     group: int = 3
-    # Limit for the last gain in height, divided by the gain before it.
-    # If this ratio is below the limit, g counts as bounded, and the climb ends.
+    # A climb ends if the height grows less and less after each group of halvings of the step.
+    # If the last gain in height is below this multiple of the gain before, g counts as bounded.
     # Near a smooth top, three halvings multiply the gain in height by 4^−3.
-    # Near a pole where g grows like ln r, all gains are equal.
+    # Near a pole where g grows like ln r, the height gains the same amount each time.
     # Values from 0.15 to 0.6 give the same results.
     bounded: float = 0.3
     # Number of rays from the top. The median of their exponents is used.
@@ -188,7 +190,7 @@ class PoleSettings:
     # The smallest radius is 16: if the top is off by one step, the distance changes by 6 % at most.
     # Half and twice these radii give the same results.
     radii: tuple[float, ...] = (2.0**4, 2.0**6, 2.0**8, 2.0**10, 2.0**12)
-    # Number of small radii at which g is also evaluated toward each single face.
+    # Number of the smallest radii at which growth toward one face alone is measured.
     # Three radii determine an exponent, whatever constant is added to g.
     # With 2 radii, four of 152 causes are wrong; values from 3 to 6 give the same results.
     near: int = 3
@@ -196,8 +198,8 @@ class PoleSettings:
     # Values from 0.125 to 0.5 give the same results.
     rising: float = 0.25
     # Distance from all other faces at which growth toward one face is measured.
-    # The distance is in units of the last step.
-    # It is half of the first step, and 2^7 times the third radius in `radii`.
+    # The unit of this distance is the last step of the climb.
+    # The value is half of the first step, and 2^7 times the third radius in `radii`.
     # Values from 2^14 to 2^16 give the same results.
     away: float = 2.0**15
     # If the exponent is above this value, the function grows toward one face alone.
@@ -215,7 +217,7 @@ class PoleSettings:
     # The height at a point is the distance of g from the median of its known values.
     # Values from 8 to 32 give the same results.
     compared: int = 16
-    # A climb starts only if the largest and the last of these heights differ by this fraction.
+    # A climb starts only if the largest and the least compared height differ by this fraction.
     # Values from 0.05 to 0.2 give the same results.
     stands_out: float = 0.1
     # Growth with an exponent below this value counts as logarithmic.
@@ -253,7 +255,7 @@ class Lines:
         Size of the change of g at the roughest place: (K,).
     straight
         Whether the change of g stays in place if the line is displaced along other axes.
-        This indicates a discontinuity that is normal to one axis: (K,).
+        A discontinuity whose change stays in place is normal to one axis: (K,).
     growth
         Exponents a of g ~ t^−a at both ends of a line, 0 if g does not grow there: (K, 2).
         NaN for chords.
@@ -268,7 +270,8 @@ class Lines:
     settings
         Settings of lines, with the limits of the exponents.
     failed
-        Reason, with a position, why g has no values close to some ends; empty if it has values.
+        If g could not be evaluated close to some ends of lines: the reason, with a position.
+        The text is empty if all evaluations succeeded.
         If g has no values close to an end, no growth is reported at this end.
     """
 
@@ -297,7 +300,7 @@ class Lines:
         """Return lines through poles or cusps, and whether they go through poles.
 
         The exponent of a single line through a cusp may be negative by chance.
-        The median exponent is not negative by chance.
+        Therefore the median over the lines decides between a cusp and a pole.
         """
         steep = self._rough & (self.exponent < self.settings.cusp)
         return steep, bool(steep.any() and np.median(self.exponent[steep]) < 0.0)
@@ -431,7 +434,7 @@ def lines_of(
 
     # Halve the steps around the largest second difference.
     # Near an end, second differences are used only if g does not grow toward this end.
-    # Every second line uses the largest fourth difference instead.
+    # Every second line halves its steps around the largest fourth difference instead.
     # A fourth difference shows a kink even if g is steep elsewhere
     wide = np.full((2, len(axis)), np.nan)
     wide[:, straight] = np.where(grows, np.nan, outer[..., 1])
@@ -456,13 +459,13 @@ def lines_of(
     floor = max(settings.negligible * scale, settings.grains * grain(y[:, 1:-1]))
     rough = size[-1] > floor
     # Ignore second differences at rounding level: they are meaningless.
-    # If the last second difference is at this level, use the first one that is above the level
+    # If the last one is at rounding level, use the first second difference above this level
     first = np.argmax(size > floor, axis=0)
     size = np.where(size > floor, size, np.maximum(size[first, rows], 1e-300))
     slope = -np.polyfit(np.arange(settings.late + 1), np.log2(size), 1)[0]
     exponent = np.where(rough, slope, 2.0)
-    # At a steep end there is neither a jump nor a kink.
-    # For example, bounded functions of normal quantiles have steep ends
+    # A steep end of a line is neither a jump nor a kink.
+    # Bounded functions of normal quantiles, for example, are steep at the ends of lines
     edge = np.abs(window[:, 1] - 0.5) > 0.5 - 4.0 * gaps[1]
     exponent[edge & (exponent >= settings.pole)] = 2.0
 
@@ -481,10 +484,10 @@ def lines_of(
         ends_y = np.where(left, np.hstack([ends_y[:, :1], new]), np.hstack([new, ends_y[:, 1:]]))
     kept[may] = np.abs(np.diff(ends_y, axis=1)[:, 0]) / np.maximum(height[may], 1e-300)
 
-    # Displace the smallest steps around the roughest place toward the center of the cube.
+    # Evaluate g again at the ends of the smallest steps, displaced toward the center of the cube.
     # A line parallel to an axis is displaced along all other axes at once.
     # A chord, which is oblique, is displaced along one group of axes after another.
-    # A discontinuity that is not normal to an axis moves away
+    # On the displaced line, a discontinuity that is not normal to an axis lies at another place
     stays = np.ones(len(axis), bool)
     if dims > 1:
         groups = min(settings.groups, dims)
@@ -536,7 +539,7 @@ def mean_dimension(g: Function, points: Array, values: Array, rng: np.random.Gen
 
     T_i is half the mean squared change of g when coordinate i is redrawn.
     The values (k,) of g at the points (k, d) are given.
-    For each of these points, g is evaluated at d more points.
+    For each of the k points, g is evaluated at d more points.
     """
     k, d = points.shape
     total = 0.0
@@ -572,7 +575,7 @@ class Pole:
 
     @property
     def tail(self) -> float:
-        """Tail index a/k of the values of the function."""
+        """Tail index of the values of the function: the exponent a divided by the codimension k."""
         return self.exponent / self.codimension
 
 
@@ -710,6 +713,6 @@ def _measured(
 
 
 def _slopes(values: Array) -> Array:
-    """Return exponents a of values c + b r^−a at radii r, 4r, … (m, k), as (m − 2, k)."""
+    """Return the exponents a, (m − 2, k), if c + b r^−a has the values (m, k) at radii r, 4r, …"""
     falls = np.maximum(values[:-1] - values[1:], 1e-300)
     return np.asarray(np.log(falls[:-1] / falls[1:]) / math.log(4.0))

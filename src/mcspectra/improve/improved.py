@@ -16,13 +16,13 @@ The changes of these kinds keep the integral, whatever the evaluations of g are:
   At one point of each line, g jumps or becomes nonzero.
   The mean has three parts: one on each side of this point, and one over a bracket around it.
     Each part of the mean is sampled at one or two points.
-  The bracket depends on the other coordinates only.
+  The position of the bracket on a line depends on the other coordinates only.
   Therefore the expectation of the sum over the three parts is the expectation of g.
 
 `Cubic` needs no pilot: it subtracts polynomials from g.
 These polynomials go through the values of g at the centers of cells.
 `Periodized` substitutes the variables, so that g is constant at the border and periodic.
-It needs only a constant near the integral.
+For this substitution, only a constant near the integral has to be known.
 
 The expected gain of a change is computed from evaluations that were not used in its fit.
 """
@@ -70,17 +70,17 @@ class ChangeSettings:
     # Eight rounds are no better than four (`benchmarks improvements`).
     rounds: int = 4
     # Settings with which `fit_splines` fits joint densities, and products of 1-D densities.
-    # The first number is the number of cells along each axis.
-    # The second number counts the parts of a mixture; 0 stands for a flow.
-    # The third number of a setting is the weight of the smoothness penalty.
-    # The first joint setting is also fitted in each round, to place the points of the next round.
+    # In each triple, the first number is the number of cells along each axis.
+    # The second number of a triple is the number of densities in a mixture; 0 means a flow.
+    # The third number of a triple is the weight of the penalty on roughness.
+    # After each round, the first joint density is fitted, to place the points of the next round.
     # Without the flow, the variance of a ridge across two axes is 17 times as large.
-    # Without the product of 24 cells, the fitted density follows a narrow peak less well.
-    # Without the joint mixture of 4 parts, all results are the same.
+    # Without the product with 24 cells per axis, the density fits a narrow peak less well.
+    # Results do not change without the joint mixture of 4 densities.
     joint: tuple[tuple[int, int, float], ...] = ((16, 0, 1e-4), (12, 4, 1e-3))
     products: tuple[tuple[int, int, float], ...] = ((12, 1, 1e-3), (24, 1, 1e-4))
     # Maximum number of dims in which joint densities are tried.
-    # With 16 cells, a flow of d axes has about 36 d² weights.
+    # A flow (a learned map) with 16 cells per axis has about 36 d² weights in d dims.
     # In 5-D the number of weights is a fifth of the number of evaluations in the largest pilot.
     most_joint_dims: int = 5
     # Share of the uniform density in a fitted density. It limits g/q to 20 |g|, but adds variance.
@@ -110,18 +110,18 @@ class RegressionSettings:
 
     # Least number of evaluations for each coefficient.
     # With k evaluations, a fit of p coefficients multiplies the remaining variance by 1 + p/k.
-    # With 4 evaluations for each coefficient, this factor is at most 1.25.
+    # With 4 evaluations for each coefficient, the factor 1 + p/k is at most 1.25.
     # With 2 or 8, the results of four problems of `benchmarks improvements` are the same.
     evaluations_per_term: int = 4
     # Regularization: a number that is added to the diagonal of the normal equations.
-    # The number is relative to the mean squares of the basis functions, which are 1.
+    # The basis functions have mean square 1, so this number is a relative one.
     # Results are the same to three digits for values from 1e-12 to 1e-4.
     ridge: float = 1e-9
     # Maximum number of terms of a basis, which limits the cost of an evaluation.
     # Results are the same for 128 and 512.
     most_terms: int = 256
-    # Candidates for two degrees of polynomials. The first is the largest degree in one coordinate.
-    # The second is the largest total degree of products of two coordinates.
+    # Pairs of degrees that are tried. The first degree is the largest one in a single coordinate.
+    # The second degree is the largest total degree of products of two coordinates.
     # Candidates range from linear functions to products of degree 8.
     # One candidate is chosen by evaluations that were not used in the fit.
     degrees: tuple[tuple[int, int], ...] = (
@@ -138,9 +138,9 @@ class RegressionSettings:
     # For example, half of E z⁸ comes from |z| > 2.9, a region of probability 0.004.
     most_normal_degree: int = 3
     # Number of leading directions of z for which separate bases are tried.
-    # In fewer directions, a basis with the same number of terms has higher degrees.
+    # A basis over fewer directions reaches higher degrees with the same number of terms.
     # With one direction, the remaining variance of a ridge is 1.6 times as large.
-    # With four, the remaining variance of an Asian option in 16-D is 1.1 times as large.
+    # With four directions, the remaining variance of an Asian option in 16-D is 1.1 times as large.
     turned: int = 2
 
 
@@ -186,7 +186,10 @@ class Evaluations:
         return _quantiles(self.points)
 
     def turned(self, matrix: Array) -> Evaluations:
-        """Return the same values at other points, which the rotation maps to the present points."""
+        """Return these evaluations for the rotated integrand: the values stay, the points change.
+
+        The rotation maps the new points to the points of this object.
+        """
         return replace(self, points=_Normal(matrix.T).sample(self.points))
 
     @cached_property
@@ -223,8 +226,8 @@ class Evaluations:
     def variance(self, pdf: Array | None = None) -> float:
         """Return the variance of g/q at points of density q, by default the uniform density.
 
-        A ratio of weighted sums estimates the mean.
-        The variance is the mean square deviation from this ratio.
+        The mean of g/q is estimated by a ratio of weighted sums.
+        The variance is the mean square deviation from the estimated mean.
         This avoids cancellation if g/q is almost constant.
         """
         q = np.ones(len(self.pdf)) if pdf is None else pdf
@@ -417,10 +420,10 @@ class Cubic(_Changed):
     """Integrand g minus a polynomial in each of side^d cells ([Chopin2024]_).
 
     The polynomial has degree r − 1 along each axis, and equals g at the centers of r^d cells.
-    These are the r nearest cells along each axis.
+    The r^d cells are the r nearest cells along each axis.
     The mean of the polynomial over the cell is added again, so the integral does not change.
     If r is even, each point is averaged with its image about the center of the cell.
-    Such a mean contains no odd powers. Therefore r = 2 needs no polynomial.
+    The average with the image contains no odd powers. Therefore r = 2 needs no polynomial.
     Jittered points in the same cells have a variance ∝ n^(−1 − 2r/d) if g has r derivatives.
 
     Attributes
@@ -480,7 +483,8 @@ class Cubic(_Changed):
         at, weights = np.polynomial.legendre.leggauss(self.order)
         means = lagrange((cell - first)[..., None] + 0.5 * at).swapaxes(-1, -2) @ (0.5 * weights)
 
-        # Multiply the polynomials of all axes, and subtract the products of their means: (k, r^d)
+        # Compute the weight of each value of g: products of the polynomials of all axes,
+        # minus products of their means, (k, r^d)
         stencil = np.indices((self.order,) * self.dims).reshape(self.dims, -1)
         axes = np.arange(self.dims)
         found = [lagrange(x * self.side - 0.5 - first) for x in places]
@@ -663,7 +667,7 @@ def _normal(seen: Evaluations, stretch: str, least_spread: float) -> _Map:
     d, effective = z.shape[1], 1.0 / float((weights**2).sum())
     mean = weights @ z
     # If points are few, shrink the means toward 0 and the variances toward 1.
-    # These are the moments of z for uniform points
+    # For uniform points, z has mean 0 and variance 1
     size = float(mean @ mean)
     mean = mean * max(0.0, 1.0 - d / (effective * size)) if size > 0.0 else mean
     covariance = np.eye(d)
@@ -724,9 +728,9 @@ def _order(g: Integrand, seen: Evaluations, settings: ChangeSettings) -> _Found:
 def _preintegrated(g: Integrand, seen: Evaluations, settings: ChangeSettings) -> _Found:  # noqa: ARG001
     """Take means along the axis that leaves the least variance, or along the first direction.
 
-    The remaining variance has two bounds.
-    The lower bound comes from the terms of a regression that do not depend on this axis.
-    The upper bound is the variance without the main effect of this axis.
+    The variance that remains after taking means along an axis lies between two bounds.
+    The lower bound comes from the terms of a regression that do not depend on the axis.
+    The upper bound is the variance without the main effect of the axis.
     The expected variance is the geometric mean of the two bounds.
     Squared coefficients are estimated by products of coefficients from two halves.
     """
@@ -782,7 +786,7 @@ def improvements(
 ) -> Iterator[Candidate]:
     """Yield changed estimators with the same integral, without new evaluations of g.
 
-    Expected ratios of variances hold for random points.
+    The expected ratios of variances are those with random points.
     For *order*, main effects are excluded from the compared variances, because nets remove them.
     All ratios are computed from evaluations that were not used in the fit.
 
@@ -793,10 +797,10 @@ def improvements(
     seen
         Evaluations of the set-up's `primary_integrand`; only ``fitted`` accepts non-uniform points.
     kinds
-        Kinds of change, some of `CHANGES`.
+        Kinds of change to make. The names of all kinds are the keys of `CHANGES`.
     charged
         Number of pilot evaluations that are added to the cost of each change.
-        It is 0 if these evaluations were made for another purpose anyway.
+        Give 0 if the pilot evaluations were made for another purpose anyway.
     settings
         Settings of the changes.
 

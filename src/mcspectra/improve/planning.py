@@ -7,8 +7,8 @@ Scrambled nets give the variance of several samplers at once (`mcspectra.explain
 Other samplers draw their own sets.
 A measurement has stages. Each stage doubles the evaluations, and none is repeated.
 The measurement ends at the first stage whose interval of n is narrow enough.
-A smaller target error never gives fewer points, because it does not change any simulation.
-The target error is only compared with the errors of the simulations.
+A smaller target error never gives fewer points.
+The simulations do not depend on the target error, which is only compared with their errors.
 No stage returns an n that an earlier stage excluded.
 """
 
@@ -60,7 +60,7 @@ class PlanSettings:
     # `predict` also searches for the asymptotic rate up to this count.
     octaves: int = 16
     # The predicted curve extends below the target variance by this factor.
-    # Then the upper ends of intervals also reach the target.
+    # Because of this margin, the upper ends of intervals reach the target as well.
     margin: float = 4.0
     # Largest planned number of points. Larger numbers do not fit into a 64-bit integer.
     most: int = 2**62
@@ -91,7 +91,8 @@ class MeasuredPlanSettings:
     # In all other stages, the number of points per set is doubled.
     # With doubling = 3, there are 128 sets at 2^18 evaluations.
     # The standard error of the variance is then 12 %.
-    # With doubling = 2, sets are half as large. Rates of functions with jumps become uncertain.
+    # If the number of sets were doubled in every second stage, sets would be half as large.
+    # Rates of functions with jumps would then become uncertain.
     doubling: int = 3
     # Least number of points in each set of the first stage.
     # With 8 points, parts of a set give variances at smaller counts, and these give a rate.
@@ -104,7 +105,7 @@ class MeasuredPlanSettings:
     # A variance from 256 sets has a relative standard error of √(2/256) = 9 %.
     enough: int = 256
     # The target error is compared with a piecewise linear curve of the variance.
-    # This is the number of counts per octave on the curve.
+    # The curve has this number of points per octave of n.
     parts: int = 16
 
 
@@ -388,9 +389,9 @@ def _least(
     before = [k for k in known if k < first]
 
     # Bisect between the last count that misses the target and the first count that reaches it.
-    # Several octaves can be between these counts, because the curve need not be monotone.
-    # Searches for two targets take the same steps while both are reached or both are missed.
-    # If only the larger target is reached, the search for the smaller one continues to larger n.
+    # The two counts can differ by several octaves, because the curve need not be monotone.
+    # A smaller target never gives a smaller n: its search bisects at the same counts,
+    # or continues at larger n where only the larger target is reached.
     # Nets are balanced only at powers of their base
     if not before or _base(estimator.law(sampler, counts[first])):
         return best
@@ -525,7 +526,7 @@ class _Nets:
         assert sizes is not None
         nets, n = sizes[0], 1 << (sizes[1] // sizes[0]).bit_length() - 1
         points = estimator.draw(as_sampler(NETS, estimator.dims), n, self.stream, 0, nets)
-        # The first points of the first nets are known from the previous stage
+        # Values at the first points of the first nets are known from the previous stage
         values = []
         for t, u in enumerate(points):
             all_values = np.empty((*u.shape[:2], channels))
@@ -706,7 +707,8 @@ class _Ladder:
     def reaches(self, target: Array, side: int) -> float:
         """Return the logarithm of the least n at which a curve reaches the target.
 
-        Side 0 is the curve of the variance; sides −1 and 1 are the ends of its interval.
+        Side 0 is the curve of the variance.
+        Sides −1 and 1 are the curves of the lower and the upper end of its interval.
         """
         off = (self.logs + side * self.half - np.log(target)).max(axis=1)
         return _crossing(np.log(self.n), off)
@@ -861,7 +863,7 @@ def plan(
         ``planned_error`` is the RMSE at ``planned_n``.
         ``target_variance`` is the square of the target.
         ``predicted_variance(n)`` with ``predicted_variance_ci(n, bound)`` is the curve of variance.
-        The counts of this curve are allowed powers of two.
+        The predicted curve has values at the powers of two that the sampler allows.
         The curve ends at a quarter of the target variance or at 2^16 points.
         For larger n it is extrapolated by the last slope, which ``how`` reports.
         The coordinates ``method`` and ``how`` are the same as in `predict`.

@@ -127,7 +127,8 @@ def smoothing_scan(
 
     # Compute the bias ∫ f_δ − ∫ f, (W[, channels]).
     # The errors of the two integrals give an interval of the squared bias
-    kept = [g is f or isinstance(g, BoxSmoothed) for g in functions]  # Means over boxes keep ∫f
+    # Smoothing by means over boxes does not change the integral of f
+    kept = [g is f or isinstance(g, BoxSmoothed) for g in functions]
     pairs = list(zip(functions, kept, strict=True))
     accuracy = [0.0 if k else integral_accuracy(f)[1] + integral_accuracy(g)[1] for g, k in pairs]
     none = np.zeros(f.channels or ())

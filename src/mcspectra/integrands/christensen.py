@@ -1,6 +1,7 @@
 """The five test functions on the unit square of [Christensen2018]_.
 
-Three are discontinuous (quarter disk, triangle, step). Two are smooth (Gaussian, bilinear).
+Three functions are discontinuous (quarter disk, triangle, step).
+The other two functions are smooth (Gaussian, bilinear).
 Each is an integrand of this package, under the name that the paper gives it.
 """
 

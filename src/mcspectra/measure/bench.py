@@ -78,8 +78,8 @@ class BenchSettings:
     # Larger maps are shortened when they are printed. Spectra in more dims are omitted.
     half_widths: tuple[int, ...] = (256, 64, 20)
     # Number of sets whose figures of quality are averaged.
-    # At 256 points in 2-D, single figures of scrambled nets differ by 1 to 5 %.
-    # Single figures of random points differ by 11 to 27 %.
+    # At 256 points in 2-D, the figures of two scrambled nets differ by 1 to 5 %.
+    # The figures of two sets of random points differ by 11 to 27 %.
     # Means of 8 sets are therefore accurate to 2 % for nets and 10 % for random points.
     quality_sets: int = 8
     # Least number of sets for an interval of the pair correlation.
@@ -153,7 +153,7 @@ def sampler_bench(
     dims
         One or several numbers of dims. The integrands are built for all of them.
         Spectra, pair correlations, quality and speed use only the first of these numbers.
-        Projections use all numbers.
+        Projections are measured for every one of the numbers of dims.
     realizations
         Number of realizations for each variance. The number of given sets is an upper limit.
     rng
@@ -195,8 +195,8 @@ def sampler_bench(
     Notes
     -----
     Six integrands are Genz's families [Genz1984]_ with his difficulties.
-    The others are a half-space with an oblique border, and Sobol's g-function.
-    In up to 3 dims, a ball is added.
+    Two other integrands are a half-space with an oblique border, and Sobol's g-function.
+    In up to 3 dims, there is also the indicator function of a ball.
     Genz's families are smooth, have a kink, or have an axis-parallel jump.
     All results except ``points_per_second`` depend only on the samplers and the seed.
     Every sampler has its own stream of random numbers.
@@ -234,7 +234,7 @@ def sampler_bench(
         if reason is not None and not sources:
             raise reason
         # Skip dims in which a sampler allows only one of the requested counts.
-        # Strata in 10-D are an example
+        # In 10-D, for example, strata allow few numbers of points
         single = [d for d, each in sources.items() if len(_nearest(each, asked)) < 2]
         for d in single if len(single) < len(sources) else ():
             del sources[d]

@@ -87,7 +87,7 @@ class StageSettings:
     # Results are the same for values from 50 to 200.
     first: int = 100
     # Each stage lengthens the sample by a factor between these two limits.
-    # A stage that is a quarter longer confirms the previous stage.
+    # If a sample that is a quarter longer is also accurate enough, the search ends.
     # After a factor of 4 the kurtosis is twice as accurate, so the next length is better chosen.
     # In a search for an error of 10 %, a least factor of 1.1 leads to an error of 10.3 %.
     # In the same search, a least factor of 1.25 leads to an error of 9 %.
@@ -96,7 +96,7 @@ class StageSettings:
     # (`python -m benchmarks settings --stages`).
     step: float = 1.25
     leap: float = 4.0
-    # Number of realizations without spread after which the search ends.
+    # The search ends if all estimates are equal after this number of realizations.
     # An event of probability 3e-4 occurs in 10,000 realizations with probability 95 %.
     blank: int = 10_000
     # The usual length of a block is divided by this number, so that threads share small analyses.
@@ -213,7 +213,8 @@ class Convergence(Counted, frozen=True, kw_only=True):
         v, r, f = (np.moveaxis(a, 2, 0) for a in (variance, relative, floor))
         fits = fit_rates(np.array(self.counts), v, r, f, self.fit_last)
 
-        # If a variance was missed, its interval has no upper end, and the rate has no interval
+        # If estimates missed the source of the variance, its interval has no upper end.
+        # The rate then has no interval
         measured = {
             "realizations": np.broadcast_to(count[..., None], variance.shape),
             "variance": variance,
@@ -429,7 +430,8 @@ def convergence(
 
         ``realizations_used(n)`` is the number of realizations.
         With `relative_error`, ``reached(n)`` is 1 if this error was reached.
-        ``reached`` is 0 if `realizations` was reached first, or there was no spread.
+        ``reached`` is 0 if the maximum `realizations` was reached first.
+        It is also 0 if all estimates were equal.
 
         ``rate`` has the interval ``rate_ci(bound)``.
         ``fit_first_n`` is the smallest count of the fit.
@@ -618,7 +620,7 @@ class MomentsCell:
                 return [(moments, now and before)]
             before = now
             # Predict the number of realizations for which the error is small enough.
-            # A stage has a least and a largest length
+            # The factor by which a stage lengthens the sample is limited from below and above
             excess = math.inf if blank else error / relative_error
             longer = min(max(excess**2, settings.step), settings.leap)
             stop = min(most, math.ceil(moments.count * longer))

@@ -66,8 +66,8 @@ GivenAxes: TypeAlias = "Axes | Iterable[Axes] | np.ndarray[Any, Any] | None"
 FORMATS = (".svg", ".png", ".pdf", ".pgf")
 """Extensions of files that `write` accepts."""
 
-# Figure widths in inches: for small pictures, for one or two columns of panels,
-# and for more columns or wide plots
+# Figure widths in inches. The three widths are for small pictures,
+# for one or two columns of panels, and for more columns or wide plots
 _TINY, _NARROW, _WIDE = 2.35, 4.9, 7.4
 # In inches: smallest side of one of several panels, and largest side of a square panel
 _LEAST_SIDE, _LARGEST_SQUARE = 2.3, 3.4
@@ -178,7 +178,7 @@ def draw(plot: Plot, axes: GivenAxes = None, *, pyplot: bool = False, look: Look
         if not scale.label or scale.kind == "names":
             continue
         extend: Any = "max" if scale.beyond else "neither"
-        # The bar is on the right, or below if the width is given
+        # The color bar is right of the panels, or below them if the width of the figure is given
         below = look.width is not None
         place: dict[str, Any] = {"location": "bottom", "aspect": 32} if below else {"aspect": 24}
         bar = figure.colorbar(drawn, ax=where, shrink=0.85, pad=0.02, extend=extend, **place)
@@ -230,7 +230,7 @@ def encode(figure: Figure, *, with_pdf: bool = True) -> tuple[bytes, bytes]:
         pixels = np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3])  # type: ignore[no-untyped-call]
         pdf = io.BytesIO()
         if with_pdf:
-            # Call the backend directly: savefig would draw the figure again for the layout
+            # Write the PDF by the backend itself, because savefig would compute the layout again
             figure.set_dpi(_PDF_DPI)
             metadata = {"CreationDate": None, "Creator": "mcspectra"}
             FigureCanvasPdf(figure).print_pdf(pdf, metadata=metadata)  # type: ignore[no-untyped-call]
@@ -501,7 +501,8 @@ def _panel(axes: Axes, panel: Panel, look: Look) -> Iterator[tuple[Scale, Scalar
             options = {"linthresh": axis.threshold, "linscale": _LINEAR}
             getattr(axes, f"set_{which}scale")("symlog", **options)
         if axis.low is not None and axis.high is not None:
-            # Otherwise whiskers at a single point of a logarithmic axis divide by a width of 0
+            # Set the limits before the whiskers are drawn. On a logarithmic axis with one point,
+            # whiskers would otherwise divide by a width of 0
             getattr(axes, f"set_{which}lim")(axis.low, axis.high)
     found: dict[Scale, ScalarMappable] = {}
     for k, mark in enumerate(panel.marks):
@@ -809,7 +810,8 @@ def _handle(marks: list[Mark | str]) -> Any:
     if not lines and not dots:
         opacity = first.opacity if isinstance(first, BarChart) else 1.0
         return Patch(facecolor=color, alpha=opacity, linewidth=0)
-    stroke = bool(dots) and dots[0].marker == "|"  # a stroke is drawn by its edge: it has no area
+    # The marker "|" is a stroke without area, so only its edge is drawn
+    stroke = bool(dots) and dots[0].marker == "|"
     return Line2D(
         [], [], color=color, ls=getattr(lines[0], "dashes", "-") if lines else "none",
         lw=lines[0].width if lines else 0.0, marker=dots[0].marker if dots else "none",

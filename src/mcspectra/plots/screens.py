@@ -250,7 +250,8 @@ def _errors(group: Group, _: Styles) -> Plot:
                     panels.append(Panel(marks=(), x=Axis(ticks={}), y=Axis(ticks={}), note=" "))
                     continue
                 name, each = listed[k]
-                each = each.isel(frame=slice(each.sizes["x"]))  # square: as many frames as pixels
+                # Show as many frames as a row has pixels, for a square picture
+                each = each.isel(frame=slice(each.sizes["x"]))
                 image = Heatmap(
                     values=each[variable].transpose(down, across).values,
                     x=each[across].values.astype(float),

@@ -167,7 +167,7 @@ def percent(fraction: float) -> str:
 def shorten(text: str, length: int = 30) -> str:
     """Shorten a text to one line of at most `length` characters, by omitting its middle.
 
-    Parts of a spec that have a ``name=`` are replaced by that name.
+    If a part of a spec has the parameter ``name=``, the given name replaces this part.
     Words are kept whole, unless this would remove more than a third of the beginning or the end.
     """
     line = short_spec(" ".join(text.split()))

@@ -3,20 +3,23 @@
 Nested uniform scrambling multiplies each variance σ²_l by a factor, the gain Γ_l of the net.
 The theory is in docs/theory.md, "Gains of scrambled nets".
 Here σ²_l is the variance of the part of g that varies with l_j digits of coordinate j.
-All but finitely many gains are 1. The exceptions are levels of at most about n cells.
+All but finitely many gains are 1.
+Gains other than 1 occur only at levels l where the cells number about n or less.
 At these levels, Σ l_j is near log n, although not every l_j is near log n.
-The variance contains the levels of a table T, the rest ω²_T, and a correction:
+A table T has the means of g over equal cells. The variance is a sum over the levels of the table,
+plus the rest ω²_T within the cells, minus a correction for levels that the table lacks:
 
     n Var = Σ_{l ≤ T} Γ_l σ²_l + ω²_T − Σ_{l ≰ T} (1 − Γ_l) σ²_l,
 
 Here ω²_T is the mean variance of g within the cells of one table T.
-The σ²_l come from tables with equally many cells that are longer along some axes.
+The σ²_l of the correction come from tables with more cells along some axes.
+These tables have the same total number of cells.
 A digital shift has weights that depend on g; see `of_moves`.
 
 Cells are integrated in closed form if the moments of g over boxes are known.
 Otherwise Gauss-Legendre rules are used, which are cut at the breaks of g.
 Cells whose neighbors have very different g contain curves of jumps.
-These cells are integrated by a composite rule.
+Cells with such curves are divided into parts, and each part is integrated by itself.
 Integration uses a fine and a coarse rule, and the error is their difference.
 """
 
@@ -62,14 +65,15 @@ class LevelsSettings:
         Largest number of dims. In 4-D, 32,768 cells would have only 13 per side.
     cells
         Number of cells of the first table, by number of dims.
-        Halving or doubling it changes variances by less than 0.1 %, within the intervals.
+        Halving or doubling this number changes variances by less than 0.1 %, within the intervals.
     long, most_cells
         Number of cells of a table that is longer along some axes.
         A table has at most `long` n Π b_j cells, which resolve one digit more than n points have.
-        Another limit is `most_cells`. Halving or doubling either value changes nothing.
+        No table has more than `most_cells` cells.
+        Halving or doubling `long` or `most_cells` changes nothing.
     more
         Number of additional digits, after the digits of n, for which gains are computed.
-        Beyond the digits of n all coordinates usually differ.
+        In lower digits than the digits of n, the points usually differ in every coordinate.
         Results are the same for values from 1 to 6.
     orders
         Orders of the coarse and the fine Gauss-Legendre rule in each cell, by number of dims.
@@ -77,22 +81,22 @@ class LevelsSettings:
     parts
         Number of parts along each axis of a cell with a jump, by number of dims.
         Half this number changes variances by up to 0.13 %, and twice this number by 0.05 %.
-        Both changes are within the intervals of the predicted variances.
+        The two changes of the variance are smaller than the intervals of predicted variances.
     most_rough, rough
         Largest number of cells that are divided, by number of dims.
-        Least variation of g in a divided cell, relative to the mean cell.
+        A cell is divided only if g varies more than this multiple of the mean variation in a cell.
         Halving or doubling either value changes nothing.
         A jump cuts a few hundred of 65,536 cells in 2-D, and a few thousand of 32,768 in 3-D.
     block
         Number of evaluations per call, 16 MB in 2-D. It has no effect on the result.
     clear, doubt
         Tables may miss a part of ∫g². It is added if it exceeds `clear` times the error of ∫g².
-        `doubt` is the uncertainty of the weight of this part.
-        The missed part lies at poles within one cell, and has a gain between 0 and about 1.
+        `doubt` is the uncertainty of the gain with which the missed part of ∫g² is added.
+        The missed part comes from poles inside cells, and its gain lies between 0 and about 1.
         With half of `clear`, variances have noise of 0.015 %. With twice `clear`, nothing changes.
     most_error, noise
         If the half interval exceeds this fraction of the variance, the method raises an error.
-        Other methods then have smaller relative errors, below 0.2.
+        In such cases, other methods have smaller relative errors, below 0.2.
         A half interval below `noise` times ∫g² is always accepted.
         Halving or doubling either value changes nothing.
     """
@@ -202,7 +206,7 @@ def _scrambled(net: Fixed, bases: tuple[int, ...], known: Known) -> Predicted:
         weighed = weighed + (gains[ends][..., None] * parts)[:, new].sum(axis=1)
         counted[at] = True
 
-    # The variance within cells has weight 1 if no level is missing
+    # If the tables have all levels with other gains than 1, the variance within cells has gain 1
     assert first is not None
     parts, within, off = first
     inside = parts.reshape(len(within), -1, within.shape[1]).sum(axis=1)
@@ -218,7 +222,11 @@ def _scrambled(net: Fixed, bases: tuple[int, ...], known: Known) -> Predicted:
 
 
 def _tables(wanted: Array, bases: Sequence[int], least: int, most: int) -> Iterator[Levels]:
-    """Yield the levels of a nearly cubic table, and of tables of `most` cells for other levels."""
+    """Yield the levels of each table that is needed, as a tuple of numbers of digits by axis.
+
+    The first table has nearly equal numbers of cells along all axes.
+    Longer tables, of up to `most` cells, have the wanted levels that the first table lacks.
+    """
 
     def grown(levels: Levels, most: int = most) -> Levels:
         while True:
@@ -246,8 +254,8 @@ def _table(
 
     The energies σ²_l have shape (Q, levels + 1 of each axis, channels).
     At level 0 the energy is the square of the mean.
-    The next result is the mean variance within the cells, (Q, channels).
-    The last result is twice the standard error of this mean variance.
+    The second returned array is the mean variance within the cells, (Q, channels).
+    The third returned array is twice the standard error of the mean variance within the cells.
     """
     sides = tuple(map(pow, bases, levels))
     means, squares = _cell_moments(g, sides, np.zeros(g.dims), refined=whole)
@@ -268,7 +276,7 @@ def _spread(means: Array, squares: Array) -> tuple[Array, Array]:
     """Return the mean variance within cells, (Q, channels), and twice its error.
 
     The moments of g in each cell have shape (Q, …, channels).
-    They come from Q = 2 quadrature rules, or are exact.
+    The moments come from Q = 2 quadrature rules, or from a closed form.
     The means of two rules over all cells may agree by chance, so the rules are compared per cell.
     Errors in different cells are independent: the error is the root sum of squares over cells.
     """
@@ -341,7 +349,7 @@ def _strata(
 ) -> Predicted:
     """Predict the variance of a mean of n independent values of g, one in each of n equal strata.
 
-    If there is a single stratum, all n values lie in it.
+    If the whole cube is a single stratum, all n values are at uniform points of the cube.
 
     If `whole`, g is the same for all n, so that one computation of ∫g² serves all counts.
     """
@@ -365,7 +373,7 @@ def _strata(
 
 
 def _missed(known: Known, square: Array) -> Array:
-    """Return ∫g² minus the same integral from a table, whose cells do not resolve poles."""
+    """Return the part of ∫g² that a table misses, because its cells do not resolve poles."""
     if in_closed_form(known.g):
         return 0.0 * square
     exact, error = known.square

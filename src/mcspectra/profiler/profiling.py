@@ -6,7 +6,7 @@ Most of the budget goes to scrambled nets (`samples`).
 These nets give the variances of several samplers at once.
 A fifth of the budget goes to lines that detect discontinuities and kinks (`probing`).
 If the nets do not give the variance of the given sampler, a part is spent on this sampler.
-`causes` finds the causes in these evaluations.
+`causes` finds the causes of the noise in the evaluations at nets and along lines.
 With the rest of the budget, changes that remove the causes are measured.
 One more sampler is also measured: a lattice, or antithetic pairs for smooth functions of one dim.
 """
@@ -89,7 +89,7 @@ class ProfileSettings:
     # Points of each net to which changes are fitted; 20 nets take 1280 evaluations.
     # Half and twice this number were tested in 12 profiles of 8192 evaluations.
     # The profiles were of six functions, with two seeds. The advice was the same.
-    # One of the fitted changes gave an RMSE that differed by a factor of 2.4.
+    # In one profile, the RMSE after a fitted change depended on the number, by a factor of 2.4.
     fitted_points: int = 64
     # Dependence of draws is reported as a cause if few of the draws are effective.
     # The ratio of effective draws to all draws must be below this limit.
@@ -97,8 +97,8 @@ class ProfileSettings:
     # At this ratio, standard errors are 20 % larger than for independent draws.
     dependent: float = 0.7
     # Least number of points of each net with which a change of the estimator is measured.
-    # With 8, two of 12 profiles had too few evaluations to test one change:
-    # the preintegration of a jump along an axis.
+    # With nets of at least 8 points, two of 12 profiles had too few evaluations for one change.
+    # This change was the preintegration of a jump along an axis.
     least_checked: int = 4
     # Maximum number of counts at which a sampler is measured.
     # With B evaluations, the counts take B/2, B/4, …, B/32 of them.
@@ -114,7 +114,7 @@ class ProfileSettings:
     # With 0.25 or 1 the RMSE of 12 profiles changed by 6 % at most.
     teeth_error: float = 0.5
     # The level of the sawtooth is its mean over this number of the largest counts n.
-    # About this level, the log variance has the standard deviation `teeth_scatter`.
+    # The standard deviation of the log variance about its level is `teeth_scatter`.
     # If a share p of the stratum is on one side of the jump, the variance is ∝ p(1 − p).
     # For a uniform p, its logarithm has the standard deviation √(4 − π²/3) = 0.84.
     teeth: int = 4
@@ -127,26 +127,28 @@ class ProfileSettings:
     # A change whose estimates are all equal is dropped if their mean deviates by more than this.
     # A normal error exceeds 4 standard errors with probability 6e-5.
     off_sigmas: float = 4.0
-    # If a net has fewer points than this, the rate of a change is limited to `steepest_rate`.
+    # With fewer points per net than `few_points`, no rate of a change is steeper
+    # than `steepest_rate`.
     # Few points do not show whether a steep rate continues.
     # Without the limit, an extrapolation to the whole budget would exaggerate the gain of a change.
     # The advice of 12 profiles was the same for 8 or 32 points, and for rates of −1.5 or −3.
-    # The RMSE after one of the changes differed by a factor of up to 1.9 between these values.
+    # For one of the changes, the RMSE depended on these settings, by a factor of up to 1.9.
     few_points: int = 16
     steepest_rate: float = -2.0
     # A change must lower the log variance by at least this number of standard errors.
     # The variance is that of an estimate that takes the whole budget.
-    # The number is used if g grows at the border or has a heavy tail.
+    # This requirement applies only if g grows at the border or has a heavy tail.
     # The number was tested in 112 profiles with 4096 evaluations each.
     # The profiles were of seven such functions, with two samplers and eight seeds.
-    # With 1, none of 88 recommended changes had a larger variance than the given set-up.
-    # With 0.5, one of 99 recommended changes was worse, and with 0, five of 109 were worse.
+    # With 1 standard error, none of 88 recommended changes had a larger variance than before.
+    # With 0.5 standard errors, one of 99 recommended changes had a larger variance.
+    # Without the requirement, five of 109 recommended changes had a larger variance.
     tail_errors: float = 1.0
     # Number of sets of a lattice at each count.
-    # It is small because the remaining budget is small and rates require several counts.
+    # The number of sets is small because little budget is left, and rates require several counts.
     lattice_sets: int = 10
     # Standard deviation of the log variance of lattices about a line through all counts.
-    # The deviations are large because each count has another generating vector.
+    # Lattices deviate much from the line, because each count has another generating vector.
     # For smooth functions the standard deviation is 1.3 in 4 to 6 dims, and 0.6 in 2 and 3 dims.
     lattice_scatter: float = 1.3
     # Largest number of dims in which antithetic pairs in strata are measured.
@@ -154,10 +156,10 @@ class ProfileSettings:
     # Pairs have the rate −5 in 1-D and −3 in 2-D.
     paired_dims: int = 1
     # Number of sets, and of counts, with which lattices are measured if g is smooth and periodic.
-    # Both are small, because only large sets show the steep rate.
+    # There are few sets and counts, because only large sets show the steep rate.
     steep_sets: int = 4
     steep_counts: int = 2
-    # For the same reason, such lattices get more evaluations than other rivals.
+    # Lattices for smooth periodic g get this many times the evaluations of another rival.
     steep_weight: int = 2
     # Least number of points along each axis with which a substitution makes g periodic.
     # With fewer points, folded lattices have less variance (`benchmarks periodized`).
@@ -170,7 +172,7 @@ _SETTINGS = ProfileSettings()
 _PAIRS, _FOLDED = "antithetic-jittered", f"{LATTICE} | mirror(mode='fold')"
 # Causes that concern the sets of a sampler and not g
 _OF_SETS = {"deterministic-set", "few-realizations", "correlated-replicates"}
-# Causes for which the profile tries lattices; it also tries them for smooth g
+# If g is smooth or has one of these causes of noise, the profile tries lattices
 _GAINED = {
     "kink",
     "cusp",
@@ -180,7 +182,7 @@ _GAINED = {
     "axis-parallel-jump",
 }
 _JUMPS = {"interior-jump", "axis-parallel-jump"}
-# For each cause, the gain e of the exponent of the variance over random points.
+# Exponents e for each cause of noise.
 # In theory, variances fall as n^(−1 − e/d) with strata, and as n^(−1 − e) with nets
 _EXPONENTS = {"interior-jump": 1.0, "axis-parallel-jump": 1.0, "none": 2.0}
 
@@ -251,10 +253,11 @@ class Profile:
         Number of points of an estimate that takes `budget` evaluations.
     reference
         The sampler with which `best` is compared. Usually this is the given sampler.
-        If the given sampler always draws the same set or was not measured, it is random points.
+        It is random points if the given sampler always draws the same set, or was not measured.
     answer
         The recommended set-up and the causes. The set-up is compared with the given sampler.
-        If that sampler always draws the same set or was not measured, random points are used.
+        The set-up is compared with random points if that sampler always draws the same set,
+        or was not measured.
     samplers
         Curves of variance by sampler.
     function
@@ -343,7 +346,7 @@ class Profile:
         return rows
 
     def _rmse(self, curve: Curve) -> float:
-        """Return the RMSE at the budget, or NaN if the curve does not determine it."""
+        """Return the RMSE that a curve of variance gives at the budget, NaN if it is unknown."""
         if math.isinf(self.variance):
             return math.inf
         if math.isnan(curve.rate) and max(curve.counts, default=math.inf) < self.points:
@@ -464,7 +467,7 @@ def profile(
     on_error
         For functions: ``"raise"`` raises an error if f fails or is not finite.
         ``"skip"`` counts such points, and replaces their values by the mean of all others.
-        The interval is then wider, as in `mcspectra.integrate`.
+        Skipped points make the interval of the result wider, as in `mcspectra.integrate`.
         With ``"raise"``, f may still fail at the probes that are closest to the border.
 
     Returns
@@ -848,12 +851,12 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
     # A jump cuts n^(1 − 1/d) of n strata.
     # If the jump is along an axis or g is smooth, nets have the rate of 1-D.
     # The variance then has up to d − 1 factors log n.
-    # Assume two thirds of d − 1 as the number of these factors, and one third as its error
+    # Assume 2 (d − 1)/3 factors log n, with the standard error (d − 1)/3
     strata = name == "jittered" or first == "interior-jump"
     third = 0.0 if strata else (dims - 1) / (3.0 * math.log(curve.counts[-1]))
     rate = -1.0 - _EXPONENTS[first] / (dims if strata else 1) + 2.0 * third
     if first == "axis-parallel-jump":
-        # The log variance is a sawtooth about a line. The line is the mean of the last teeth
+        # The log variance is a sawtooth about a line, whose level is the mean over the last counts
         error = math.hypot(curve.rate_se, _SETTINGS.teeth_error)
         teeth = np.log(curve.variance) - curve.rate * np.log(curve.counts / curve.counts[-1])
         level = float(np.mean(teeth[-_SETTINGS.teeth :]) - teeth[-1])
@@ -889,7 +892,7 @@ def _rivals(evidence: Evidence, causes: Sequence[Cause], points: int) -> dict[st
     """
     estimator, smooth = evidence.estimator, _is_smooth(causes)
     dims, found = estimator.dims, dict[str, Candidate]()
-    # Substitute if g is smooth inside and the points resolve the steep substitution
+    # Make g periodic by a substitution if g is smooth inside, and if there are enough points
     grows = any(cause.name in {"border-growth", "infinite-variance"} for cause in causes)
     inside = smooth or _shape(causes) in {"border-growth", "infinite-variance"}
     one = len(estimator.counts) == 1 and not estimator.channels
@@ -1011,7 +1014,8 @@ def _measured_rivals(
 ) -> tuple[dict[str, Curve], list[str], int]:
     """Measure rival set-ups with at most `left` evaluations.
 
-    Return their curves, the reasons why some were not measured, and the number of evaluations.
+    Return the curves of the measured rivals, reasons why others were not measured,
+    and the number of evaluations.
     """
     curves, not_tried, calls = dict[str, Curve](), list[str](), 0
     jumps, least = _shape(causes) in _JUMPS, 2 * _SETTINGS.lattice_sets * _SETTINGS.least_checked
@@ -1036,8 +1040,8 @@ def _measured_rivals(
             if lattice and curve.counts[-1:].sum() < _SETTINGS.few_points:
                 curve = replace(curve, rate=max(curve.rate, _SETTINGS.steepest_rate))
             elif name in steep:
-                # Few counts hardly show the rate. It is at most as steep as in theory, and at least
-                # a quarter of this, which are two standard errors from their mean
+                # Few counts hardly show the rate. Assume a rate between the theoretical rate
+                # and a quarter of it. Both limits are two standard errors from their mean
                 limit = -2.0 * CANDIDATE_SETTINGS.order * (1.0 - _growth(causes))
                 error = -0.1875 * limit
                 curve = curve.towards(0.625 * limit, error)
@@ -1266,7 +1270,8 @@ def _improved(
             curve = replace(curve, rate=max(curve.rate, _SETTINGS.steepest_rate))
         (ours, ours_se), (other, other_se) = curve.at(n), base.at(cost)
         # Extrapolate the variance of the change in two ways, and take the geometric mean.
-        # One uses the rate of the change, the other its gain over the best unchanged estimator.
+        # The first way uses the rate of the change. The second way assumes that the change keeps
+        # its gain over the best unchanged estimator.
         # Half of the difference of the two extrapolations is an additional error
         points_at_budget = budget // estimator.evaluations_per_point
         (value, error), at_best = curve.at(at_budget), base.at(points_at_budget)[0]

@@ -15,8 +15,9 @@ The scale s of errors at a pixel is the root mean square of the residuals near i
 The factor q is chosen so that 95 % of the residuals are smaller than q·s (conformal prediction).
 A 95 % interval of an interpolated value is then ± q·s.
 These intervals are valid on average over pixels, whatever the law of the residuals is.
-They are a little too wide: a left-out pixel is farther from its neighbors than most pixels.
-They include the noise of a measured value, because the residual of a noisy value is larger.
+The intervals are a little too wide, because a left-out pixel is farther from its neighbors
+than most pixels.
+The intervals include the noise of measured values, because noise makes residuals larger.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ FEWEST_PIXELS = 64
 """Smallest number of measured pixels; with fewer, 95 % of the residuals is no useful quantile."""
 
 _NEIGHBORS = 8  # measured pixels whose values are averaged; insensitive between 6 and 12
-_NEARBY = 24  # residuals whose root mean square is the scale of errors at a measured pixel
+_NEARBY = 24  # number of residuals for the scale of errors at a measured pixel
 _SHARE = re.compile(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*%\s*")
 _LOG, _PLAIN = True, False
 _AVERAGED: Final[Mapping[str, bool]] = {
@@ -110,7 +111,7 @@ def spread(
     ----------
     found
         Variables at the measured pixels, (…, 1, P), or (…, 1, P, 2) for intervals.
-        Their names are those of `mcspectra.rendering.variance_map`.
+        The variables have the names that `mcspectra.rendering.variance_map` gives them.
     pixels
         Measured pixels (P, 2), as x and y.
     window
@@ -119,7 +120,8 @@ def spread(
     Returns
     -------
     dict
-        The variables with the axes (…, y, x) or (…, y, x, 2), and two further ones.
+        The variables with the axes (…, y, x) or (…, y, x, 2), and the variables
+        ``measured`` and ``interpolation_factor``.
         ``measured`` (y, x) is 1 at measured pixels.
         ``interpolation_factor`` (strategy, y, x) is a factor f, 1 at measured pixels:
         95 % of the variances are between 1/f and f times the interpolated ones.
@@ -188,7 +190,7 @@ class _Field:
         self._made: dict[bytes, Any] = {}
 
     def logarithmic(self, values: Array) -> Array:
-        """Same as `average` for the logarithms of values, the variance 0 being a value of its own.
+        """Average the logarithms of values. Pixels nearest to a value of 0 get the value 0.
 
         The interval is that of the logarithm.
         """

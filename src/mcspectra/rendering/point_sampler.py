@@ -50,7 +50,7 @@ class MitsubaSampler(Sampler):
         ``"orthogonal"`` (Jarosz et al. 2019) or ``"ldsampler"`` (Kollig & Keller 2002).
     jitter
         Whether points are random in their strata, or at the centers of their strata.
-        This applies to the three samplers with strata.
+        Only "stratified", "multijitter" and "orthogonal" have strata.
 
     Notes
     -----
@@ -122,7 +122,7 @@ def _drawn(source: Any, shape: tuple[int, int, int], stream: Stream, first: int)
     pairs, odd = divmod(dims, 2)
     scalar = "scalar" in source.variant_name()
     for r in range(count):
-        if not scalar:  # vectorized variants return all points together
+        if not scalar:  # in vectorized variants, one call returns all n points
             source.set_samples_per_wavefront(n)
             source.seed((start + r) % _SEEDS, n)
             columns = [source.next_2d().numpy() for _ in range(pairs)]
@@ -193,8 +193,8 @@ def from_mitsuba(source: Any, dims: int = DEFAULT_DIMS) -> MitsubaObject:
     Returns
     -------
     MitsubaObject
-        A sampler that supports the counts that the object does not round.
-        The object is queried for these counts each time.
+        A sampler of the object's points. It allows only the counts that Mitsuba does not round.
+        Each time, the object is asked whether it rounds the count.
 
     Raises
     ------

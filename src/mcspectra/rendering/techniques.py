@@ -252,7 +252,7 @@ def lane_sums(
     """Sum float32 values over k < `count` in float64, separately in each lane: (lanes, numbers).
 
     One loop is recorded, so that memory does not grow with `count`.
-    `values(lane_numbers)` returns a function, which returns the values of all lanes for a given k.
+    `values(lane_numbers)` returns a function of k. This function returns the values of all lanes.
     """
     import drjit
 
@@ -277,8 +277,9 @@ def pixel_sums(
 
     Samples u are (R, n, D), equal for all pixels, or (R, P, n, D).
 
-    Each lane is one realization of one pixel. The function `values` gets the pixel of each lane,
-    and returns a function of the row of u.
+    Each lane is one realization of one pixel.
+    The argument `values` is a function that gets the pixel of each lane.
+    It returns a function that gets the number of a row of u and returns the values at this row.
     """
     import drjit
 
@@ -318,7 +319,8 @@ def sample_light(
     """Sample a light with u, a `Point2f`. If `emitter` is None, also choose one of all lights.
 
     The third number in [0,1), `extra`, selects the light.
-    If it is None, the first coordinate of u also selects. Inactive points get the value 0.
+    If `extra` is None, the first coordinate of u selects the light as well.
+    Inactive points get the value 0.
     """
     import drjit
 

@@ -108,7 +108,7 @@ class Wavefront:
             self._request, self._scene = scene, load_scene(scene)
             check_media(scene)
             self.width, self.height = film_size(scene)
-            # Pass the size as data: kernels round a division by a constant differently
+            # Pass the size to the kernel as data: a division by a constant is rounded differently
             sides = (float(side) for side in (self.width, self.height))
             self._size = [drjit.opaque(load_mitsuba().Float, side) for side in sides]
             self._emitter = None if light is None else find_emitter(scene, light)
@@ -162,8 +162,9 @@ class Wavefront:
         Parameters
         ----------
         strategy
-            ``"light"`` or ``"bsdf"`` sampling, their parts of multiple importance sampling,
-            ``"mis-light"`` and ``"mis-bsdf"``, or ``"mis"``, the sum of these parts.
+            ``"light"`` or ``"bsdf"``: sampling of the light or of the BSDF alone.
+            ``"mis-light"`` or ``"mis-bsdf"``: one of the two parts of multiple importance sampling.
+            ``"mis"``: the sum of the two parts.
         pixels
             Integers (P, 2): x and y, counted from the left and from the top.
         u

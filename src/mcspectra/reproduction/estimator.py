@@ -32,7 +32,7 @@ N = 64
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Show the estimator and its weighted peaks, and compare its mean value with the integral."""
+    """Show the estimator as a sum of weighted peaks, and compare its mean with the integral."""
     realizations = 1000 if quick else 10_000
     curves = mcs.convergence(SQUARE, list(SAMPLERS), [N], realizations=realizations, rng=seed)
     one = {name: curves.sel(sampler=name).isel(n=0) for name in SAMPLERS}

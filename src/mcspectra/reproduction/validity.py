@@ -170,7 +170,7 @@ def _variance(case: ValidityCase, realizations: int, seed: int) -> Measured:
 
 
 def _fails(statement: str, ratio: float, variance: Measured) -> Claim:
-    """Claim that a prediction differs from the variance by more than ten percent."""
+    """Return the statement, to be tested, that a prediction is wrong by more than ten percent."""
     ends = (variance.value / variance.high, variance.value / variance.low)
     measured = Measured(ratio, ratio * ends[0], ratio * ends[1], log=True)
     bound = {"above": 1.1} if ratio > 1 else {"below": 0.9}

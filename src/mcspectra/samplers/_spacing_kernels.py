@@ -68,8 +68,8 @@ def add_to_buckets(i: int, x: Array, buckets: Any) -> None:
 @kernel
 def _shell_cell(x: Array, code: int, ring: int, buckets: Any, wrap: bool) -> int:
     # The cells up to `ring` steps from the cell of x form a cube. Return cell number `code` of it.
-    # Return −1 if the cell is outside the domain, or less than `ring` steps from the cell of x:
-    # such cells are in a smaller shell, which has been visited before.
+    # Return −1 if the cell is outside the domain, or less than `ring` steps from the cell of x.
+    # Cells less than `ring` steps away have been visited before, with a smaller `ring`.
     side, axes = buckets[0], buckets[1]
     cell, reach = 0, 0
     for j in range(axes):
@@ -252,7 +252,8 @@ def throw_darts(
 @kernel
 def _lower_ceilings(x: Array, side: int, ceilings: Array) -> None:
     # Update the cells around a new point at x.
-    # The bound of a cell limits the squared distance from its places to the nearest point.
+    # The bound of a cell is an upper limit of the squared distance from any place in the cell
+    # to the nearest point.
     # Every place in a cell is at most half a diagonal farther from x than the cell's center is.
     # Cells more than `reach` cells away from x keep their bounds.
     dims = x.size

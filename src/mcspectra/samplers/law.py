@@ -6,8 +6,8 @@ The variance of an estimator combines the spectrum of its integrand with the sam
 
 The covariance C_ml is a property of the sampler's law.
 A sampler states its law once, in `Sampler.law`. All else is computed by functions of the law.
-Examples are closed forms, exact variances, predictions and rates.
-Another example is the choice of an orthonormal basis that fits the sampler.
+Such functions compute closed forms, exact variances, predictions and rates.
+Another function of the law chooses the orthonormal basis that fits the sampler.
 Each function chooses a formula by the class at the root of a law, and calls itself on subtrees.
 No function tests a sampler's name.
 
@@ -92,7 +92,7 @@ _MOST_TERMS = 2**32
 _MOST_COUNTS = 2**28
 """Largest number of comparisons of digits: the number of points times levels of digits.
 
-This many comparisons take about a minute."""
+The largest number of comparisons takes about a minute."""
 _TERMS_AT_ONCE = 2**22
 """Number of terms held in memory at a time: 64 MB of complex numbers."""
 
@@ -144,7 +144,7 @@ class Law(ABC):
         return type(self).__name__ if self.source is None else self.source.spec
 
     def of(self, source: Source) -> Self:
-        """Return a copy of this law that names `source` as its sampler."""
+        """Return a copy of this joint distribution, with `source` as the sampler that draws it."""
         return replace(self, source=source)
 
 
@@ -195,14 +195,14 @@ class _Point(Motif):
 
     @abstractmethod
     def axis(self, a: Array) -> Array:
-        """Transform of each coordinate."""
+        """Fourier transform of each coordinate at the frequencies a."""
 
     def mean(self, a: Array) -> Array:
         """Return the product of the transforms of the axes."""
         return np.asarray(np.prod(self.axis(a), axis=-1))
 
     def second(self, a: Array, b: Array) -> Array:
-        """Return the transform at the difference of the frequencies a and b."""
+        """Return ⟨M(a) conj M(b)⟩, the transform at a − b, because the motif is a single point."""
         return self.mean(a - b)
 
 
@@ -270,7 +270,7 @@ class AntitheticPair(Motif):
 
 
 def _center(a: Array) -> Array:
-    """Return the transform of the center of a cell, for each coordinate."""
+    """Return exp(−iπa) for each coordinate: the transform of a point at the center of a cell."""
     return np.asarray(np.exp(-1j * np.pi * np.remainder(a, 2.0)))
 
 
@@ -312,7 +312,7 @@ Points that are *mates* are uniform in two different parts of one stratum."""
 @final
 @dataclass(frozen=True)
 class PairPattern:
-    """Ordered pairs of points that all have the same relation on each axis, such as *apart*.
+    """A group of ordered pairs of points. On each axis, all pairs have the same relation.
 
     Attributes
     ----------
@@ -409,7 +409,7 @@ class Fixed(Law):
         Examples are lattices and Kronecker points. Translations preserve their evenness.
     digital
         Whether the digits of the points form a group under addition without carry.
-        In such a group, every point has the same relation to the set of all other points.
+        In this case, every point has the same relation to the set of all other points.
     columns
         Columns of the generator matrices of a digital net in base 2: uint64 (dims, log2 n).
         A column is a 32-bit number with the first digit highest. None if the matrices are unknown.
@@ -439,8 +439,8 @@ class Fixed(Law):
     def agreements(self, bases: Sequence[int], levels: int) -> Array:
         """Return how many points, on average, share the first digits of a point (itself included).
 
-        Entry (l_1, …, l_d) of the array (levels + 1, …) is the mean of a count over all points:
-        the number of points that share with this point the first l_j digits of each coordinate j.
+        Entry (l_1, …, l_d) of the array (levels + 1, …) is a mean over all points of the set.
+        For each point, count the points with the same first l_j digits in every coordinate j.
         The digits of coordinate j are in base `bases[j]`.
 
         Raises
@@ -461,7 +461,8 @@ class Fixed(Law):
                 found[at] = np.sum(np.bincount(cells).astype(float) ** 2) / self.n
                 return
             for level in range(levels + 1):
-                # First digits as whole numbers; k/b^level counts as k even if it was rounded down
+                # Convert the first digits to whole numbers. The small summand `nudge` makes sure
+                # that k/b^level has the digits of k, even if it was rounded down
                 base, scale = bases[axis], float(bases[axis] ** level)
                 nudge = 0.0 if base & (base - 1) == 0 else scale * 2.0**-50
                 digits = np.floor(points[:, axis] * scale + nudge)
@@ -668,7 +669,7 @@ class Scrambled(Law):
     kind
         Kind of randomization.
         Pairs of points have the same distribution after nested and after linear scrambles.
-        Both kinds therefore give the same variances.
+        Nested and linear scrambles therefore give the same variances.
     bases
         Base of the digits of each coordinate.
     shifts
@@ -769,7 +770,7 @@ def as_scrambled(law: Law) -> Law:
 
     The second digits are permuted within each first digit [Tang1993]_.
     Nested scrambling of one realization therefore has the same law as the sampler.
-    The laws of other sets are returned unchanged.
+    If the set is not such an orthogonal array, its law is returned unchanged.
     """
     if not isinstance(law, PairedAxes) or law.base is None or law.source is None:
         return law
@@ -800,11 +801,11 @@ def leaf_of(law: Law) -> Law:
 def bases_to_scramble(laws: Sequence[Law]) -> tuple[int, ...] | None:
     """Return the bases of the digits in which all given sets are nets, or None.
 
-    The best randomization of nets is scrambling of these digits.
+    The best randomization of nets is scrambling of the digits in their bases.
     The result is None for lattices, which scrambling breaks, and for sets that are not nets.
     For lattices and for sets that are not nets, a shift is the better randomization.
     A set of a few points can be both a net and a lattice.
-    Such a set counts as a lattice if all other sets are lattices too, and else as a net.
+    A set that is both counts as a lattice if all other sets are lattices, and else as a net.
     """
     found = {law.bases if isinstance(law, Fixed | Unknown) else None for law in laws}
     if len(found) > 1 or all(isinstance(law, Fixed) and law.even for law in laws):
@@ -830,7 +831,7 @@ def mean_of_terms(n: int, nu: Array, terms: Callable[[Array], Array]) -> Array:
         If there are too many terms.
     """
     # The points also need memory, even at a single frequency.
-    # Therefore the limit treats fewer than 64 frequencies as 64
+    # Therefore the number of terms is computed with at least 64 frequencies
     if float(n) * max(64, nu[..., 0].size) > _MOST_TERMS:
         raise NoClosedForm(
             f"The exact transform of {n} points at {nu[..., 0].size} frequencies would take more "

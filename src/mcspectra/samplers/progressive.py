@@ -2,7 +2,7 @@
 
 Each pass of a sequence doubles the number of points.
 Before pass k, each of 2^k equal intervals of an axis has one point, in one half of the interval.
-Pass k puts one point into the other half of each interval.
+Pass k puts a second point into each interval, in the half that is still empty.
 The rule that assigns new points to intervals determines in which boxes points are stratified.
 The position of a point within its half is random.
 Random positions make the sequence Owen-scrambled without permutations of digits [Helmer2021]_.
@@ -148,7 +148,7 @@ class PMJ02BlueNoise(_PlaneSequence):
 
     The papers choose the best of some candidates for each point in turn.
     When a point is added, however, its candidates differ only within narrow free intervals.
-    Flips of all points in a strip are not restricted to these intervals.
+    If the bits of all points in a strip are flipped, the points can move farther.
 
     References
     ----------
@@ -164,7 +164,7 @@ class PMJ02BlueNoise(_PlaneSequence):
 def pairings() -> Array:
     """Return the partners of points in pmj02 as out, uint64 (2, 31).
 
-    The partner of point i on axis j in pass k is i xor out[j, k].
+    On axis j, pass k combines the points i and i xor out[j, k] in one interval.
     The bits of the index are the coefficients of a polynomial in t over GF(2).
     The basis of the polynomials is 1, t, b, b·t, b², b²·t, … with b = t² + t.
     The digits of x are the polynomial's coefficients in powers of t.
@@ -269,7 +269,8 @@ def _pair_energy(dx: float, dy: float) -> float:
 @kernel
 def _gain(i: int, axis: int, bit: Any, members: Any, words: Array, owner: Array) -> float:
     # Return the decrease of the energy of point i if `bit` is flipped in all words of a strip.
-    # `members` is (strip, shift): a word lies in the strip if word >> shift equals strip.
+    # `members` is the pair (strip, shift).
+    # A coordinate `word` lies in the strip if its leading bits, word >> shift, equal `strip`.
     # owner (columns, rows) is the point in each cell.
     strip, shift = members
     columns, rows = owner.shape
@@ -288,7 +289,8 @@ def _gain(i: int, axis: int, bit: Any, members: Any, words: Array, owner: Array)
             there = np.float64(word) * _UNIT_53
             far = np.float64(words[1 - axis, other]) * _UNIT_53 - across
             before = _pair_energy(there - here, far)
-            if word >> shift == strip:  # the other point also lies in the strip, so it also moves
+            # If the other point lies in the strip as well, the flip moves both points
+            if word >> shift == strip:
                 there = np.float64(word ^ bit) * _UNIT_53
                 gain += 0.5 * (before - _pair_energy(there - moved, far))
             else:

@@ -54,7 +54,7 @@ class ProjectiveBlueNoise(Sampler):
         Minimum distance in every projection on k axes, from 0.01 to 1.
         The unit is the distance in the densest known packing of n points in k dims.
         The default is 0.65, 0.6, 0.5, 0.4, 0.33 and 0.25 in 1 to 6 dims.
-        These values are slightly below the largest ones at which darts place 1000 points.
+        With slightly larger values, dart throwing could not place 1000 points any more.
 
     References
     ----------
@@ -87,7 +87,7 @@ class ProjectiveBlueNoise(Sampler):
 def _free_coordinate(
     k0: Any, k1: Any, at: int, radius: float, column: Array, cells: Array
 ) -> tuple[float, int]:
-    # Draw x until no point of the axis is nearer than `radius`; return −1 if that fails.
+    # Draw x until no point is nearer than `radius` on this axis. Return −1 if no such x is found.
     # `cells` has the number of the point in each cell of the axis, −1 if there is none.
     # A cell is at most as large as the radius, and larger than half the radius.
     side = cells.size

@@ -26,7 +26,8 @@ from mcspectra.samplers.radical import RadicalInverses
 
 __all__ = ["DigitalShift", "Lms", "Owen", "Permute"]
 
-_JITTER = 0x6A09E667F3BCC908  # distinguishes the keys of jitter from those of the shift
+# The random keys of the jitter differ from the keys of the shift by this number (XOR)
+_JITTER = 0x6A09E667F3BCC908
 _BELOW_ONE = 1.0 - 2.0**-53
 
 Base: TypeAlias = int | Sequence[int] | None
@@ -195,9 +196,10 @@ class DigitalShift(_OfPlaces):
     -----
     Without `jitter`, all points have one offset in their elementary intervals.
     The variance of smooth functions is then that of a shifted grid.
-    With `jitter`, it is at most that of strata, and pairs of points keep their places in the net.
-    A net whose points are far apart, such as larcher-pillichshammer, then has less variance than
-    with owen, which moves every point to any place of the higher intervals.
+    With `jitter`, the variance is at most that of stratified points.
+    The relative places of points in the net stay the same.
+    If the points of a net are far apart, as in larcher-pillichshammer, they stay far apart.
+    The net then has less variance than with owen, which does not keep points apart.
 
     References
     ----------
@@ -213,7 +215,7 @@ class DigitalShift(_OfPlaces):
             settle(self, keeps_pairs=False, pointwise=False)
 
     def law_of(self, law: Law, n: int) -> Law:
-        """Return the law; with jitter, only the uniform points and the net are known."""
+        """Return the law. With jitter, nothing is known of pairs of points."""
         if not self.jitter:
             return _OfPlaces.law_of(self, law, n)
         return Unknown(n=law.n, dims=law.dims)
@@ -276,7 +278,8 @@ class Owen(_OfDigits):
         ``"hash"``, in base 2 only, is about six times as fast.
         A few multiplications scramble all bits of the reversed word.
         In each multiplication, lower bits change only higher bits.
-        Points are exactly uniform and nets stay nets. Variances depend on pairs of points.
+        Every point is exactly uniform, and nets stay nets.
+        The variance depends only on the joint distribution of pairs of points.
         For pairs of points, bit flips below the first different digit pass tests of independence.
         For many points together, bit flips fail tests of independence.
     base

@@ -71,10 +71,10 @@ MOST_EVALUATIONS = 10**15
 
 # Planning time in seconds: per spec, per estimator with densities, per density in several dims.
 # The fourth value is the time per density in one dim.
-# It is larger, because the warp of such a density is searched for gaps
+# A density in one dim takes longer, because its warp is searched for gaps
 _SPEC, _WEIGHTED, _DENSITY, _WARP = 1e-4, 6e-4, 5e-4, 2e-3
 # Planning time in seconds per pair of estimator and sampler, and per cell.
-# The third value is the time per item of a list in an analysis, such as a count
+# Each item of a list in an analysis, such as a number of points, adds the third time
 _PAIR, _CELL, _COUNT = 3e-6, 2.5e-5, 3e-6
 NOTED_SECONDS = 5.0
 """Planning time in seconds above which a message announces the wait."""
@@ -98,7 +98,7 @@ class StudyCell:
     analysis
         Checked analysis with its options.
     estimator_name, sampler_spec
-        Name of the estimator and spec of the sampler, as the study writes them.
+        Name of the estimator and spec of the sampler, as written in the study file.
     subject
         The estimator and the sampler.
         The estimator is missing if the cell analyzes a scene, or if `error` is set.
@@ -332,7 +332,7 @@ class _Planner:
     def _samplers(
         self, entry: EstimatorConfig | SceneConfig, dims: int | None, whose: str
     ) -> _Samplers:
-        """Return the samplers of an entry; entries share sampler objects."""
+        """Return the samplers of an estimator or a scene. Equal specs give the same object."""
         texts = self._config.samplers_of(entry)
         key = texts, dims
         if key not in self._lists:

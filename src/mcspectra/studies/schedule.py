@@ -222,7 +222,8 @@ class _Active:
     def advance(self, states: list[Any] | None) -> None:
         """Pass the sums of a finished step to the analysis, and start its next step.
 
-        Steps whose sums are already stored are also passed on, until a step needs computation.
+        If the sums of the next steps are already stored, the analysis gets these sums as well,
+        until a step has to be computed.
         """
         try:
             while True:

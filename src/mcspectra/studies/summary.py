@@ -28,7 +28,7 @@ class SummaryRow(msgspec.Struct, frozen=True, kw_only=True):
 
     ``ratio`` is predicted variance divided by measured variance.
     For a result of ``predict``, ``method`` is the method of the prediction, one of `METHODS`.
-    Without such a result, ``method`` is the basis in which ``terms`` were added up.
+    Without a result of ``predict``, ``method`` is the basis of the sum of the variance terms.
     If the ratio comes from a result of ``terms``, it is the value ``captured`` of this result.
     """
 

@@ -55,14 +55,14 @@ class DesignSettings:
     """Settings of the cache of designs and of certificates."""
 
     # The cache identifies a class by its text, and by values of random members at random points.
-    # A text alone does not identify a function.
-    # The two settings are the number of points and the number of members.
+    # The text alone is not enough, because functions with the same text may differ.
+    # The settings are the numbers of random points and of random members of the class.
     # Values may be 0 outside a small region: disks of radius 0.1 were missed by 64 points.
     # A region of volume 1e-3 is missed by 8192 points with probability 3e-4.
     cache_points: int = 2**13
     cache_members: int = 256
     # Samplers with which designs and certificates are compared by default.
-    # These are the usual samplers with the least variance.
+    # The listed samplers usually have the least variance.
     # Folded lattices have less variance than others for smooth integrands.
     rivals: tuple[str, ...] = (
         "sobol | owen",
@@ -76,9 +76,9 @@ class DesignSettings:
         "fibonacci | shift | mirror(mode='fold')",
     )
     # Limits of the comparison of a design with its rivals, before the design is returned.
-    # The first setting is the number of members.
-    # The second setting is the number of realizations of each group of members.
-    # The third setting is the maximum number of evaluations of each sampler.
+    # `check_members`: number of integrands from the class.
+    # `check_realizations`: number of realizations of the sampler for each group of integrands.
+    # `check_evaluations`: maximum number of evaluations of each sampler.
     # The integrands of a group share realizations.
     # 20 groups of 32 realizations have 620 degrees of freedom.
     # A variance then has a relative standard error of 6 %.
@@ -151,7 +151,7 @@ def design(
         ``"points"``: sets that share the cells of a grid, or one set optimized on the torus.
         ``"density"``: an importance density, see `learned_density`.
     objective
-        For a density: the integrand.
+        If the kind is ``"density"``, the integrand for which the density is learned.
         For a sampler: the class of integrands for which it is designed. A class is one of:
         a spec with random parameters ``uniform(a, b)`` or ``normal(mean, sd)``.
         If the integrand accepts a list for such a parameter, one value is drawn for each axis;
@@ -187,10 +187,10 @@ def design(
     Returns
     -------
     Sampler or Density
-        The sampler is unbiased for every integrand. Its `spec` creates the sampler again.
+        The sampler is unbiased for every integrand. The spec of the sampler creates it again.
         If the sampler has stored sets, the spec names the file of these sets.
         A usual sampler may have less variance over fresh members of the class.
-        If its variance is less with 95 % confidence and `settings.return_rival` is true,
+        If this sampler has less variance with 95 % confidence, and `settings.return_rival` is true,
         the usual sampler is returned with a `NoGainWarning`.
 
     Raises
@@ -335,7 +335,7 @@ def certificate(
         Samplers that are compared with the design.
         The default samplers are the nets sobol | owen, pmj02 and pmj02-blue-noise.
         Shifted lattices (Korobov, rank-1 and Fibonacci) are also included, with and without folds.
-        Of these, only samplers with sets of n points in these dims are used.
+        Default samplers that have no sets of n points in these dims are left out.
     members
         Number of random members, which are divided into 20 groups.
     realizations
@@ -349,7 +349,7 @@ def certificate(
         `mean_variance(sampler)` with `mean_variance_ci` is the mean variance over the class.
         `design_ratio` with `design_ratio_ci` compares the sampler with its rivals.
         The ratio is the mean variance of the sampler divided by the variance of the best rival.
-        For each half of the groups, the rival is chosen by the other half.
+        The groups are split into halves. The best rival in one half is used for the other half.
         The 95 % intervals of mean variances use Student's t, with one value for each group.
         The 95 % interval of the ratio comes from a jackknife over groups.
         The attribute `best_rival` names the rival with the least mean variance.
@@ -379,7 +379,7 @@ def certificate(
         raise ParameterError(f"The variance of {samplers[best].spec} vanishes; there is no ratio.")
     spread = student_t(groups) * sums.std(axis=1, ddof=1) / math.sqrt(groups)
     # The least of several estimated variances is too small on average.
-    # Therefore each half of the groups uses the rival that the other half has chosen
+    # Therefore find the best rival on one half of the groups, and use it for the other half
     halves = sums.reshape(len(samplers), -1, 2)
     chosen = 1 + halves.sum(axis=1)[1:, ::-1].argmin(axis=0)
     beaten = halves[chosen, :, (0, 1)].T.ravel()
@@ -449,7 +449,7 @@ def _ratio(above: Array, below: Array) -> tuple[float, float, float]:
 def _better_rival(goal: Objective, made: Sampler, n: int, stream: Stream) -> tuple[Sampler, str]:
     """Return the design, or a usual sampler with less variance.
 
-    The second result is a sentence about the other sampler, or empty for the design.
+    Also return a sentence about the usual sampler. The sentence is empty if the design is returned.
     """
     realizations = _SETTINGS.check_realizations
     members = _SETTINGS.check_evaluations // (n * realizations)
