@@ -7,7 +7,7 @@ from scipy import stats
 from mcspectra.core.streams import Stream
 from mcspectra.rendering import Wavefront, load_mitsuba, render
 from mcspectra.rendering.kernel_nets import NetPoints, Pads, net_of, scramble_key
-from mcspectra.rendering.plugin import register_samplers
+from mcspectra.rendering.plugin import joint_sampler, register_samplers
 from mcspectra.samplers import as_sampler
 
 pytestmark = pytest.mark.render
@@ -188,3 +188,24 @@ def test_shifted_pads_are_the_nets_of_the_sampler(n):
     assert variance(second) == pytest.approx(known, rel=0.25)
     # Points that keep their distances integrate a bump better than a scrambled net
     assert known < 0.6 * variance(as_sampler("sobol | owen", 2).draw(n, realizations=sets, rng=1))
+
+
+def test_shifted_joint_sets_have_the_variance_of_their_sampler():
+    register_samplers()
+    mitsuba, sets, n = load_mitsuba(), 2000, 16
+    made = mitsuba.load_dict({"type": "mcspectra", "spec": SHIFTED, "sample_count": n})
+    made.set_samples_per_wavefront(n)
+    made.seed(mitsuba.UInt32(3), n * sets)
+    pairs = [made.next_2d() for _ in range(2)]
+    drawn = arrays([c for pair in pairs for c in (pair.x, pair.y)], sets, n)
+    own = joint_sampler(as_sampler(SHIFTED, 2), 4).draw(n, realizations=sets, rng=1)
+    # Both have the same points per cell of sides ½, in some order of the cells
+    for points in (drawn, own):
+        cells = np.floor(points * 2) @ [8, 4, 2, 1]
+        assert (np.sort(cells, axis=-1) == np.arange(16)).all()
+
+    def variance(points):
+        return np.exp(-((points - [0.37, 0.61, 0.2, 0.7]) ** 2).sum(-1)).mean(axis=1).var(ddof=1)
+
+    # Each variance has a relative error of about sqrt(2 / sets) = 3 %
+    assert variance(drawn) == pytest.approx(variance(own), rel=0.2)

@@ -75,6 +75,18 @@ def test_nets_take_four_numbers_jointly_by_default():
     assert (np.sort(cells, axis=-1) == np.repeat(np.arange(16), 4)).all()
 
 
+SHIFTED = "larcher-pillichshammer | digital-shift(jitter=True)"
+
+
+def test_nets_with_a_jittered_shift_are_joint_by_default_as_well():
+    padded = as_rendered(SHIFTED, USES)
+    assert isinstance(padded, Padded)
+    assert padded.joint == 4
+    x = padded.draw(64, realizations=5, rng=1)
+    for columns in ((0, 1), (2, 3), (5, 6)):
+        assert balanced(x, columns, 64)
+
+
 @pytest.mark.parametrize("spec", ["jittered", "latin-hypercube", "mitsuba(sampler='ldsampler')"])
 def test_other_samplers_are_padded_by_default(spec):
     padded = as_rendered(spec, USES)
@@ -91,6 +103,29 @@ def test_all_numbers_may_be_joint():
     assert as_rendered("random", USES).spec == "random"
     with pytest.raises(ParameterError, match="joint_dims is 1"):
         as_rendered("sobol | owen", USES, 1)
+
+
+def shift_variance(points):
+    """The sum over the dual net in the docstring of `JoinedPairs`, for digits (n, dims, m)."""
+    m = points.shape[-1]
+    zeros = np.where(points.any(-1), points.argmax(-1), m)[..., None]
+    places = np.arange(m)
+    # Sum of the Walsh functions with a+1 digits: 2^a, or −2^a if digit a+1 is the first 1
+    sums = 2.0**places * ((zeros > places).astype(float) - (zeros == places))
+    return (1 + (sums * 4.0 ** -(places + 1)).sum(-1)).prod(-1).mean() - 1
+
+
+@pytest.mark.parametrize("m", [*range(1, 13), pytest.param(16, marks=pytest.mark.slow)])
+def test_linked_points_of_larcher_and_pillichshammer_are_better_than_those_of_sobol(m):
+    n, found = 2**m, {}
+    for name in ("larcher-pillichshammer", "sobol"):
+        x = joint_sampler(as_sampler(f"{name} | owen", 2), 4).base.draw(n, rng=1)[0]
+        numbers = (x * n).astype(int)
+        digits = (numbers[..., None] >> np.arange(m)[::-1]) & 1
+        assert len(np.unique(numbers[:, :2], axis=0)) == n
+        assert {tuple(p) for p in numbers[:, :2]} == {tuple(p) for p in numbers[:, 2:]}
+        found[name] = shift_variance(digits)
+    assert found["larcher-pillichshammer"] <= found["sobol"]
 
 
 @pytest.mark.parametrize("n", [16, 64, 256])

@@ -179,7 +179,7 @@ For a scene, a Mitsuba XML file or a built-in name, it compares samplers as they
 pixels from all parts of the image. It prints the sampler to use, the samples per pixel that reach
 --target, the decisions that cause the variance, and the worst pixels. Samplers of this package are
 padded like those of renderers: each request of the integrator has its own points. The first 4
-numbers of a path are joint for scrambled nets (--joint-dims). With -o page.html it writes a page.
+numbers of a path are joint for randomized nets (--joint-dims). With -o page.html it writes a page.
 
 {_PROFILE.text.partition(chr(10) * 2)[2]}
 
@@ -214,7 +214,7 @@ store has the dims chain and draw, at its root or in the group posterior, as wri
             option(
                 "--joint-dims K",
                 "first numbers of a path that are joint; the others are padded (default 4 for "
-                "scrambled nets, else 0)",
+                "randomized nets, else 0)",
                 whole(0),
             ),
             option("--spp N", "samples per pixel now (default: the scene's own)", whole()),

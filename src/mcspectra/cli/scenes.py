@@ -117,7 +117,7 @@ _WHOLE = ("variant", "joint_dims", "sensor", "define", "spp_map")
         option(
             "--joint-dims K",
             "with --sampler: first numbers of a path that are joint; each later request has its "
-            "own points (padded) (default 4 for scrambled nets, else 0)",
+            "own points (padded) (default 4 for randomized nets, else 0)",
             whole(0),
         ),
         option(
@@ -148,7 +148,7 @@ def render_(options: argparse.Namespace) -> VerbOutput:
     With --integrator Mitsuba renders whole paths, and --sampler replaces the scene's own sampler.
     With --spp-map each pixel has its own number of samples, by default of 'sobol | owen'.
     Our samplers are padded: each request of the integrator has its own points.
-    With scrambled nets, the first 4 numbers of a path come from one point set (--joint-dims).
+    With randomized nets, the first 4 numbers of a path come from one point set (--joint-dims).
     A scene file can also name a sampler of this package:
     <sampler type="mcspectra"> with <string name="spec" value="sobol | owen"/>.
     """

@@ -51,7 +51,7 @@ from mcspectra.rendering.paths import (
     window_dimensions,
 )
 from mcspectra.rendering.pixel import check_channel
-from mcspectra.rendering.plugin import PLUGIN, joint_dims_of
+from mcspectra.rendering.plugin import JOINT_DIMS, PLUGIN, joint_dims_of
 from mcspectra.rendering.rendered import (
     OWN_SAMPLER,
     Film,
@@ -462,7 +462,10 @@ def _candidates(
         for k in dict.fromkeys((joint, 0)):
             name = f"{spec} ({f'joint_dims={k}' if k else 'padded'})"
             found.setdefault(name, {"type": PLUGIN, "spec": spec, "joint_dims": k})
-    found.setdefault(f"{_APART} (padded)", {"type": PLUGIN, "spec": _APART, "joint_dims": 0})
+    found.setdefault(
+        f"{_APART} (joint_dims={JOINT_DIMS})",
+        {"type": PLUGIN, "spec": _APART, "joint_dims": JOINT_DIMS},
+    )
     return found
 
 

@@ -240,12 +240,18 @@ class Pads:
 
 
 class JointSets:
-    """Sets of scrambled net points in several dims, one set per pixel, in the order of the net."""
+    """Sets of randomized net points in several dims, one set per pixel, in the order of the net.
 
-    def __init__(self, module: Any, net: Net, count: int, stream: Stream) -> None:
+    With `shifted`, the points are shifted with jitter instead of scrambled.
+    """
+
+    def __init__(
+        self, module: Any, net: Net, count: int, stream: Stream, *, shifted: bool = False
+    ) -> None:
         import drjit
 
         self.dims, self._module, self._net, self._count = net.dims, module, net, count
+        self._shifted = shifted
         keys = stream.child(3).keys(0, 1)[0]
         self._key = [drjit.opaque(module.UInt64, int(k)) for k in keys]
 
@@ -255,6 +261,10 @@ class JointSets:
         address = module.UInt64(pixel) << 32
         made = []
         for j, word in enumerate(net_words(module, self._net, self._count, index)):
+            if self._shifted:
+                key = mix_bits(module, k0, k1, address + 2 * j)
+                made.append(_unit(module, _shifted(module, word, key, index, self._count - 1)))
+                continue
             both = [mix_bits(module, k0, k1, address + 2 * j + part) for part in (0, 1)]
             made.append(_unit(module, _hashed(word, *(_halves(module, key) for key in both))))
         return JointPoints(self, made)

@@ -183,7 +183,7 @@ class Map(Analysis, frozen=True, kw_only=True):
         Meta(
             description="Whole paths: first numbers that are joint; each later request of the "
             "integrator has its own points (padded), as in rendered images. By default 4 for "
-            "scrambled nets, else 0.",
+            "randomized nets, else 0.",
             extra={"metavar": "K"},
         ),
     ] = None
@@ -522,7 +522,7 @@ def variance_map(
     joint_dims
         With an integrator: how many of the first numbers of a path come from one joint set.
         Every later request of the integrator has its own set (padding), as in renderers.
-        The default is 4 for scrambled nets in base 2 and 0 otherwise, as in the plugin.
+        The default is 4 for randomized nets in base 2 and 0 otherwise, as in the plugin.
         If it equals the number of dims of the paths, all numbers are joint.
     points
         ``"shared"``: in a realization, all pixels have the same points.

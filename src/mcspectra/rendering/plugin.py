@@ -12,7 +12,8 @@ Different requests are therefore independent of each other.
 The numbers of each request are as evenly spread as the sampler's points [KolligKeller2002]_.
 
 Alternatively, the first `joint_dims` numbers of a sample come from a single *joint* set.
-By default, binary nets scrambled by ``owen`` take `JOINT_DIMS` numbers jointly:
+By default, `JOINT_DIMS` numbers of binary nets with ``owen``, or with
+``digital-shift(jitter=True)``, are joint:
 the position in the pixel and the next pair, which is a point on the lens or on a light.
 Each pair of these numbers is as even as with padding (`mcspectra.samplers.nets.JoinedPairs`).
 All other samplers are padded by default.
@@ -20,7 +21,7 @@ The same rule holds for `mcspectra.rendering.variance_map` and for pixels (`padd
 The command ``python -m benchmarks scenes`` measures the effect of this rule on five scenes.
 
 In vectorized variants, lane i is sample i mod n of pixel ⌊i / n⌋.
-Kernels compute scrambled nets (`kernel_nets`), also joint sets up to `_MOST_WORDS` dims.
+Kernels compute randomized nets (`kernel_nets`), also joint sets up to `_MOST_WORDS` dims.
 Sets of other samplers are stored as float32 tables in Dr.Jit's memory.
 Requests read these tables in the layout of `Rounds`.
 In scalar variants, Mitsuba seeds the sampler for each pixel. Then the sets of the pixel are drawn.
@@ -78,7 +79,7 @@ PLUGIN_VARIANTS = ("llvm_ad_rgb", "scalar_rgb")
 """Variants of Mitsuba that get the plugin by default."""
 
 JOINT_DIMS = 4
-"""Default number of joint dims of scrambled nets.
+"""Default number of joint dims of randomized binary nets.
 
 With more joint dims, pairs of high dims are less evenly spread than padded pairs.
 In a scene of a room, 8 joint dims had 10 % more variance at n = 16.
@@ -161,17 +162,20 @@ class _Options:
 
 
 def joint_dims_of(sampler: Sampler) -> int:
-    """Return the default number of joint dims: `JOINT_DIMS` for scrambled binary nets, else 0."""
-    return 0 if net_of(sampler) is None else JOINT_DIMS
+    """Return the default number of joint dims: `JOINT_DIMS` for randomized binary nets, else 0.
+
+    The randomization is ``owen`` or ``digital-shift(jitter=True)``.
+    """
+    return 0 if (net_of(sampler) or shifted_net_of(sampler)) is None else JOINT_DIMS
 
 
 def joint_sampler(pair: Sampler, dims: int) -> Sampler:
     """Return the sampler of joint sets for a sampler in two dims.
 
-    For `JOINT_DIMS` dims, two copies of a scrambled binary net are joined (`JoinedPairs`).
+    For `JOINT_DIMS` dims, two copies of a randomized binary net are joined (`JoinedPairs`).
     In other cases, the sampler itself is used in `dims` dims.
     """
-    net = net_of(pair)
+    net = net_of(pair) or shifted_net_of(pair)
     if net is None or dims != JOINT_DIMS:
         return as_sampler(pair.spec, dims)
     made: Sampler = JoinedPairs(plane=net)
@@ -370,7 +374,8 @@ def seed_lanes(
     index = lane - pixel * width
     joint: _DeviceSets | JointPoints | None = None
     if sets.joint_net is not None:
-        joint = JointSets(module, sets.joint_net, sets.count, stream).at(pixel, index)
+        made = JointSets(module, sets.joint_net, sets.count, stream, shifted=sets.shifted)
+        joint = made.at(pixel, index)
     elif sets.joint:
         joint = _DeviceSets(module, sets.joints(stream, 0, min(pixels, rounds.size)))
     return LaneState(
@@ -590,7 +595,7 @@ class PaddedSets:
 
     @property
     def nets(self) -> tuple[Net, Net] | None:
-        """The scrambled nets in one and two dims, or None if kernels cannot compute these sets."""
+        """The nets in one and two dims, or None if kernels cannot compute these sets."""
         single, pair = (net_of(s) or shifted_net_of(s) for s in self._samplers[:2])
         if single is None or pair is None or self.count & (self.count - 1):
             return None
@@ -598,9 +603,10 @@ class PaddedSets:
 
     @property
     def joint_net(self) -> Net | None:
-        """The scrambled net of the joint sets, or None if kernels cannot compute these sets."""
+        """The net of the joint sets, or None if kernels cannot compute these sets."""
         small = self.nets is not None and (self.joint or 0) <= _MOST_WORDS
-        return net_of(self._samplers[2]) if small else None
+        joint = self._samplers[2]
+        return net_of(joint) or shifted_net_of(joint) if small else None
 
     @property
     def shifted(self) -> bool:

@@ -180,7 +180,7 @@ def render_file(
         Spec of one of our samplers, which replaces the scene's own sampler in memory.
     joint_dims
         With `sampler`: how many of the first numbers of a path are joint; the others are padded.
-        The default is 4 for scrambled nets in base 2 and 0 otherwise.
+        The default is 4 for randomized nets in base 2 and 0 otherwise.
     spp
         Samples per pixel; by default the number in the file.
     seed

@@ -324,7 +324,30 @@ def _irreducible() -> tuple[int, ...]:
     return tuple((np.flatnonzero(~composite[2:]) + 2).tolist())
 
 
+# Columns of U in `JoinedPairs`, as numbers whose lowest bit is row 0. One U serves all counts of
+# Sobol' points. The matrices of Larcher and Pillichshammer depend on m, so each m has its own U
 _LINK = (1, 3, 5, 14, 16, 49, 122, 170, 459, 612)
+_LARCHER_LINKS = (
+    (),
+    (1,),
+    (3, 1),
+    (4, 3, 6),
+    (13, 4, 10, 1),
+    (11, 22, 15, 31, 8),
+    (61, 17, 54, 32, 30, 45),
+    (55, 85, 3, 38, 91, 33, 110),
+    (214, 113, 246, 163, 193, 127, 129, 236),
+    (333, 409, 100, 270, 22, 429, 111, 210, 274),
+    (599, 230, 885, 125, 878, 312, 947, 200, 255, 377),
+    (1437, 700, 522, 115, 1056, 1658, 433, 1934, 1761, 587, 1838),
+    (3903, 4029, 2288, 1310, 2679, 3637, 942, 1296, 3864, 236, 3827, 1973),
+    (5844, 7270, 2580, 3691, 2257, 1928, 5156, 680, 3976, 7643, 570, 2988, 8069),
+    (15989, 9739, 5517, 11281, 8758, 1497, 12800, 3692, 13457, 2731, 7078, 5237, 5198, 13643),
+    (15722, 32601, 15241, 4605, 30347, 23335, 8508, 10879, 29879, 27691, 22594, 10657, 29256, 28395,
+     31821),
+    (52519, 51555, 566, 32745, 52751, 36442, 24726, 49012, 8964, 40120, 33625, 25792, 28379, 9079,
+     63193, 3107),
+)  # fmt: skip
 
 
 @final
@@ -339,14 +362,20 @@ class JoinedPairs(_BinaryNet):
 
     Notes
     -----
-    The matrices of the points are C_1, C_2, C_1 U and C_2 U with an upper triangular matrix U.
+    The matrices of the points are C_1, C_2, C_1 U and C_2 U with an invertible matrix U.
     For coordinates 3 and 4, the digits of a point's index are multiplied by U.
     The multiplication changes only the order of the points in the plane.
     Coordinates 3 and 4 are therefore as evenly spread as coordinates 1 and 2.
     In contrast, coordinates 3 and 4 of Sobol' points do not form a (0, m, 2)-net for most m.
 
-    The first ten columns of U are the best of 3000 random choices for Sobol' points in the plane.
+    For Sobol' points, U is upper triangular, so it does not depend on the number of points.
+    Its first ten columns are the best of 3000 random choices.
     These columns give the least quality parameter t: 1, 2 and 3 for 16, 64 and 256 points.
+    For Larcher and Pillichshammer's net of 2^m points, U is the best of 80 to 3000 random
+    matrices, for m up to 16.
+    The best U has the smallest variance of a digital shift in four dims.
+    This variance is summed over the dual net. A Walsh function has the weight Π_i 4^-a_i,
+    where a_i is the number of binary digits of its index k_i.
     """
 
     max_dims: ClassVar[int | None] = 4
@@ -362,8 +391,12 @@ class JoinedPairs(_BinaryNet):
         """Return the columns of the generator matrices: uint32 (4, 32); 2^31 means ½."""
         own = np.asarray(self.plane.direction_numbers(n), np.uint32)
         linked = own.copy()
-        for column, rows in enumerate(_LINK):
-            parts = [own[:, j] for j in range(column + 1) if rows >> j & 1]
+        link = _LINK
+        if isinstance(self.plane, LarcherPillichshammer):
+            most = 2 ** (len(_LARCHER_LINKS) - 1)
+            link = _LARCHER_LINKS[as_integer("n", n, least=1, most=most).bit_length() - 1]
+        for column, rows in enumerate(link):
+            parts = [own[:, j] for j in range(len(link)) if rows >> j & 1]
             linked[:, column] = np.bitwise_xor.reduce(parts)
         return np.concatenate([own, linked])[: self.dims]
 
