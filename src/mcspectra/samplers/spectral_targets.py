@@ -132,7 +132,7 @@ class TargetSpectrum(_MatchedSampler):
 
     Notes
     -----
-    The descent starts from independent uniform points.
+    The optimization by descent starts from independent uniform points.
     The descent fits the mean power over rings of frequencies, which have width one.
     Single sets therefore follow the curve more closely than random fluctuations would allow.
     A target is refused if its pair correlation (its Hankel transform) is negative somewhere.
