@@ -85,7 +85,7 @@ class CauseSettings:
     Comments on settings refer to the 152 test cases of ``python -m benchmarks settings``.
     With the settings below, profiles find the right first cause in all 152 cases.
     If a comment says that all test cases get the right cause with other values of a setting,
-    only this setting was changed.
+    or that these values give the same results, only this setting was changed.
     A test case gets a wrong cause if the first cause of its profile is not the right one.
     """
 
@@ -134,7 +134,7 @@ class CauseSettings:
     largest: float = 1e120
     # Least number of dims in which the mean dimension is estimated.
     # In 1 to 3 dims, points fill the cube well enough for interactions of all axes.
-    # Values from 4 to 8 give the same results; with 2, one of 152 causes is wrong.
+    # With 4 to 8 dims, all test cases get the right cause. With 2 dims, one gets a wrong cause.
     many_dims: int = 4
     # Number of points for which the joint distribution of a sampler's points is examined.
     # The kind of distribution is the same for all n (tested with 32 and 128).
@@ -920,7 +920,9 @@ def _limited(seen: Evidence, limit: float) -> str:
 
 
 def _cusps_and_kinks(seen: Evidence) -> tuple[Array, Array]:
-    """Return lines through cusps, and lines through kinks; only the more frequent kind counts.
+    """Return which lines cross a cusp, and which lines cross a kink.
+
+    Only the more frequent one of the two kinds is a cause.
 
     The exponent of a cusp or a kink has an error of about 0.1 on a single line.
     A jump next to a steep part may look like a cusp or a kink.

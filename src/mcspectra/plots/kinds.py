@@ -231,7 +231,7 @@ def describe(kind: str, data: Data, styles: Styles | None = None) -> Plot:
         If the kind is unknown, if there is nothing to draw, or if the kind does not fit the result.
     """
     chosen = PLOT_KINDS[as_choice("kind", kind, tuple(PLOT_KINDS))]
-    # Only curves of a bench are separated by integrand
+    # Only a plot of convergence separates the curves of a bench by integrand
     if isinstance(data, xr.Dataset) and "points_made" in data and kind != "convergence":
         data = data.drop_vars("rate")
     group, note = as_group(data)
