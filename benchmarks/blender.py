@@ -25,8 +25,8 @@ SAMPLES, FRAMES = (4, 16, 64), 8
 SIZE = (96, 64)
 MEASURED, HELD = 24, 48  # number of frames for predictions, and of other frames
 SEEDS, HELD_SEEDS, TIMES = 4, 8, 12
-# Number of columns of sequences that are compared. The other columns show the light's reflection:
-# 60 of their pixels make half of the variance
+# Only this number of columns of the sequences is compared.
+# In the other columns, 60 pixels of the light's reflection make half of the variance
 COLUMNS = 60
 PAIRS, EACH = 50, 8  # number of clean pairs of the gate, and of frames of each set
 INSTALL = (
