@@ -222,8 +222,8 @@ class CauseSettings:
     # With 95 % confidence, 8 sets determine the variance within the factors 0.44 and 4.1.
     few_sets: int = 8
     # Two numbers of standard errors above which a deviation is not due to chance.
-    # The correlation between consecutive sets exceeds 4.5 errors with probability 3e-6.
-    # The mean over sets deviates by more than 6 errors with probability 1e-5,
+    # The correlation between consecutive sets exceeds 4.5 standard errors with probability 3e-6.
+    # The mean over sets deviates by more than 6 standard errors with probability 1e-5,
     # by Student's t with 19 degrees of freedom.
     serial: float = 4.5
     away: float = 6.0

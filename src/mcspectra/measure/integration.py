@@ -118,7 +118,7 @@ class IntegrationSettings:
     # The law tells the kind of scramble, which is the same for all n.
     law_at: int = 64
     # The rate is measured with sets that have fewer points than the final sets.
-    # Largest ratio of the number of points of a final set to the number of a first set.
+    # Largest ratio of the points of a final set to the points of a set that measures the rate.
     # Results are the same for ratios from 2 to 8: widths of intervals differ by 1 % on average.
     pilot: int = 4
     # Number of prefixes of a replicate to which the rate is fitted.
