@@ -1,8 +1,8 @@
 """Measure frames of Blender's Cycles: sampling patterns, filters, sequences, and the gate.
 
 Run ``python -m benchmarks blender``, or ``python -m benchmarks blender --quick``.
-It needs Blender 5.0 or its package bpy: a Python with bpy named in BLENDER_PYTHON, or bpy in this
-environment, or ``blender`` on the path.
+The benchmark needs Blender 5.0: the program ``blender`` on the path, or the package bpy.
+The package bpy may be in this environment, or in a Python that BLENDER_PYTHON names.
 The scene has a diffuse and a glossy sphere below an area light, which makes soft shadows.
 Frames have 96 × 64 pixels, are not denoised, and each has its own seed.
 """
@@ -25,8 +25,8 @@ SAMPLES, FRAMES = (4, 16, 64), 8
 SIZE = (96, 64)
 MEASURED, HELD = 24, 48  # number of frames for predictions, and of other frames
 SEEDS, HELD_SEEDS, TIMES = 4, 8, 12
-# Columns of sequences that are compared. The others hold the reflection of the light, whose 60
-# pixels make half of the variance
+# Only this number of columns of the sequences is compared.
+# In the other columns, 60 pixels of the light's reflection make half of the variance
 COLUMNS = 60
 PAIRS, EACH = 50, 8  # number of clean pairs of the gate, and of frames of each set
 INSTALL = (

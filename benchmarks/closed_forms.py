@@ -32,7 +32,7 @@ def z_values(sampler: str, n: int, dims: int, realizations: int = REALIZATIONS) 
     m = rng.integers(-_HIGHEST, _HIGHEST + 1, (_PAIRS, dims))
     other = rng.integers(-_HIGHEST, _HIGHEST + 1, (_PAIRS, dims))
     other[: _PAIRS // 2] = m[: _PAIRS // 2]
-    # Frequencies that differ by a multiple of n along one axis have the largest correlation
+    # The largest correlation is between frequencies that differ by a multiple of n along one axis
     other[-4:] = m[-4:]
     other[-4:, 0] += n * rng.choice([-1, 1], 4)
     source = mcs.sampler(sampler, dims=dims)

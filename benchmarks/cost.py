@@ -5,7 +5,7 @@ The seconds t per realization follow a model of the NUFFT [Barnett2019]_; R real
 
     t = a + b n log(1/ε) + c M log M.
 
-The constants a, b and c are fitted.
+The constants a, b and c are fitted to measured times.
 In d dims, a point is spread to log^d(1/ε) cells of the grid.
 Vector instructions process all cells of a row together.
 In two dims, the time per point grows like the number of rows, which is of order log(1/ε).
@@ -85,7 +85,7 @@ def main(*flags: str) -> None:
 def _series(
     label: str, x: tuple[float, ...], times: Array, model: Array, first: int, step: int = 1
 ) -> Series:
-    """Return one case for each x: every `step`-th case, beginning with `first`."""
+    """Return a curve with one case for each x: cases `first`, `first` + `step`, and so on."""
     chosen = np.arange(len(x)) * step + first
     return Series(label, np.array(x, np.float64), times[chosen], model[chosen])
 

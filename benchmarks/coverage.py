@@ -63,7 +63,7 @@ _SEEDS = 600
 
 
 def _of_variances() -> Iterator[tuple[str, ...]]:
-    """Yield the coverage of `Moments.variance_ci`; samples of equal values count separately."""
+    """Yield the coverage of `Moments.variance_ci`; constant samples count separately."""
     for count in COUNTS:
         for name, (draw, variance, kurtosis) in LAWS.items():
             found = Moments.of(draw(np.random.default_rng(count), (count, REPETITIONS)), tails=True)
@@ -136,7 +136,10 @@ def _of_spectra() -> Iterator[tuple[str, ...]]:
 
 
 def _of_anova() -> Iterator[tuple[str, ...]]:
-    """Yield coverages of shares and dimensions for Π (1 + (x_i − ½) √(12 a_i)), a = 1, ½, ⅕."""
+    """Yield the coverage of intervals of ANOVA shares and of effective dimensions.
+
+    The integrand is Π (1 + (x_i − ½) √(12 a_i)) with a = 1, ½, ⅕.
+    """
     part = np.array([1.0, 0.5, 0.2])
     variance = np.prod(1 + part) - 1
     truth = {

@@ -56,7 +56,7 @@ def _pairing() -> None:
 
 
 def main() -> None:
-    """Print the largest difference for each number of dims, and then both predictions."""
+    """Print the largest difference for each number of dims, and predictions by two conventions."""
     names = ("random", "jittered", "jittered | shift", "one-sided")
     for dims in SIZES:
         cases = itertools.product(names, (None, "linear(slope=1.2)"), ("domain", "primary"))

@@ -47,7 +47,7 @@ def main(*flags: str) -> None:
             ("kernels alone", raw.loops),
         ]
     seconds = dict.fromkeys([name for name, _ in works], float("inf"))
-    for _ in range(1 if full else ROUNDS):  # take turns, because the machine may be busy
+    for _ in range(1 if full else ROUNDS):  # each round times all works: the load varies
         for name, work in works:
             start = time.perf_counter()
             work()

@@ -2,7 +2,7 @@
 
 The cases have different masks, sets and integrands.
 The command ``python -m benchmarks masks`` prints the ratio of predicted to measured power.
-There is a ratio for each of four bands of radial frequency, from 64 images.
+The ratio is printed for each of four bands of radial frequency, from 64 images.
 """
 
 from __future__ import annotations

@@ -2,17 +2,17 @@
 
 Each row is a sampler in a group of problems. Each cell of a row is a problem at one n.
 A cell is right if prediction and measurement agree to 5 %.
-A cell is also right if they agree to two standard errors of the measurement.
+A cell is also right if prediction and measurement agree to two standard errors of the measurement.
 A cell is covered if prediction and measurement differ by less than their combined interval.
 Predictions do not evaluate f at the points of the sampler.
 Measurements have at least 1,000 realizations.
 The option ``--group=2-D`` selects one group, and ``--group=new`` selects all new groups.
 
-New groups test every fast sampler with an offset (shift, strata-shift, digital-shift).
-Some of their problems have 4 to 8 dims, and some have unbounded integrands.
+Groups named ``new`` test every fast sampler with an offset (shift, strata-shift, digital-shift).
+Some problems of the new groups have 4 to 8 dims, and some have unbounded integrands.
 References are measured with 20,000 realizations.
 If the moments of estimates are unbounded, references come from closed-form integrals.
-The class `Unbounded` sums these integrals over strata and pairs of points.
+The class `Unbounded` sums closed-form integrals over strata and pairs of points.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class Tail:
     """An unbounded function h of one variable, with the integrals of h and h² from 0 to u.
 
     The flag `even` means h(1 − u) = h(u).
-    Values near 1 can then be computed from the precise distance to 1.
+    For even h, values near 1 are computed from the precise distance to 1.
     """
 
     h: Callable[[Array], Array]
@@ -194,7 +194,7 @@ class Unbounded:
             apart = [(n * h.mean**2 - h.between(n, at)) / (n - 1) for at in starts]
             return float(h.square**d / n + (1 - 1 / n) * math.prod(apart) - h.mean ** (2 * d))
         # Two points of a net share some leading bits on each axis, also after nested scrambling.
-        # They then lie in different halves of the cell that these leading bits determine
+        # The two points lie in different halves of the cell that the shared bits determine
         levels = int(math.log2(n))
         siblings = []
         for level in range(levels):

@@ -264,7 +264,7 @@ def _run(config: StudyConfig, engine: MakeExecutor) -> None:
 def _processor() -> float:
     """Return processor seconds of this process and of ended child processes.
 
-    A permanent process forks the workers. All workers have ended when a study has ended.
+    A permanent helper process forks the workers. At the end of a study, all workers have ended.
     """
     used = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     running = (each.cpu_times() for each in psutil.Process().children())

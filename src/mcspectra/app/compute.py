@@ -52,12 +52,12 @@ __all__ = [
 ]
 
 UPDATE_KINDS = ("points", "integrand", "spectrum", "convergence", "terms", "predict")
-"""Parts of a result, in order of computation. Later rounds omit points, integrand and predict."""
+"""Parts of a result, in order. Only the first round computes points, integrand and predict."""
 
 MOST_AT_ONCE = 2
 """Maximum number of parts that all pages together compute at the same time.
 
-With two parts, one part can use the time in which the other part is idle.
+If two parts are computed at once, one can use the time in which the other is idle.
 """
 
 _PATIENCE = 0.2  # seconds between checks whether a waiting job was canceled
@@ -109,12 +109,12 @@ def rounds(setup: ExplorerSetup) -> Iterator[int]:
 
 
 def compute(kind: str, setup: ExplorerSetup, realizations: int) -> xr.Dataset:
-    """Compute one of `UPDATE_KINDS`. Results are cached by the fields that affect them.
+    """Compute the part `kind` of a result. It is cached by the fields that affect it.
 
     Raises
     ------
     McspectraError
-        If the parts do not fit together, or an analysis refuses them.
+        If integrand, density and sampler do not fit together, or an analysis refuses them.
     """
     if kind in ("points", "spectrum"):
         setup = replace(setup, integrand="constant", mirror="none", smoothing=0.0, basis="fourier")
@@ -130,7 +130,7 @@ def _computed(kind: str, setup: ExplorerSetup) -> xr.Dataset:
     if kind == "integrand":
         # Tabulate f, p and f/p on the unit square.
         # A sum of techniques has no single f and p.
-        # In this case, tabulate g = f/p of each technique in primary space instead
+        # For a sum of techniques, tabulate g = f/p of each technique in primary space instead
         dims, f = parts.sampler.dims, parts.estimator.domain_integrand
         size = _GRID[dims]
         middles = (np.arange(size) + 0.5) / size
@@ -161,7 +161,7 @@ class _Cancelled(Exception):
 
 
 _TURNS = threading.BoundedSemaphore(MOST_AT_ONCE)
-_own = threading.local()  # holds the job of this thread
+_own = threading.local()  # the job that runs in this thread
 
 
 def _stop_if_cancelled(what: str, fraction: float) -> None:
@@ -184,7 +184,7 @@ class Job:
         Called in the job's thread with each finished part.
     on_end
         Called once with a text when the job ends, but not after `cancel`.
-        The text is empty, or says what was refused or why refinement stopped early.
+        The text is empty if nothing was refused or stopped early; otherwise it gives the reason.
 
     Notes
     -----
@@ -294,7 +294,7 @@ def integrand_specs(setup: ExplorerSetup) -> tuple[str, ...]:
     """Return specs of the integrands for `mcspectra.integrand`, one spec per technique.
 
     The digest of an upload is replaced by the path of its file.
-    If an integrand has several channels, the chosen channel is added.
+    If an integrand has several channels, its spec also names the chosen channel.
 
     Raises
     ------

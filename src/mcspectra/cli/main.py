@@ -4,7 +4,7 @@ Exit codes: 0 for success, 1 if the run failed, 2 for bad input, 130 if interrup
 The verb ``gate`` also exits with 3 (fail) and 4 (undecided).
 Verbs are listed by name, so ``--help`` imports none of them (docs/decisions/0002).
 Each verb is a function, for example `run_` for the verb ``run``. This module prints its output.
-The module `mcspectra.cli.analysis` turns each analysis into a verb.
+The module `mcspectra.cli.analysis` turns each analysis into a subcommand (verb).
 """
 
 from __future__ import annotations
@@ -211,7 +211,7 @@ def _dispatch(given: list[str]) -> int:
     verb: Verb
     if module == "analysis":
         analyses = _ANALYSES.get(name, ())
-        if len(analyses) != 1:  # other packages may add verbs and splits
+        if len(analyses) != 1:  # other packages may add analyses to a verb
             analyses = (*analyses, *_outside_analyses(name))
         if not analyses and name in _NOW:
             raise UnknownName(f"The verb {shown(name)} is now 'mcspectra {_NOW[name]}'.")
@@ -267,7 +267,7 @@ def _dispatch(given: list[str]) -> int:
 def _writer(parser: argparse.ArgumentParser) -> Callable[[Parameter | Function], str]:
     """Return a function that adapts names in messages to the command line.
 
-    The function replaces a parameter by its option as typed, and a Python function by its verb.
+    For example, a parameter is named as its option, and a Python function as its verb.
     """
     import shlex
 
@@ -361,8 +361,8 @@ def _outside_verbs() -> tuple[dict[str, list[str]], dict[str, str]]:
 
     An analysis is omitted if another analysis has the same function, or the same verb and split.
     Analyses of this package have priority.
-    Analyses that cannot be loaded are not in the result.
-    The command `mcspectra list analyses` gives the reason in such a case.
+    Analyses that cannot be loaded are in neither dictionary.
+    The command `mcspectra list analyses` states why an analysis could not be loaded.
     """
     if not entry_points(group="mcspectra.analyses"):
         return {}, {}

@@ -137,7 +137,7 @@ def render_(options: argparse.Namespace) -> VerbOutput:
 
     Without --integrator the image is direct light by one strategy.
     The verb prints the mean radiance and the samples per second.
-    The time for this rate includes the compilation of kernels.
+    The samples per second include the time to compile kernels.
     With several images (-m) or a --reference, the verb also prints a standard error:
     the root mean square of the standard errors of all pixels.
     --compare renders a reference, and one image for each strategy with equal samples:
@@ -509,7 +509,7 @@ def pixel_(options: argparse.Namespace) -> VerbOutput:
 
     Without --integrator this measures direct light. With --integrator it measures whole paths.
     The results for paths are rates of samplers, and the variance by bounce, decision and light.
-    They include the number of coordinates in which good points reduce the variance.
+    The results for paths include the number of coordinates in which good points help.
     """
     x: int | str = options.x
     if options.y is not None:
@@ -654,7 +654,7 @@ def map_(options: argparse.Namespace) -> VerbOutput:
     """Map the variance, its rate and the bottleneck over an image of a scene.
 
     Without --integrator the map compares strategies for direct light.
-    With --integrator it measures whole paths and the shares of bounces and decisions.
+    With --integrator the map measures whole paths and the shares of bounces and decisions.
     Writes DIR/report.html, DIR/maps.exr (all layers), DIR/map.json and pictures.
     DIR/study.sqlite keeps finished tiles, so that --resume can continue.
 
@@ -743,7 +743,8 @@ def _map_cost(options: argparse.Namespace, parts: Any, subjects: Any) -> VerbOut
     ]
     first = costs[0]
     seconds, samples = (sum(getattr(c, k) for c in costs) for k in ("seconds", "samples"))
-    # Maps of mean, variance, rate, its error, and the picture; then shares, and the choices
+    # A map has five figures: mean, variance, rate, error of the rate, and the picture.
+    # Shares of the variance and choices of a strategy or a sampler add further figures
     figures = 5 + (4 if parts[0].integrator is None or parts[0].chains != 0 else 0)
     figures += (parts[0].pixels is not None) + (len(parts) > 1)
     profile = 0.0

@@ -23,7 +23,8 @@ In simulations, counts were 4, 16, … 1024 and standard errors were 6 % (500 re
 For a straight line, 98 % of the intervals of ``"auto"`` contain the asymptotic rate.
 For jittered points and a disk of radius 0.27 off the center, 97 % of intervals contain the rate.
 For a Gaussian and jittered points with a random shift, 86 % of the intervals contain the rate.
-For this Gaussian the exact slope is −1.42 … −1.50, and no test can detect such a small bend.
+For the Gaussian with a random shift, the exact slope is −1.42 … −1.50.
+No test can detect such a small bend.
 If a curve still bends at its last counts, its rate is not extrapolated.
 An example is a disk centered on the strata, with slope −1.39 between the last two counts.
 Exact variances at the same counts would show the rate better.
@@ -68,7 +69,7 @@ UNRESOLVED = "not resolved: use five or more counts, more realizations or larger
 """Text that replaces a rate whose interval is too wide. Results keep the number."""
 
 # Largest half width of the 95 % interval of a rate that is reported.
-# Intervals of this half width around the rates −1 and −2 only touch each other
+# Intervals of ±0.5 around the rates −1 and −2 only touch each other
 _WIDEST = 0.5
 _LEAST = 3  # smallest number of counts that can show lack of fit
 
@@ -85,12 +86,12 @@ class LineFit:
         Weighted means of x and y. The line passes through this point.
         The error of the level is independent of the error of the slope.
     spread
-        Σ w (x − center)². If weights are inverse variances, it is the slope's inverse variance.
+        Σ w (x − center)²: the inverse variance of the slope if weights are inverse variances.
     residuals
         Differences between y and the line, with shape (N,).
     chi2
         Lack of fit, Σ w residual² per degree of freedom.
-        The value is about 1 for a straight line. It is NaN for two points.
+        The lack of fit is about 1 for a straight line. It is NaN for two points.
     """
 
     slope: float
@@ -128,7 +129,7 @@ def line_fit(x: Array, y: Array, weight: Array) -> LineFit:
 @final
 @dataclass(frozen=True, kw_only=True)
 class LineFits:
-    """Many lines log V = level + rate · (log n − center), fitted by `line_fits`: arrays (S, …).
+    """Many lines log V = level + rate · (log n − center), stored as arrays (S, …); see `line_fits`.
 
     The center is the weighted mean of log n, at which the errors of level and rate are independent.
     A rate is NaN if it was fitted to fewer than two values, or if the line is not `known`.
@@ -203,7 +204,7 @@ class RateFit:
     ----------
     rate, interval
         Slope and its 95 % interval, widened if there is lack of fit.
-        They are NaN if fewer than two variances were fitted.
+        Rate and interval are NaN if fewer than two variances were fitted.
     first_n
         Smallest fitted count.
     chi2
@@ -298,7 +299,7 @@ def _line(x: Array, y: Array, se: Array, *, chosen: bool = False) -> RateFit:
 
 
 def widening(degrees: int, chi2: float) -> float:
-    """Return the factor by which lack of fit widens an interval with `degrees` of freedom."""
+    """Return the factor by which lack of fit widens an interval with these degrees of freedom."""
     return _quantile(degrees, chi2, chosen=False) / CONFIDENCE_Z
 
 

@@ -11,7 +11,7 @@ __all__ = ["available_memory", "check_memory", "memory_of", "shown_bytes"]
 # Number of copies of the points in memory: drawn points, warped points, values and weights
 _COPIES = 4
 # Number of arrays with a complex number for each frequency.
-# These arrays hold transforms, sums, squares and coefficients
+# The complex arrays hold transforms, sums, squares and coefficients
 _GRIDS = 8
 _NUMBERS = 2**21  # float64 numbers in a block of realizations (see core.parallel)
 _BASE = 2**20

@@ -3,9 +3,9 @@
 Text is data: a spec is parsed and never evaluated. But it may name code to run or files to read.
 A `Trust` allows the code and the files in folders that the caller names.
 Links are resolved before the check. A study can also read its own folder.
-The process has one Trust, `process_trust`.
-The options ``--allow-code`` and ``--allow-path`` extend this Trust.
-The function `mcspectra.samplers.allow_code` also extends this Trust.
+Each process has one object of the class `Trust`: `process_trust`.
+The options ``--allow-code`` and ``--allow-path`` extend the permissions of the process.
+The function `mcspectra.samplers.allow_code` also extends the permissions of the process.
 """
 
 from __future__ import annotations

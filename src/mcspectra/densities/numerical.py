@@ -3,13 +3,13 @@
 In 1-D, the axis is divided into cells. Jumps and kinks are enclosed in ever smaller cells.
 On each cell, a 12-point Chebyshev interpolant of the pdf is accurate to rounding.
 Matrices convert the values at a cell's nodes to coefficients of the interpolant and its integral.
-Other matrices give the interpolant at the ends of the cell and at the nodes of its halves.
-A comparison with the pdf at these points shows whether the cell is resolved [Trefethen2013]_.
+The interpolant is also evaluated at the ends of the cell and at the nodes of its halves.
+A comparison with the pdf at these places shows whether the cell is resolved [Trefethen2013]_.
 The cdf is the integral of the interpolants. Newton's method inverts it within a cell.
 The interpolants are then compared with the pdf at 2^18 other points.
 
 In 2-D, x_1 is computed first, from its marginal. Then x_0 is computed from its density given x_1.
-This is the same order as in `mcspectra.densities.tabulated`.
+The module `mcspectra.densities.tabulated` uses the same order of the axes.
 All rows are evaluated on the same cells, so the warp is as smooth along x_1 as the pdf.
 Jumps along lines x_0 = c and x_1 = c are resolved exactly.
 Jumps or kinks along other lines are searched for in 1018 rows, at 1024 places each.
@@ -111,7 +111,7 @@ class NumericalWarp:
             start=256,
             most=_MOST[1] if self.dims == 1 else _MOST_OF_MARGINAL,
             subject=subject,
-            # A marginal needs no probes: it has more nodes than the 509 rows that are resolved
+            # A marginal is not probed: it has more nodes than the 509 rows that are resolved
             probes=_PROBES[1] if self.dims == 1 else 0,
         )
         return _Axis.of(cells, density(cells.nodes[..., None]))
@@ -190,7 +190,7 @@ class NumericalWarp:
     def check_rows(self) -> None:
         """In 2-D, compare integrals of rows over the cells with integrals over halved cells.
 
-        These rows differ from the rows that determined the cells.
+        The compared rows are not the rows that determined the cells.
 
         Raises
         ------
@@ -294,13 +294,13 @@ class _Cells:
         return scaled @ _TO_SERIES.T, scaled @ _TO_INTEGRAL.T
 
     def masses(self, values: Array) -> Array:
-        """Return integrals over all cells, clipped to at least 0, from values (..., K, 12)."""
+        """Return integrals over all cells from values (..., K, 12); negative integrals become 0."""
         weights = _TO_INTEGRAL.sum(axis=0)
         return np.asarray(np.maximum((values @ weights) * (0.5 * self.width), 0.0))
 
 
 def _spread(low: Array, width: Array) -> Array:
-    """Return nodes (..., 12), below 1, of cells with left ends `low` and widths `width` (...)."""
+    """Return nodes (..., 12) of cells with left ends `low` and widths `width`, all below 1."""
     nodes = low[..., None] + (0.5 * width)[..., None] * (_NODES + 1.0)
     return np.asarray(np.minimum(nodes, BELOW_ONE))
 
@@ -312,7 +312,7 @@ def _refine(
 
     The nodes of the cells may miss details between them. Therefore the function is also probed.
     If the interpolant differs from the function at a probe, the cells with such probes are split.
-    They are split down to the distance between probes, and further if necessary.
+    The cells are split down to the distance between probes, and further if necessary.
 
     Parameters
     ----------
@@ -415,7 +415,7 @@ def _halved(low: Array, width: Array) -> tuple[Array, Array]:
 
 
 def _size(values: Array, width: Array) -> float:
-    """Return the largest integral of the rows; 1 if all are 0, so that zeros count as resolved."""
+    """Return the largest integral of any row; 1 instead of 0, so that zeros count as resolved."""
     total = float((values.mean(axis=1) * width[:, None]).sum(axis=0).max())
     return total or 1.0
 

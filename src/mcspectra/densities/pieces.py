@@ -10,8 +10,8 @@ All k_j are at least 1, and nearly proportional to the L_j. The density is p = k
 Its cdf maps the edges to (k_0 + … + k_j)/s in primary space, which are borders of equal strata.
 The weights 1/p differ from 1 only by the rounding of the k_j. The estimator is unbiased.
 
-An alternative is to round the k_j at random and to use equal weights.
-However, an edge would then still cut strata and determine the variance.
+An alternative is to round the numbers k_j of strata at random, and to use equal weights.
+With random rounding, however, an edge would still cut strata and determine the variance.
 """
 
 from __future__ import annotations
@@ -156,7 +156,7 @@ class AlignedStrata(Density):
 def _allocated(lengths: Array, strata: int) -> Array:
     """Return whole numbers ≥ 1 near `strata` · lengths, of sum `strata`, by largest remainders.
 
-    If short pieces get more than their share, the long pieces divide the remaining strata.
+    If short pieces get more strata than their share, the long pieces divide the other strata.
     """
     counts = np.ones(len(lengths), np.int64)
     long = np.ones(len(lengths), bool)
@@ -298,7 +298,7 @@ class PiecewiseLinear(Density):
     Consider a cell with the densities a and b at its ends.
     The share r of the cell's mass lies left of t = (a + b) r/(a + √D) with D = a² + (b² − a²) r.
     As in `Linear`, the formula starts from the lower end, so that all terms are positive.
-    Therefore there is no cancellation if a is close to b, or if a or b is 0.
+    The formula has no cancellation if a is close to b, or if a or b is 0.
     """
 
     dims: int = field(default=1, init=False)

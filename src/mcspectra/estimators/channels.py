@@ -2,7 +2,7 @@
 
 If all channels share one density p, such as the luminance, then f_c/p may jump where p jumps.
 With a separate density p_c for each channel, f_c/p_c jumps only where f_c itself jumps.
-The rate then depends on the rest of f_c. `channel_estimators` makes four estimators:
+The rate of channel c then depends only on f_c. `channel_estimators` makes four estimators:
 
 ``one``
     All channels use the points of one density, such as the luminance. It evaluates f n times.

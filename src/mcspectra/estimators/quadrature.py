@@ -57,17 +57,17 @@ MOST_EVALUATIONS = 2.0**26
 DIVERGES = 0.4995
 """If g grows with an exponent above this limit, ∫g² counts as infinite.
 
-The exact limit is ½. This limit is smaller by the error of measured exponents.
+In theory the limit is ½. The limit used is smaller by the error of measured exponents.
 """
 
 _BLOCK = 2**18  # Number of evaluations in one call
 _ORDERS = ((12, 20), (6, 10), (4, 6))
-# If there are more strata than this, the orders of the rules are lower.
+# If there are more strata than this, Gauss-Legendre rules of lower orders are used.
 # Nets in 2-D have n² cells, and 10² nodes in each cell would be too many
 _MANY = 400
 # For means over offsets in 1-D, [0, 1] is divided into at least this number of panels
 _LEAST_PANELS = 32
-# Maximum number of cells in a level. This number is enough to resolve jumps along curves.
+# Maximum number of cells in a level; 2^13 cells resolve jumps along curves.
 # With the default number of cells, a quadrature takes eight times as long
 _FEW_CELLS = 2**13
 # If a mean has an error below this fraction of √∫g², the rule resolves g everywhere
@@ -84,21 +84,21 @@ _LOOKED_DIMS = 5
 _HIDDEN = 0.1
 # Number of lines, and the largest difference between two slopes that count as equal
 _GROWTH_LINES, _STEADY = 4, 0.02
-# Growth is measured at these distances from 0, from 1, and from a break.
-# The numbers k stand for the distances 2^-k
+# The growth of g is measured at small distances from 0, from 1, and from a break.
+# Each number k stands for the distance 2^-k
 _FAR, _NEAR, _INSIDE = (30, 60, 90, 120), (20, 30, 40, 50), (8, 14, 20, 26)
-# Number of the largest values at the points of `probe` that are stored,
-# and the rank above which a power law replaces these values
+# The 256 largest values at the points of `probe` are stored.
+# A power law replaces the values whose rank is above 8
 _TOP, _RANK = 256, 8
-# The largest values follow a power law t^-a under two conditions.
-# First, the exponent a is above the first number.
-# Second, log(g_4/g_32) exceeds log(g_32/g_256) times the second number; g_k has rank k.
-# The third number is the largest exponent a that is used to integrate g²
+# The largest values follow a power law t^-a if the exponent a is above 0.1,
+# and if log(g_4/g_32) exceeds 0.6 log(g_32/g_256), where g_k has rank k.
+# Power laws with an exponent a of at most 0.47 are used to integrate g²
 _HEAVY, _AS_POWER, _LARGEST_POWER = 0.1, 0.6, 0.47
 # Growth is unbounded if log2 |g| rises by at least this much at each step toward the plane
 _RISES = 0.02
 
-# Panels down to 2^-20 integrate √u near 0 to 1e-6. In 2-D, each panel adds a row of panels
+# Quadrature panels that shrink to 2^-20 at 0 integrate √u to 1e-6.
+# In 2-D there are fewer panels, because each one adds a row of panels
 _GRADED = {
     dims: tuple(x for k in range(1, depth) for x in (0.5**k, 1.0 - 0.5**k))
     for dims, depth in ((1, 40), (2, 14))
@@ -111,7 +111,7 @@ class Pointwise(Derived):
     """A pointwise function of an integrand.
 
     If `width` is given, it is the number of channels.
-    Otherwise the function has as many channels as the integrand.
+    By default, the function has as many channels as the integrand.
     """
 
     name: ClassVar[str] = "pointwise"
@@ -163,7 +163,7 @@ def looked_at(g: Integrand) -> Integrand:
 
     Only jumps normal to an axis are detected; see `found_breaks`.
     g is returned unchanged if it has more than 5 dims, or if its calls are costly.
-    The same applies if g has a closed form or its own rule.
+    g is also returned unchanged if it has a closed form or its own rule.
     """
     cache = g._cache
     if cache.cut is None:
@@ -189,11 +189,11 @@ def blindness(g: Integrand, means: Array, squares: Array) -> Array:
     -------
     ndarray
         Difference between the means and the integrals that a second rule computes.
-        If the second rule does not resolve g, its error is added.
-        The second rule, `mcspectra.integrands._quadrature.adaptive_integral`,
-        also detects regions in which g differs from its values at the nodes of the first rule.
+        If the second rule does not resolve g, the error of this rule is added.
+        The second rule is `mcspectra.integrands._quadrature.adaptive_integral`.
+        This rule also detects regions in which g differs from its values at the first rule's nodes.
         The result is 0 if the two rules agree and the second rule resolves g.
-        It is also 0 if the sums agree with a closed form of ∫g.
+        The result is also 0 if the mean over all strata agrees with a closed form of ∫g.
     """
     mean, square = means.mean(axis=0), squares.mean(axis=0)
     exact = g._integral()
@@ -207,7 +207,7 @@ def blindness(g: Integrand, means: Array, squares: Array) -> Array:
     square_off = np.abs(square - 2.0 * middle * mean + middle**2 - second) - error - rounding
     largest = np.abs(means - middle).max(axis=0)
     missed = np.maximum(square_off, 0.0) + 2.0 * largest * np.maximum(off, 0.0)
-    # If the second rule does not resolve ∫g², add its error: the first rule may err by as much.
+    # If the second rule does not resolve ∫g², add this error: the first rule may err as much.
     # Also add this error if breaks of g were detected, because g has jumps there
     hides = (error > _RESOLVED * second) | isinstance(g, _Cut)
     return np.asarray(missed + np.where(hides, error, 0.0))
@@ -217,10 +217,10 @@ def moments(g: Integrand) -> tuple[Array, Array, Array, Array]:
     """Return a number a near ∫g, the integrals ∫(g − a) and ∫(g − a)², and their error.
 
     All four results are arrays of shape (channels or 1,).
-    The integrals have a closed form, or come from the rule that detects regions between nodes.
-    They are cached. With a learned density, f is integrated over the domain.
-    There, the knots of the density are on planes normal to the axes.
-    In primary space, the knots are on curves.
+    The integrals have a closed form, or come from an adaptive rule that also finds hidden peaks.
+    The integrals are cached. With a learned density, f is integrated over the domain.
+    In the domain, the knots of the density are on planes normal to the axes.
+    In primary space, the knots of the density are on curves.
     """
     cache = g._cache
     if cache.moments is None:
@@ -241,7 +241,7 @@ def moments(g: Integrand) -> tuple[Array, Array, Array, Array]:
 
             label, width = f"moments of {g.spec}", 2 * len(middle)
             both = Pointwise(g, centered, breaks, label, width)
-            if g.dims <= _LOOKED_DIMS and not over_domain:  # In more dims boxes are not cut
+            if g.dims <= _LOOKED_DIMS and not over_domain:  # g is not cut at breaks in more dims
                 both._cache.breaks = found_breaks(g)
             found = integral_estimate(both)
             first, second = np.split(found.value, 2)
@@ -295,8 +295,8 @@ def unseen(g: Integrand) -> Array:
 def beyond_points(g: Integrand) -> Array:
     """Return the part of ∫g² next to poles that the points of the probe miss, (channels or 1,).
 
-    The part is 0 if there are no poles. A pole is assumed in two cases:
-    g is `unbounded` on lines, or the largest values of |g| follow a power law.
+    The missed part is 0 if g has no poles. Poles are assumed in two cases:
+    g grows without bound on lines, or the largest values of |g| follow a power law.
     Let g_k be the k-th largest value. By a power law, g_4/g_32 is about as large as g_32/g_256.
     For a smooth peak, log(g_4/g_32) is only log(g_32/g_256)/8.
     For N points with values t^-a, ranks above k contribute k g_k² / (N (1 − 2a)) to ∫g².
@@ -373,7 +373,8 @@ def strata(
 
     Strata are displaced by `offset` on the torus.
 
-    The shapes are (strata, channels), (channels,) and (channels,). The error is from `blindness`.
+    The three arrays have the shapes (strata, channels), (channels,) and (channels,).
+    The error is computed by `blindness`.
     If jumps of g are unknown, rules of two orders may give the same variance by chance.
     Therefore twice the standard error of the two rules' differences in single strata is added.
     """
@@ -486,14 +487,14 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
     """Return ∫g² and an estimate of its absolute error, each (channels or 1,).
 
     The result is infinite if g grows too fast toward a plane normal to an axis (`growth`).
-    Otherwise it comes from `moments`. In 1-D and 2-D there is a second quadrature by levels.
-    It records the unresolved part of each level (`mcspectra.densities.adaptive`).
-    If g = f/p, this second quadrature integrates f²/p over the domain:
+    Otherwise ∫g² comes from `moments`. In 1-D and 2-D, quadrature by levels gives a second value.
+    Quadrature by levels records the unresolved part of each level (`mcspectra.densities.adaptive`).
+    If g = f/p, quadrature by levels integrates f²/p over the domain:
     in primary space, floating-point numbers are sparse next to 1.
     The integral is infinite if the unresolved part does not shrink.
     If g grows toward a plane normal to an axis with an exponent below ½, the integral is finite.
-    Otherwise the result with the smaller error is used.
-    In more dims, other poles can at best be recognized by a large error.
+    If both values of ∫g² are finite, the value with the smaller error is used.
+    In more dims, poles that are not on planes normal to an axis at best cause a large error.
     """
     cache = g._cache
     if cache.square is not None:
@@ -526,9 +527,9 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
         level = positive_integral(of_channel, g.dims, most_cells=_FEW_CELLS)
         if level[1] > _SUSPECT * level[0]:
             level = positive_integral(of_channel, g.dims)
-        # On a narrow ridge, the largest value also grows from level to level.
-        # However, it hardly exceeds the values at the points of `probe`, so this is not a pole.
-        # If the exponent of a pole is known, use it instead
+        # On a narrow ridge of g, the largest value also grows when cells are refined.
+        # However, a ridge hardly exceeds the values at the points of `probe`, so it is not a pole.
+        # Quadrature by levels is not used for poles whose exponent is known
         largest = max(seen)
         pole = largest > _POLE * float(of_channel(probe(g.dims)).max())
         if math.isfinite(level[0]) or (pole and not grows[c] > 0.0):
@@ -537,16 +538,16 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
         cache.square = by_levels, np.zeros(width)
         return cache.square
 
-    # Integrate by the rule that detects regions between nodes
+    # Integrate by the adaptive rule, which finds details between nodes
     middle, first, second, error = moments(g)
     value = second + 2.0 * middle * first + middle**2
     error = error * (1.0 + 2.0 * np.abs(middle))
     with np.errstate(invalid="ignore"):
         # Quadrature by levels can miss thin slabs.
-        # The other rule divides the cube into boxes, and can miss the tips of poles
+        # The adaptive rule divides the cube into boxes, and can miss the tips of poles
         more = by_levels - value - level_errors - error
         alike = np.abs(by_levels - value) <= level_errors + error
-    hidden = unseen(g)  # This error comes from thin slabs that the levels miss
+    hidden = unseen(g)  # Error from thin slabs that quadrature by levels misses
     better = alike & (level_errors + hidden < error) & (hidden < _HIDDEN * error)
     better |= np.isinf(by_levels) | over_domain & (more > 0.0)
     level_errors = np.where(np.isinf(by_levels), 0.0, level_errors + hidden)
@@ -558,7 +559,7 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
 
 
 def _inside(g: Integrand) -> tuple[Integrand, bool]:
-    """Return g without detected breaks, and whether a density warps g."""
+    """Return g without detected jumps, and whether g is f/p in primary space."""
     inside = g.integrand if isinstance(g, _Cut) else g
     return inside, isinstance(inside, PrimaryIntegrand) and isinstance(inside.estimator, Estimator)
 
@@ -567,7 +568,7 @@ def growth(g: Integrand) -> Array:
     """Return the largest exponent a of growth t^-a near an end of an axis or a break; 0 if bounded.
 
     Here t is the distance to the end or break. The exponents have the shape (channels or 1,).
-    They are slopes of log |g| at the smallest distances on some lines.
+    The exponents are slopes of log |g| at the smallest distances on some lines.
     The last two slopes of a line must agree.
     ∫g² diverges for a ≥ ½, and ∫g⁴ for a ≥ ¼. Integrands in closed form have no such poles.
     An integrand is not tested if it is costly or warped by a density.

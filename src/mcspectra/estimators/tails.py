@@ -2,13 +2,13 @@
 
 ∫1/p and the variance may be finite and yet far larger than any simulation can measure.
 As an example, let f = 1, and let p be normal about ½ with σ = 0.02. Then ∫f²/p is 4e131.
-Points x within 0.005 of 0 or 1 contribute 99.8 % of it, and one sample in 3e134 is such a point.
+Points x within 0.005 of 0 or 1 contribute 99.8 % of ∫f²/p; one sample in 3e134 is there.
 
 If f grows without bound toward a face of the cube,
 the outermost stratum causes most of the variance of stratified points.
 If f ∝ t^−κ at the distance t, the error of a point set is proportional to u^−κ.
 Here u is a uniform random number.
-For a few point sets, the distribution of Student's t of these errors is skewed.
+For a few point sets, Student's t of errors proportional to u^−κ has a skewed distribution.
 The quantiles of this t depend only on κ and on the number of point sets.
 `growing_interval` computes these quantiles by simulation.
 """
@@ -54,7 +54,7 @@ class TailSettings:
     """Settings that detect from values at points whether f grows at the border."""
 
     # The exponent is fitted to the values at the points closest to a face.
-    # There are at most `most` of these points, and at most the fraction 1/`part` of all points
+    # The fit uses at most `most` points, and at most the fraction 1/`part` of all points
     most: int = 64
     part: int = 16
     # Least number of points in a fit, which has three parameters
@@ -70,28 +70,28 @@ class TailSettings:
     # f grows if the median at the closest 1/64 of the points exceeds this quantile of all values
     outermost: float = 0.95
     # Exponents above the first limit make the variance infinite; above the second, ∫f diverges.
-    # In theory the limits are ½ and 1. The error of a fit of 64 points is subtracted
+    # In theory the limits are ½ and 1; both are lowered by the error of a fit of 64 points
     no_variance: float = 0.48
     no_integral: float = 0.95
     # Least exponent for which ∫f⁴ is infinite, so that the error of a variance is unknown: ¼
     infinite_error: float = 0.25
     # Largest exponent for which quantiles are computed.
-    # If the exponent is larger and the lower end of its interval exceeds `surely`,
-    # the interval of the mean is infinite.
+    # The interval of the mean is infinite if the exponent is larger
+    # and if the lower end of the exponent's interval exceeds `surely`.
     # Among 2,700 integrals of exp(x + y), five had an exponent above `largest` by chance
     largest: float = 0.46
     surely: float = 0.25
     # Probability that the integral lies beyond the extended end of its interval.
-    # The other end of the interval comes from Student's t.
-    # The integral hardly ever lies beyond the other end of the interval
+    # On the side without growth, the end of the interval comes from Student's t.
+    # The integral hardly ever lies beyond the end that comes from Student's t
     beyond: float = 0.04
-    # If fewer values than this hold half of the variance, most sets miss important regions.
+    # If only 4 values hold half of the variance, most sets miss important regions.
     # Of 8,192 values of a smooth function, 700 or more hold half of the variance.
-    # For x^−0.3, 60 values hold half of it; for a peak on 1 % of the square, 45 values do.
+    # For x^−0.3, 60 values hold half of the variance; for a peak on 1 % of the square, 45 values.
     # For three narrow peaks in 8 dims, a single value holds half of the variance
     few: int = 4
-    # Number of values of Student's t that are simulated to estimate a quantile of it.
-    # With this number, the quantile for the probability `beyond` has an error of about 1 %
+    # Number of simulated values of Student's t from which a quantile is estimated.
+    # With 40,000 values, the quantile for the probability `beyond` has an error of about 1 %
     samples: int = 40_000
 
 
@@ -148,7 +148,7 @@ def border_growth(
     centre = float(np.median(values))
 
     def fitted(logs: Array, y: Array) -> tuple[float, float, float, float]:
-        """Return exponent, its lower end, slope and its error, by weighted least squares."""
+        """Return the exponent and its lower end, and the slope and its error, by weighted fits."""
         size, free = np.abs(y - centre), len(y) - 3
         weight = np.maximum(size, 1e-3 * size.max()) ** -2.0
         weight /= weight.sum()
@@ -189,7 +189,7 @@ def growing_interval(
     """Return a 95 % interval of the mean of stratified estimates (R,) if f grows at a border.
 
     The interval is `mean_interval`, but it extends farther on the side toward which f grows.
-    The extended end is the quantile of Student's t for errors proportional to u^−κ.
+    The end on the side of growth is a quantile of Student's t for errors proportional to u^−κ.
     If the exponent is close to ½ or above, the interval is infinite.
     """
     low, high = mean_interval(estimates)
@@ -208,7 +208,7 @@ def growing_interval(
 
 @lru_cache(maxsize=256)
 def _growing_quantile(exponent: float, count: int, settings: TailSettings) -> float:
-    """Return by how many standard errors the mean of `count` values u^−κ may be too small."""
+    """Return the quantile of Student's t of `count` numbers u^−κ on the side of low means."""
     rng = np.random.default_rng((count, round(1000.0 * (exponent + 1.0))))
     u = rng.random((max(1000, min(settings.samples, 10_000_000 // count)), count))
     x = -np.log(u) if exponent == 0.0 else (u**-exponent - 1.0) / exponent
@@ -221,11 +221,12 @@ def tied_error(values: Array) -> float:
 
     A function with jumps and few values, such as an indicator, may have equal estimates by chance.
     Let a point cross the i-th jump with probability p_i in one set of n points.
-    No set has crossed a jump with probability (1 − Σp_i)^R, so that Σp_i < ln(20)/R at 95 %.
-    A crossing changes an estimate by at most (max f − min f)/n.
+    No point of R sets crosses a jump with probability (1 − Σp_i)^R.
+    If all estimates are equal, Σp_i < ln(20)/R therefore holds with 95 % confidence.
+    A point that crosses a jump changes an estimate by at most (max f − min f)/n.
     The result is therefore ln(20) (max f − min f)/(R n), where R n is the number of all values.
     If most values of f differ, equal estimates do not occur by chance, so they are exact.
-    In this case, the result is 0.
+    The result for exact estimates is 0.
 
     Parameters
     ----------
@@ -240,7 +241,7 @@ def tied_error(values: Array) -> float:
 def few_note(values: Array, settings: TailSettings = TAIL_SETTINGS) -> str | None:
     """Return a sentence if few of the values (N,) cause half of their variance."""
     squares = (values - values.mean()) ** 2
-    if len(values) < settings.least * settings.part:  # Few values cannot show a tail
+    if len(values) < settings.least * settings.part:  # Too few values to judge a tail
         return None
     largest = np.partition(squares, 1 - settings.few)[1 - settings.few :]
     if not 2.0 * largest.sum() > squares.sum() > 0.0:
@@ -283,9 +284,10 @@ def doubt(
     Returns
     -------
     tuple or None
-        A sentence, and whether the values give no information on the variance at all.
-        This is so if the variance may be infinite, or may come from a region without points.
-        None if the values bound the variance. If no points are given, growth is not tested.
+        A sentence on the tail, and whether the values say nothing about the variance.
+        The values say nothing if the variance may be infinite, or may come from an empty region.
+        The result is None if the values bound the variance.
+        If no points are given, growth at the border is not tested.
     """
     for each in values.T:
         if not np.ptp(each):
@@ -318,17 +320,18 @@ def unsampled_share(estimator: AbstractEstimator, samples: int) -> float:
     Parameters
     ----------
     estimator
-        The estimator. If it has no density, the share is 0.
+        The estimator. Without a density, the returned share is 0.
     samples
-        Number N of samples in all realizations together. The region has the probability 1/N.
+        Number N of samples in all realizations together. The density gives the region the
+        probability 1/N.
 
     Notes
     -----
-    Means are taken over as many points of an additive recurrence as there are samples.
-    There are 4096 to 65,536 of them, so this costs no more than the simulation.
+    The share is a mean over points of an additive recurrence, as many points as samples.
+    There are 4096 to 65,536 points, so the share costs no more than the simulation.
     A region without any of these points counts as empty.
-    Therefore, in many dims the share is more likely too small than too large.
-    With several channels the largest share is returned.
+    Therefore, in many dims the returned share is more likely too small than too large.
+    With several channels, the largest share of any channel is returned.
     """
     if not isinstance(estimator, Estimator) or estimator.density is None:
         return 0.0

@@ -3,7 +3,7 @@
 `Evidence.of` evaluates the integrand. Detectors do not evaluate it again.
 Each detector takes the evidence, and returns a `Cause` or None.
 `CAUSES` lists the detectors, beginning with the most harmful cause.
-`causes_of` returns causes in the same order.
+`causes_of` returns the detected causes, the most harmful cause first.
 """
 
 from __future__ import annotations
@@ -84,49 +84,49 @@ class CauseSettings:
 
     Comments on settings refer to the 152 test cases of ``python -m benchmarks settings``.
     With the settings below, profiles find the right first cause in all 152 cases.
-    "Values from a to b give the same results" means: if a setting is changed to a or b,
-    profiles also find the right first cause in all cases.
-    A cause is "wrong" if it is not the right first cause.
+    If a comment says that all test cases get the right cause with other values of a setting,
+    or that these values give the same results, only this setting was changed.
+    A test case gets a wrong cause if the first cause of its profile is not the right one.
     """
 
     # Least number of scrambled nets.
     # A variance of 20 normal estimates has a relative standard error of a third.
-    # With 40 nets of half the size, one of 152 causes is wrong.
-    # With 10 nets, the results are the same as with 20.
+    # With 40 nets of half the size, one of 152 test cases gets a wrong cause.
+    # With 10 nets instead of 20, all test cases get the right cause.
     nets: int = 20
     # Above this number of evaluations, the number of nets grows as the square root of evaluations.
     # Nets then have 512 points or more, so a curve has at least ten counts.
-    # For such curves, additional nets improve the rate more than additional counts.
+    # A curve with ten counts gains more from additional nets than from additional counts.
     more_from: int = 16384
     # Fraction of the budget that is spent on lines and poles.
-    # Values from 0.1 to 0.4 give the same results.
+    # With a fraction from 0.1 to 0.4, all test cases get the right cause.
     lines_share: float = 0.2
     # Fraction of the budget that is left to check a change of the estimator.
-    # Values from 0.075 to 0.15 give the same results.
-    # With the value 0.3, nets have fewer evaluations, and one of 152 causes is wrong.
+    # With a fraction from 0.075 to 0.15, all test cases get the right cause.
+    # With 0.3, too few evaluations are left for nets, and one test case gets a wrong cause.
     check_share: float = 0.15
     # Fraction of the budget for the given sampler, if nets cannot estimate its variance.
-    # The nets then get 40 % of the budget.
-    # Values from 0.125 to 0.5 give the same results.
+    # The scrambled nets then get 40 % of the budget.
+    # With a fraction from 0.125 to 0.5, all test cases get the right cause.
     given_share: float = 0.25
-    # Largest fraction of the lines' evaluations that is spent on the search for a pole.
-    # Values from 0.4 to 0.8 give the same results.
-    # If the search for a pole leaves no evaluations for lines, four of 152 causes are wrong.
+    # Largest fraction of the evaluations for lines that is spent on the search for a pole.
+    # With a fraction from 0.4 to 0.8, all test cases get the right cause.
+    # If the pole search leaves no evaluations for lines, four test cases get a wrong cause.
     pole_share: float = 0.8
-    # Fraction of the lines' evaluations that is spent on the mean dimension.
-    # Values from 0.125 to 0.25 give the same results.
-    # With the value 0.5, fewer evaluations are left for lines, and four of 152 causes are wrong.
+    # Fraction of the evaluations for lines that is spent on the mean dimension.
+    # With a fraction from 0.125 to 0.25, all test cases get the right cause.
+    # With 0.5, fewer evaluations are left for lines, and four test cases get a wrong cause.
     dimension_share: float = 0.25
     # Number of points at which values are computed again to detect noise.
     # A function that is random at half of all points is detected with probability 1 − 2^−8 = 0.996.
     again: int = 8
     # Two values at a point are equal if their relative difference is below this number.
-    # Rounding is smaller for sums of 1e6 terms in float64, in any order.
-    # It is also smaller for sums of a few terms in float32.
+    # Sums of 1e6 terms in float64 have smaller rounding errors than 1e-6, in any order.
+    # Sums of a few terms in float32 also have smaller rounding errors than 1e-6.
     same_value: float = 1e-6
-    # In many dims, a pole is searched for only if g has an outlier.
+    # In many dims, a pole is searched for only if one value of g is an outlier.
     # The largest squared deviation of g from its mean must exceed the variance by this factor.
-    # Values from 150 to 600 give the same results.
+    # With a factor from 150 to 600, all test cases get the right cause.
     climbed: float = 300.0
     # Smallest and largest allowed size of g.
     # Sums of squares of such numbers stay in the range of float64, 1e-308 to 1e308.
@@ -134,111 +134,115 @@ class CauseSettings:
     largest: float = 1e120
     # Least number of dims in which the mean dimension is estimated.
     # In 1 to 3 dims, points fill the cube well enough for interactions of all axes.
-    # Values from 4 to 8 give the same results; with 2, one of 152 causes is wrong.
+    # With 4 to 8 dims, all test cases get the right cause. With 2 dims, one gets a wrong cause.
     many_dims: int = 4
     # Number of points for which the joint distribution of a sampler's points is examined.
     # The kind of distribution is the same for all n (tested with 32 and 128).
     law_at: int = 64
     # Error of a measured exponent of growth. The variance is infinite for exponents above ½.
-    # Because of this error, exponents above 0.48 are also reported as infinite variance.
+    # Exponents above 0.48, which is ½ minus the error, are also reported as infinite variance.
     # In all 18 test cases with a pole, the measured exponent has an error of at most 0.02.
-    # Values from 0.01 to 0.04 give the same results.
+    # With an error from 0.01 to 0.04, all test cases get the right cause.
     exponent_error: float = 0.02
     # Error of the order of a pole inside the cube if the pole is found by lines only.
-    # Values from 0.04 to 0.16 give the same results.
+    # With an error from 0.04 to 0.16, all test cases get the right cause.
     bend_error: float = 0.08
     # Tail index above which the integral does not exist. In theory the limit is 1.
     # For a pole of order 1, the measured index is 0.95 or more.
-    # This value only affects the sentence and the remedies.
+    # The limit of the tail index affects only the sentence on the cause and the remedies.
     no_integral: float = 0.95
     # Exponent of growth at the border above which growth is a main cause.
-    # Slower growth is listed after all other causes. With 0.04, two of 152 causes are wrong.
-    # Values from 0.08 to 0.16 give the same results.
+    # Slower growth is listed after all other causes.
+    # With an exponent of 0.04 as the limit, two test cases get a wrong cause.
+    # With a limit from 0.08 to 0.16, all test cases get the right cause.
     grows: float = 0.08
     # Kurtosis of g above which a tail is heavy, if few values hold most of the variance.
     # The kurtosis is 3 for normal, 9 for exponential, and 114 for lognormal values with σ = 1.
-    # Values from 15 to 60 give the same results.
+    # With a kurtosis from 15 to 60 as the limit, all test cases get the right cause.
     heavy_kurtosis: float = 30.0
     # A tail is also heavy if a single value has more than this fraction of the sum of squares.
-    # Values from 0.1 to 0.4 give the same results.
-    # The setting `large_share` in `measure/blindness.py` has the same value.
+    # With a fraction from 0.1 to 0.4, all test cases get the right cause.
+    # Warnings about unresolved tails use the same fraction (`measure/blindness.py`).
     large_share: float = 0.2
-    # Two limits of the fraction of values that hold nine tenths of the variance.
-    # A tail is heavy below the first limit, and is the main cause below the second limit.
-    # The ranges 0.025 to 0.1 and 0.005 to 0.01 give the same results.
-    # With 0.02 as the second limit, two of 152 causes are wrong.
+    # The tail is judged by the fraction of the values that hold nine tenths of the variance.
+    # A tail is heavy if this fraction is below the first limit,
+    # and the main cause if the fraction is below the second limit.
+    # All test cases get the right cause with limits from 0.025 to 0.1 and from 0.005 to 0.01.
+    # With 0.02 as the second limit, two test cases get a wrong cause.
     few_values: float = 0.05
     very_few_values: float = 0.01
     # Largest number of different values of a step function, as a fraction of all evaluations.
-    # Values from 0.025 to 0.1 give the same results.
+    # With a fraction from 0.025 to 0.1, all test cases get the right cause.
     few_different: float = 0.05
     # Least number of lines from which a profile concludes that g has no problem.
     # 4 lines miss a feature that half of all lines cross with probability 1/16.
-    # Values from 2 to 8 give the same results.
+    # With 2 to 8 lines, all test cases get the right cause.
     least_lines: int = 4
     # Fraction of lines with a jump that have a parallel line with a jump at the same coordinate.
     # Above this limit, jumps count as parallel to axes.
-    # Values from 0.35 to 0.7 give the same results; above 1, no jump is parallel to an axis.
+    # With a limit from 0.35 to 0.7, all test cases get the right cause.
+    # With a limit above 1, no jump counts as parallel to an axis.
     straight: float = 0.7
-    # Limit for the number of lines with a jump, divided by the number of lines with a cusp.
-    # If this ratio is above the limit, g has jumps.
+    # Least ratio of the number of lines with a jump to the number of lines with a cusp.
+    # With fewer jumps, all lines that seem to jump may cross a cusp instead.
     # One line in 100 through a cusp of order ½ appears to be a jump by chance.
     jumps_of_cusps: float = 0.05
     # The function oscillates if more than this fraction of places along a line are local extremes.
     # For noise, ⅔ of all places are local extremes.
-    # Values from 0.165 to 0.33 give the same results; with ⅔, four of 152 causes are wrong.
+    # With a fraction from 0.165 to 0.33, all test cases get the right cause.
+    # With ⅔, four test cases get a wrong cause.
     turns: float = 0.33
     # Least number of waves along a line at which g is called oscillating.
-    # Smaller numbers of waves are resolved by the 16 steps of a line.
-    # Values from 3 to 12 give the same results.
+    # The 16 steps along a line resolve functions with fewer than 6 waves.
+    # With 3 to 12 waves as the limit, all test cases get the right cause.
     waves: float = 6.0
     # Nets resolve g if their gain over random points is above this value.
-    # Values from 2 to 8 give the same results.
+    # With a gain from 2 to 8 as the limit, all test cases get the right cause.
     resolved: float = 4.0
-    # Number of points that resolve a smooth function without waves.
-    # The number is doubled for each axis along which g has waves.
-    # Values from 8 to 32 give the same results.
+    # Number of points that resolve a smooth function that does not oscillate.
+    # The number of points is doubled for each axis along which g oscillates.
+    # With 8 to 32 points, all test cases get the right cause.
     coarse_cube: float = 16.0
     # Mean dimension above which g varies with many axes at once.
     # The mean dimension is 1 for additive functions, and 2 for functions of pairs of axes.
-    # Values from 0.9 to 3.6 give the same results.
+    # With a mean dimension from 0.9 to 3.6, all test cases get the right cause.
     low_dimension: float = 1.8
     # If the gain of nets over random points is above this value, many dims are not a problem.
-    # Values from 4 to 16 give the same results.
+    # With a gain from 4 to 16 as the limit, all test cases get the right cause.
     little_gain: float = 8.0
     # A shift around the torus costs precision if opposite faces differ by more than this.
-    # The difference is the mean squared difference of g, divided by the variance of g.
-    # Values from 5e-4 to 2e-3 give the same results.
+    # The measure is the mean squared difference of g at the faces, divided by the variance of g.
+    # With a limit from 5e-4 to 2e-3, all test cases get the right cause.
     opposite: float = 1e-3
     # Number of points that measure the integral of a wrong density.
     # If 1/p is smooth, a net of 4096 points gives four correct digits, as many as are printed.
-    # No decision depends on this number.
+    # No decision depends on the number of points.
     pdf_points: int = 4096
     # Least number of sets from which a variance is estimated.
     # With 95 % confidence, 8 sets determine the variance within the factors 0.44 and 4.1.
     few_sets: int = 8
     # Two numbers of standard errors above which a deviation is not due to chance.
-    # The correlation between consecutive sets exceeds the first number with probability 3e-6.
-    # The mean over sets exceeds the second number with probability 1e-5.
-    # This probability is from Student's t with 19 degrees of freedom.
+    # The correlation between consecutive sets exceeds 4.5 standard errors with probability 3e-6.
+    # The mean over sets deviates by more than 6 standard errors with probability 1e-5,
+    # by Student's t with 19 degrees of freedom.
     serial: float = 4.5
     away: float = 6.0
     # Means over sets count as equal if their standard deviation is below this value.
     # Rounding of means is about 1e-16.
     # Means of x along an axis over scrambled nets have the standard deviation 0.29 n^−1.5.
-    # This standard deviation is above 1e-9 for up to 400,000 points.
+    # The standard deviation 0.29 n^−1.5 is above 1e-9 for up to 400,000 points.
     rounding: float = 1e-9
     # Rounding matters if floating-point numbers differ by more than this fraction of g's spread.
-    # Steps of 1 % of the spread change the variance by 1e-5.
-    # This fraction is also a limit for lines on which g may oscillate.
-    # The variance along such a line is above this fraction of the largest variance along a line.
-    # Values from 0.005 to 0.02 give the same results.
+    # Rounding g to steps of 1 % of its spread changes the variance by 1e-5.
+    # The same fraction selects the lines on which g may oscillate:
+    # the variance along a line must exceed this fraction of the largest variance along any line.
+    # With a fraction from 0.005 to 0.02, all test cases get the right cause.
     coarse: float = 1e-2
-    # Two limits of a technique's part of the variance.
-    # A technique whose part is above the first limit is reported as a cause.
-    # If its rate is also slower, a technique is reported above the second limit.
-    # Values from 0.4 to 1.6 for the first limit give the same results.
-    # Values from 0.25 to 1 for the second limit give the same results.
+    # A technique of MIS can be a cause if its part of the variance is large.
+    # A technique whose part exceeds the first limit is reported as a cause.
+    # A technique with a slower rate is reported if its part exceeds the second limit.
+    # With a first limit from 0.4 to 1.6, all test cases get the right cause.
+    # With a second limit from 0.25 to 1, all test cases get the right cause.
     dominant: float = 0.8
     largest_part: float = 0.5
     # A technique has a slower rate if the rates differ by this number of standard errors.
@@ -300,7 +304,7 @@ class Replicates:
         Estimates of the first R sets, (R,); R may be 0.
     waves
         For each set, the means of x − ½, cos 2πx and sin 2πx along every axis, (R, 3d).
-        The integrals of these functions are 0.
+        The integrals of x − ½, cos 2πx and sin 2πx are 0.
     different
         Number of different sets.
     """
@@ -365,7 +369,7 @@ class Evidence:
         stream: Stream,
         settings: CauseSettings = CAUSE_SETTINGS,
     ) -> Evidence:
-        """Evaluate nets and lines within a budget of evaluations; do not draw from `sampler`.
+        """Evaluate scrambled nets and lines within a budget; do not draw from `sampler`.
 
         Raises
         ------
@@ -395,7 +399,7 @@ class Evidence:
                 missed = point_in_words(places[met][0])
 
         # If there is a single technique, estimate the mean dimension and search for a pole.
-        # After that, evaluate lines of each technique
+        # The lines of each technique are evaluated afterwards
         lines: list[Lines] = []
         mean, pole, noise, failed = math.nan, None, 0.0, ""
         allowed = (
@@ -474,11 +478,11 @@ class Evidence:
 
     @property
     def is_periodic(self) -> bool:
-        """Whether g agrees on opposite faces of the cube, according to the lines."""
+        """Whether lines along the axes find equal values of g on opposite faces of the cube."""
         return self.opposite <= self.settings.opposite
 
     def each(self, name: str) -> Array:
-        """Return an attribute of the lines, joined for all techniques."""
+        """Return one quantity of the lines through g, concatenated for all techniques."""
         return np.concatenate([getattr(lines, name) for lines in self.lines])
 
 
@@ -504,7 +508,7 @@ def shares_of(
     each = estimator.cost
     share = 1.0 - settings.lines_share - settings.check_share
     share -= settings.given_share if is_apart(estimator, sampler) else 0.0
-    # More nets reduce the error of a rate; larger nets do not.
+    # More nets reduce the error of the variance's rate; larger nets do not.
     # The error of the integral falls with the number of nets and with their size
     nets = int(settings.nets * max(1.0, math.sqrt(budget / (each * settings.more_from))))
     n = int(share * budget) // (nets * each)
@@ -560,7 +564,7 @@ def _noisy_function(seen: Evidence) -> Cause | None:
 
 
 def _infinite_variance(seen: Evidence) -> Cause | None:
-    # If the climb found no pole, take the less precise order of the pole from lines
+    # If no uphill search found a pole, take the less precise order of the pole from lines
     poles = np.concatenate([lines.poles() for lines in seen.lines])
     order = -float(np.median(seen.each("exponent")[poles])) if poles.any() else 0.0
     known = seen.settings
@@ -916,7 +920,9 @@ def _limited(seen: Evidence, limit: float) -> str:
 
 
 def _cusps_and_kinks(seen: Evidence) -> tuple[Array, Array]:
-    """Return lines through cusps, and lines through kinks; only the more frequent kind counts.
+    """Return which lines cross a cusp, and which lines cross a kink.
+
+    Only the more frequent one of the two kinds is a cause.
 
     The exponent of a cusp or a kink has an error of about 0.1 on a single line.
     A jump next to a steep part may look like a cusp or a kink.
@@ -990,9 +996,8 @@ def causes_of(seen: Evidence) -> list[Cause]:
     # A heavy tail follows from unbounded growth, which is already reported
     if names & {"infinite-variance", "border-growth"}:
         found = [c for c in found if c.name != "heavy-tail"]
-    # Many dims, or a region in which g is 0, can explain a heavy tail.
-    # The tail is then listed last.
-    # The tail keeps its place if very few values hold most of the variance
+    # Many dims, or a region in which g is 0, can explain a heavy tail, which is then listed last.
+    # If very few values hold most of the variance, the order of the causes is not changed
     heavy = next((c for c in found if c.name == "heavy-tail"), None)
     if (
         heavy is not None

@@ -27,7 +27,7 @@ __all__ = [
 ]
 
 # Range of log s in an integral over s. The right end is increased by log(d + 1).
-# To the right of this range, e^−s is negligible
+# For larger s, e^−s is negligible
 _LEFT, _RIGHT = -40.0, 5.0
 
 
@@ -42,7 +42,7 @@ class Genz(Integrand):
     u
         Positions of peaks, kinks or jumps in [0,1]: one number for all axes or one for each.
         In ``genz-oscillatory``, u is one number: a phase in cycles.
-        ``genz-corner-peak`` does not have u.
+        ``genz-corner-peak`` does not have the parameter u.
     dims
         Number of dims.
     """

@@ -31,7 +31,7 @@ __all__ = ["BoxSmoothed", "EdgeSmoothed", "smoothed"]
 
 _METHODS = ("auto", "distance", "box")
 # The mean over edges is an integral over τ. It has 32 Gauss nodes for each 8 cycles of a wave.
-# Its error is then at the level of rounding
+# The error of this mean is at the level of rounding
 _CYCLES, _ORDER = 8, 32
 _MOST_NODES = 4096
 
@@ -54,7 +54,8 @@ def smoothed(
         δ > 0: the width of the ramp across the edge, or the side of the box.
     method
         ``"distance"`` is a linear ramp across the edge.
-        It applies to step, disk, half-space and the discontinuous functions of [Christensen2018]_.
+        The ramp applies to step, disk, half-space,
+        and to the discontinuous functions of [Christensen2018]_.
         ``"box"`` is the mean over a box. It applies to any f if δ ≤ 1.
         ``"auto"`` uses the distance if it is known, otherwise the box.
     nodes
@@ -67,7 +68,7 @@ def smoothed(
     Returns
     -------
     Integrand
-        The smoothed f. A step becomes a `SmoothedStep`, others `EdgeSmoothed` or `BoxSmoothed`.
+        The smoothed f: `SmoothedStep` for a step, otherwise `EdgeSmoothed` or `BoxSmoothed`.
 
     Raises
     ------
@@ -137,7 +138,7 @@ class EdgeSmoothed(Integrand):
 
     @property
     def fourier_source(self) -> str:
-        """Source of the edge's coefficients, and the quadrature that averages them over edges."""
+        """How Fourier coefficients are computed for an edge, and averaged over edges."""
         if self.edge._fourier(np.zeros((1, self.dims))) is None:
             return super().fourier_source
         return f"{self.edge.fourier_source}, averaged over edges by Gauss-Legendre quadrature"
@@ -160,7 +161,7 @@ class EdgeSmoothed(Integrand):
         return np.clip(0.5 - self._distance(x) / self.width, 0.0, 1.0)
 
     def _mean(self, known: Callable[[Disk | HalfSpace], Any], panels: int = 1) -> Any:
-        """Average a quantity over positions of the border. If it is not known, return None."""
+        """Average a quantity over positions of the border; None if the quantity is not known."""
         node, weight = gauss_rule(_ORDER)
         places = ((np.arange(panels)[:, None] + node) / panels).ravel()
         total: Any = 0.0
@@ -263,6 +264,6 @@ class BoxSmoothed(Derived):
             found = self.integrand.box_moments(
                 np.where(empty, 0.0, start), np.where(empty, 1.0, stop)
             )
-            assert found is not None  # means are known, because `_known` is true
+            assert found is not None  # box means are known, because `_known` is true
             total = total + (share[..., None] if self.channels else share) * found[0]
         return np.asarray(total)

@@ -3,7 +3,7 @@
 A budget of N calls is divided into R replicates of n points.
 If the variance of a replicate is ∝ n^-θ, the interval has a half width ∝ t_{R−1} n^{−θ/2} R^{−1/2}.
 For large θ, few replicates of many points are best.
-Smooth functions with scrambled nets are an example.
+For example, θ is large for smooth functions with scrambled nets.
 For θ near 1, more replicates are best, because they make the quantile t smaller at no cost.
 
 A quarter of the budget measures θ with eight replicates.
@@ -14,26 +14,25 @@ This set is divided into R runs of n points, which replace the replicates.
 Each run is a net or a lattice itself.
 The value is as accurate as one set of all points allows, because the errors of runs cancel.
 The interval of independent replicates is therefore too wide, by the factor R^{(θ−1)/2}.
-For nets, the interval is divided by the root of this factor.
+For nets, the interval is divided by the square root of R^{(θ−1)/2}.
 For lattices, the interval is not changed, because the rates of lattices vary with n.
 
 Two intervals are computed: one from Student's t, and one that Hall's transform corrects for skew.
-The result is the smallest interval that contains both.
+The result is the smallest interval that contains both intervals.
 Intervals of `mean_interval` were tested with 300 seeds at 256 calls.
-These intervals contain the integral of x^−½ in 88 % of cases, and Student's t alone in 74 %.
-For the integral of e^(x + y), the two fractions of cases are 97 % and 96 %.
+`mean_interval` contains the integral of x^−½ in 88 % of cases, and Student's t in 74 %.
+For the integral of e^(x + y), they contain it in 97 % and 96 % of cases.
 
-If f grows without bound toward a face of the cube, the errors of strata follow another law.
-The quantiles of this law are used if they make the interval wider than Student's t
-(`estimators/tails.py`).
+If f grows without bound toward a face of the cube, the errors of strata are skewed.
+Quantiles of skewed errors (`estimators/tails.py`) are used if they widen the interval.
 
-Both intervals are accurate for a large number R of replicates, and R is at least eight.
+Student's t and Hall's transform are accurate for many replicates; here R is at least eight.
 Replicates may all miss an event whose probability in one replicate is below 1/R.
 An interval from replicates that missed an event is too short [Owen2025]_.
 A rare event is, for example, a point between a cell border of a net and a nearby jump of f.
 Intervals that hold for any bounded function would need n = Θ(N^{1/(θ+1)}) [Jain2026]_.
-Such intervals would spend most of the budget on replicates.
-The integral of a smooth function would then have ten times the error.
+With so few points in a replicate, most of the budget would be spent on many replicates.
+The integral of a smooth function would have ten times the error with so many replicates.
 
 A few linear scrambles of a net cause most of the variance.
 The many remaining linear scrambles have far smaller errors.
@@ -118,27 +117,27 @@ class IntegrationSettings:
     # Number of points for which the law of the sampler (the distribution of its points) is found.
     # The law tells the kind of scramble, which is the same for all n.
     law_at: int = 64
-    # The rate is measured with smaller sets than the sets of the result.
-    # This is the largest ratio of the two sizes.
-    # Results are the same for values from 2 to 8: widths differ by 1 % on average.
+    # The rate is measured with sets that have fewer points than the final sets.
+    # Largest ratio of the points of a final set to the points of a set that measures the rate.
+    # Results are the same for ratios from 2 to 8: widths of intervals differ by 1 % on average.
     pilot: int = 4
     # Number of prefixes of a replicate to which the rate is fitted.
     # Each prefix is half as long as the next.
     # With 2 prefixes, intervals are 6 % wider. Results are the same for values from 4 to 6.
     levels: int = 4
     # The median is preferred if the interval of the mean is wider by more than this factor.
-    # With 1, intervals of the median contain the integral in 90 instead of 93 % of runs.
-    # With 4, intervals are 12 % wider.
+    # With a factor of 1, the median's interval contains the integral in 90 % of runs, not 93 %.
+    # With a factor of 4, the intervals of the median are 12 % wider.
     stands_out: float = 2.0
     # Number of calls before the width of the interval is first compared with a tolerance.
     # The first calls are 8 replicates of 128 points, whose interval is right for usual functions.
     first: int = 2**10
     # A round has more calls than the rate requires for the tolerance, by this factor.
-    # The width from 8 replicates has a standard error of 25 %.
-    # With this margin, most tolerances nevertheless take only two rounds.
+    # The width of an interval from 8 replicates has a standard error of 25 %.
+    # With 30 % more calls, most tolerances nevertheless take only two rounds.
     margin: float = 1.3
     # Largest ratio between the numbers of calls of consecutive rounds.
-    # This ratio is limited because the first measured rates are uncertain.
+    # The ratio of calls is limited because the first measured rates are uncertain.
     growth: float = 4.0
 
 
@@ -169,7 +168,7 @@ def integrate(
     ----------
     f
         A vectorized function of points (…, d) with values (…).
-        Other choices are an integrand without channels, and its spec string.
+        f may also be an integrand without channels, or its spec string.
         An estimator of one technique is also allowed, such as ``Estimator(f, density)``.
     budget
         Maximum number of calls of f, where each point is one call.
@@ -192,12 +191,12 @@ def integrate(
         The note reports the number of failed points and the first failed point.
     tolerance
         Half width of the interval at which evaluation stops, even within the budget.
-        The note reports if the budget is spent first.
+        The note reports if the budget is spent before the tolerance is reached.
     profile
-        The `mcspectra.Profile` of f, which recommends the estimator and the sampler.
-        Evaluations of the profile are reused, and are not part of this budget.
+        A profile of f (`mcspectra.Profile`), which recommends the estimator and the sampler.
+        Evaluations of the profile are reused, and are not counted in `budget`.
         The result combines the integral of the profile with the integral of the new calls.
-        Both integrals are weighted by their intervals.
+        Each integral is weighted by the inverse square of the width of its interval.
     rng
         Seed (SPEC 7).
 
@@ -208,7 +207,7 @@ def integrate(
 
         ``interval(bound)`` is the 95 % interval of the value, over the replicates.
         For a median, the interval is for the median of the distribution of replicates.
-        The interval contains this median with probability at least 95 %.
+        The interval contains the median of this distribution with probability at least 95 %.
 
         ``calls`` is the number of calls, and ``skipped`` the number of failed calls.
         There are ``replicates`` replicates of ``n`` points each.
@@ -217,7 +216,8 @@ def integrate(
         The interval is infinite in three cases, and the attribute ``note`` gives the reason.
         All replicates may be equal, or a few values may hold most of the variance.
         The growth of f toward a face of the cube may make its variance infinite.
-        Slower growth widens the interval upward if f grows to +∞, and downward if f falls to −∞.
+        Growth with a finite variance widens the interval on one side only:
+        upward if f grows to +∞, and downward if f falls to −∞.
 
     Warns
     -----
@@ -231,7 +231,7 @@ def integrate(
         If f has channels or several techniques.
         If the budget is too small for eight replicates, or for eleven replicates of a median.
         If a median is requested without linear scrambles.
-        `mcspectra.integrands.Calls` may also raise this error.
+        For errors of the calls of f, see `mcspectra.integrands.Calls`.
     ConfigError
         If the points and values of the budget exceed this machine's memory.
 
@@ -505,7 +505,7 @@ def _estimated(sets: _Replicates, law: Law, *, median: bool, linear: bool) -> _E
     moments = Moments.of(means, tails=True)
     value, interval = float(moments.mean), mean_interval(means)
     # If f grows toward the border, strata have skewed errors, and a variance may not exist.
-    # Other tails that are not resolved make the interval infinite
+    # Unresolved tails that are not caused by growth at the border make the interval infinite
     growths = border_growth(sets.points.reshape(-1, sets.points.shape[-1]), values.ravel())
     endless = growth_note(growths)
     note = None if growths else tail_note(moments) or few_note(values.ravel())
@@ -514,7 +514,7 @@ def _estimated(sets: _Replicates, law: Law, *, median: bool, linear: bool) -> _E
     elif endless or not isinstance(law, Independent):
         interval = growing_interval(means, growths)
     # Compute an interval of the median from sorted replicates.
-    # If it is much narrower than the interval of the mean, a few replicates are outliers
+    # If the median's interval is much narrower than the mean's, a few replicates are outliers
     outer = int((bdtr(np.arange(replicates), replicates, 0.5) < _SIDE).sum()) - 1
     ends = np.sort(means)[[outer, -1 - outer]]
     stand_out = linear and 0.0 < _SETTINGS.stands_out * np.ptp(ends) < np.ptp(interval)
@@ -571,7 +571,7 @@ def _with_profile(
     """Combine an estimate with the uncorrelated estimate of a profile. Return an interval.
 
     The recommended estimator is fitted to evaluations of the profile.
-    For any such fit the estimates have the mean ∫f.
+    The estimates have the mean ∫f, whatever estimator the profile recommends.
     Therefore their errors are uncorrelated with the errors of the profile.
     """
     low, high = profile.interval

@@ -64,8 +64,8 @@ _FINITE = ("technique_covariance", "technique_variance", "measured_variance", "m
 class TechniqueSettings:
     """Limit of memory for sums over pairs of techniques."""
 
-    # Largest number of sums Σ_r S^t conj(S^s), one for each pair of techniques and each frequency.
-    # This number of complex values takes 512 MiB.
+    # Largest number of sums Σ_r S^t conj(S^s) over realizations r. There is one sum
+    # for each pair of techniques t and s and each frequency. 2^25 complex numbers take 512 MiB.
     most: int = 2**25
 
 
@@ -130,7 +130,7 @@ class Techniques(Counted, frozen=True, kw_only=True):
         )
 
     def reduction(self, subject: Subject, stream: Stream) -> Steps:
-        """Return the sums for all counts together."""
+        """Return the sums over realizations for all counts together."""
         estimator, counts = subject.estimator, self._counts
         frequencies = Frequencies.of(subject, self)
         views = [frequencies.view(n, self, apart=True) for n in counts]
@@ -139,7 +139,7 @@ class Techniques(Counted, frozen=True, kw_only=True):
         def of_count(key: str, view: View, n: int, own: Stream) -> Reduction[_Total]:
             """Return the sums for one count. Each block is a batch."""
             evaluations = n * sum(estimator.counts)
-            # Number of coordinates of a realization, or size of its spectra if that is larger
+            # Number of coordinates of a realization, or of numbers in its spectra if there are more
             numbers = max(evaluations * estimator.dims, 4 * techniques * view.basis.stored)
             blocks = realization_blocks(
                 self.realizations, numbers, multiple=2, least=BATCH_SETTINGS.least
@@ -248,8 +248,8 @@ def technique_terms(
         With a list, each n has the same random numbers as in `convergence`.
     space
         ``"domain"`` or ``"primary"`` as in `variance_terms`.
-        The default is the domain, if there is one. In primary space the dc terms are 0,
-        because the points of every technique have equal weights.
+        By default, the space is the domain of f if there is one.
+        In primary space the dc terms are 0, because all points of a technique have equal weights.
     fit_last
         Number of the largest counts to which rates are fitted, as in `convergence`.
     max_evaluations
@@ -277,7 +277,8 @@ def technique_terms(
 
         With a list of n, ``technique_rate`` and ``rate`` have intervals ``_ci``.
         ``bottleneck`` is the technique whose rate is significantly slower than all other rates.
-        The 95 % interval of this rate overlaps no other interval. The value −1 means undecided.
+        The 95 % interval of the bottleneck's rate overlaps no interval of another rate.
+        If no technique is significantly slower, the value is −1 (undecided).
         The attribute ``bottleneck`` has the name of this technique.
         Techniques without variance are excluded. Several channels add a dim channel.
 
@@ -294,7 +295,7 @@ def technique_terms(
     Notes
     -----
     The time is O(R (n + T² M)) for R realizations, T techniques and M frequencies.
-    The memory is O(T² M).
+    The memory for T techniques and M frequencies is O(T² M).
     The bottleneck compares the techniques' own variances.
     Correlations between techniques may cancel part of these variances.
 
@@ -323,8 +324,8 @@ def _variables(total: _Total, view: View) -> Variables:
     """Return result variables of one count, with a leading channel axis."""
     found, moments = total.sums.covariances(view), total.sums.moments
     share = total.weights / total.weights.sum()
-    # With few stored sets, the standard error of the whole variance is multiplied by a factor.
-    # This factor also multiplies the errors of all techniques
+    # With few stored sets, a factor widens the standard error of the whole variance.
+    # The errors of all techniques are multiplied by the factor of the whole variance
     wider = moments.widening[:, -1]
     errors = spread(total.values - weighted_sum(share, total.values), share)
     errors = errors * wider[:, None, None]
@@ -373,7 +374,7 @@ class TechniqueSums:
     def of(
         view: View, points: list[Array], first: int = 0, sets: int | None = None
     ) -> TechniqueSums:
-        """Return sums of a block. `first` and `sets` are the same as in `Moments.of`."""
+        """Return the sums of one block of realizations; see `Moments.of` for `first` and `sets`."""
         parts = view.spectra(points)
         # Compute the techniques' parts of the truncated and of the full estimate: (R, C, T) each
         weighted = view.integrand_coefficients.conj() * view.basis.double
@@ -394,7 +395,7 @@ class TechniqueSums:
         )
 
     def merge(self, other: TechniqueSums) -> TechniqueSums:
-        """Return sums of both sets of realizations together (Chan, Golub & LeVeque 1983)."""
+        """Return the sums over the realizations of both objects (Chan, Golub & LeVeque 1983)."""
         a, b = self.count, other.count
         factor, part = a * b / (a + b), b / (a + b)
         delta, jump = other.mean - self.mean, other.values_mean - self.values_mean

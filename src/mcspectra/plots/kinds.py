@@ -53,13 +53,13 @@ class PlotKind:
     pixels: bool = False
 
     def fits(self, data: xr.Dataset) -> bool:
-        """Whether this kind can show the result."""
+        """Whether this kind of plot can show the result."""
         if {"y", "x"} <= set(data.dims) and not self.pixels:
             return False
         return not self.lacks(data) and self.dims in (None, len(frequency_dims(data)))
 
     def lacks(self, data: xr.Dataset) -> list[str]:
-        """Return which required variables the result lacks. Labels may also be in attributes."""
+        """Return the required variables that the result lacks. Text may be an attribute instead."""
         return [
             v for v in self.variables if v not in data.variables and f"labels_{v}" not in data.attrs
         ]
@@ -68,8 +68,8 @@ class PlotKind:
 def shown_variables(data: xr.Dataset) -> dict[str, int]:
     """Return the variables that `anything` shows, with their numbers of dims.
 
-    These are real variables over one or two dims, or, if there are none, scalars.
-    Intervals and standard errors are left out, because they belong to other variables.
+    The variables are real and have one or two dims; if there are none, scalars are shown.
+    Intervals and standard errors are not listed: they are drawn with other variables.
     """
     partners = {f"{name}{end}" for name in data.data_vars for end in ("_ci", "_se")}
     found = {
@@ -130,7 +130,7 @@ def anything(group: Group, styles: Styles) -> Plot:
             if ends is not None:
                 both["low"], both["high"] = ends.T
                 hover["interval"] = intervals(ends)
-            if ticks is None and dims:  # a line needs a numeric axis
+            if ticks is None and dims:  # a line plot needs a numeric axis
                 marks.append(Line(dashes=style.dashes, hover=hover, **both))
             else:
                 marks.append(Dots(marker=style.marker, hover=hover, **both))
@@ -231,7 +231,7 @@ def describe(kind: str, data: Data, styles: Styles | None = None) -> Plot:
         If the kind is unknown, if there is nothing to draw, or if the kind does not fit the result.
     """
     chosen = PLOT_KINDS[as_choice("kind", kind, tuple(PLOT_KINDS))]
-    # Only curves of a bench are separated by integrand
+    # Only a plot of convergence separates the curves of a bench by integrand
     if isinstance(data, xr.Dataset) and "points_made" in data and kind != "convergence":
         data = data.drop_vars("rate")
     group, note = as_group(data)

@@ -112,7 +112,7 @@ def signed_axis(
 
     The label gives the threshold at which the logarithmic part begins.
     The finite ends of error bars, `whiskers`, extend the axis on each side.
-    The extension is at most the range of the values.
+    On each side, the extension is at most as long as the range of the values.
     """
     low, high, threshold = _signed_range(values, _MOST_DECADES)
     if whiskers is not None:

@@ -158,8 +158,8 @@ def overlaid(measured: Group, predicted: Group) -> dict[str, xr.Dataset]:
     """Add the predictions of the same samplers to results of `convergence`.
 
     The plot ``convergence`` then shows the predictions and the theoretical slope as well.
-    The counts of the two results may differ. Of several methods, the most trusted is used:
-    the first one that has a value at the largest n.
+    The counts of the two results may differ. If there are several methods of prediction,
+    the most trusted method with a value at the largest n is used.
     """
     both = dict(measured)
     for name in set(measured) & set(predicted):
@@ -420,7 +420,7 @@ def captured(group: Group, styles: Styles) -> Plot:
     """Plot predicted divided by measured variance against the half width of the spectrum."""
     curves = {n: d["captured_by_half_width"].values for n, d in group.items()}
     every = np.concatenate(list(curves.values()))
-    # Half width 0 has only the dc term, which is a rounding error (1e-20) for uniform weights
+    # At half width 0 only the dc term is summed, a rounding error (1e-20) for uniform weights
     positive = every[np.isfinite(every) & (every > NEGLIGIBLE)]
     logarithmic = float(positive.max(initial=1.0)) > _LINEAR_TOP
     shown = {
@@ -559,7 +559,7 @@ def remedies(group: Group, _: Styles) -> Plot:
     panels = []
     for name, each in group.items():
         # Every ratio is shown. If an interval is much wider than all ratios, its end is cut off.
-        # Each set-up has its own axis, because the ratios of one may span many decades
+        # Each set-up has its own axis, because its ratios may span many decades
         ratio, ends = each["error_ratio"].values, np.maximum(each["error_ratio_ci"].values, 1e-30)
         used = ratio[np.isfinite(ratio) & (ratio > 0)]
         least, most = float(used.min(initial=0.5)), float(used.max(initial=2.0))
@@ -628,7 +628,7 @@ def needed_samples(
     needed
         Samples per pixel with both ends of the interval, by sampler and share of the pixels.
     now
-        Samples per pixel of the scene, which are marked.
+        Present number of samples per pixel of the scene; a vertical line marks it.
     """
     marks: list[Mark] = [
         ReferenceLine(at=float(now), axis="x", dashes="--", label=f"now: {now}"),
@@ -730,7 +730,7 @@ def estimates(group: Group, styles: Styles) -> Plot:
 
 
 def below_rounding(data: xr.Dataset) -> bool:
-    """Whether a curve has no rate because of rounding. Not all of its variances are zero."""
+    """Whether a curve has no rate because its variances are rounding errors, but not all 0."""
     variance = data["variance"].values
     finite = variance[np.isfinite(variance)]
     return bool(finite.size > 1 and (finite > 0).any() and usable_counts(data).sum() < 2)
@@ -739,8 +739,8 @@ def below_rounding(data: xr.Dataset) -> bool:
 def usable_counts(curve: xr.Dataset) -> Array:
     """Return which counts (n,) have a variance above rounding level.
 
-    The fit uses the same level. It is the rounding error of a mean of n terms of size |I|.
-    This error is a few units in the last place.
+    As in the fit, the level is the rounding error of a mean of n terms of size |I|.
+    The rounding error of a mean is a few units in the last place.
     """
     variance = curve["variance"].values
     floor = (16 * np.finfo(float).eps * np.abs(curve["mean"].values)) ** 2
@@ -762,7 +762,7 @@ def _bar_panel(
     """Return a panel of horizontal bars, with their names on the left and values on the right.
 
     Bars extend from `base` to `values`, and whiskers to `ends`.
-    Tooltips show the intervals `said`, or by default `ends`.
+    Tooltips show the intervals of the whiskers, or the intervals `said` if given.
     """
     bars = BarChart(
         at=np.arange(float(len(rows))),
@@ -978,7 +978,7 @@ def _with_slope_guides(panel: Panel, results: Sequence[xr.Dataset]) -> Panel:
         at = np.array([n, end])
         y = top * (at / n) ** slope
         if end == last and lowest / y[1] < (top / bottom) ** _GUIDE_GAP:
-            continue  # the label would touch another label, so omit this line
+            continue  # omit a line whose label would touch another label
         lowest = float(y[1])
         text = f"{slope:g}".replace("-", "−")
         marks.append(Line(x=at, y=y, color=GRAY, dashes=":", width=0.8))

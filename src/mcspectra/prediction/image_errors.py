@@ -52,7 +52,7 @@ class ImageErrorSettings:
     half_width, lost, most_modes
         Initial half width. It is doubled until the frequencies capture the power of every band.
         A band is captured if higher frequencies hold less than the fraction `lost` of its power.
-        Doubling stops at `most_modes` frequencies, which is half width 724 in 2-D and 63 in 3-D.
+        Doubling stops at `most_modes` frequencies (half width 724 in 2-D, or 63 in 3-D).
         A loss of 1 % of the power is less than the standard error of 16 images.
     beyond
         A note reports a band if more than this fraction of its power lies beyond the half width.
@@ -96,8 +96,8 @@ def image_error_spectrum(
         Number of samples per pixel.
     half_width
         Frequencies m in {−half_width … half_width}^d are predicted term by term.
-        The rest of ∫f² is treated as if points were random and pixels independent.
-        The default is 24. With closed-form coefficients, it is doubled as needed.
+        For higher frequencies, points are assumed to be random and pixels independent.
+        The default half width is 24. With closed-form coefficients, it is doubled as needed.
         Doubling ends when the rest of ∫f² adds under 1 % to every band, or at 2^21 frequencies.
     images
         Number of independent images, at least 2.
@@ -114,18 +114,18 @@ def image_error_spectrum(
         The interval of the measured power is ``measured_power_ci``. Both powers are in units of f².
         For white noise, the power at every frequency is the variance of a pixel.
         ``tail_term`` is the part of the prediction beyond the half width.
-        If that part is large, the attribute ``note`` reports it.
+        If the part beyond the half width is large, the attribute ``note`` reports it.
         ``low_share`` ranks masks: it is the predicted power below 1/8 cycle per pixel.
         The unit of ``low_share`` is the mean power. White noise has a ``low_share`` of 1.
 
     Raises
     ------
     NoClosedForm
-        If the sampler does not end in ``decorrelate`` with mode shift.
-        Only pixels of such a sampler share a spectrum.
+        If the spec of the sampler does not end in ``decorrelate`` with mode shift.
+        Pixels share a spectrum only if the sampler ends in ``decorrelate``.
     ParameterError
         If the numbers of integrands and pixels differ, or there are over 3 dims.
-        The error is also raised for too many frequencies or points.
+        If there are too many frequencies or points.
 
     References
     ----------

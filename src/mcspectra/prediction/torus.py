@@ -7,7 +7,7 @@ The covariance C_ml of such sets is diagonal. With the power P(m) = ⟨|S_m|²�
 where C is the set of counted frequencies. The set C has three parts. The first part is a box.
 The second part, strips along the axes, holds the energy of functions that are not periodic.
 The third part, multiples of a few integer vectors, holds the energy of jumps along diagonals.
-Outside C, P tends to 1/n.
+Outside the set C, the power P tends to 1/n.
 The error of the tail is the difference between P and 1/n at the box's border, weighted by |g_m|².
 
 P may have a closed form. For a set that is shifted as a whole, P comes from one transform.
@@ -15,12 +15,12 @@ Otherwise P is the mean over drawn sets.
 
 For lattices, P is 1 on the dual lattice and 0 elsewhere.
 Only the frequencies of the dual lattice are counted, n times as many as in a box.
-The remaining sum is extrapolated from the last shells.
+The sum over all higher frequencies is extrapolated from the last octaves.
 If coefficients are not known exactly, the mean over the lattice is a function of an offset.
 The offset lies within one lattice cell. Quadrature gives the variance of this function.
 
 Homogeneous sets have the symmetries of the cube.
-Averaging |g_m|² over these symmetries is equivalent to averaging P.
+Averaging |g_m|² over the symmetries of the cube is equivalent to averaging P.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class Reach:
         Half width of the box of frequencies about 0.
     strips
         Ends of strips along the axes, and the half widths of the strips.
-        Drawn sets use the first strips only.
+        If the power is estimated from drawn sets, only the first strips are used.
     diagonal
         Largest |m_i| of frequencies along diagonals of the cube, or 0 without diagonals.
     """
@@ -86,7 +86,7 @@ class Reach:
 class TorusSettings:
     """Settings for the Fourier coefficients that are summed.
 
-    The changes stated below were measured in seven cases in 2-D and 3-D at n = 64 and 256.
+    The effects of the settings were measured in seven cases in 2-D and 3-D at n = 64 and 256.
     The integrands are a jump along a line, smooth functions and a disk.
     The samplers are poisson-disk, and four samplers under shift:
     jittered, latin-hypercube, halton and rank1-lattice.
@@ -99,21 +99,21 @@ class TorusSettings:
         A table has `nodes` nodes per wavelength of the box.
     nodes
         Number of nodes per wavelength of the highest frequency, in the finer table.
-        If g jumps, half this value changes variances by 0.4 % and multiplies the error by 4 to 30.
-        Twice this value changes variances by 0.1 %.
+        If g jumps, half as many nodes change variances by 0.4 % and multiply the error by 4 to 30.
+        Twice as many nodes change variances by 0.1 %.
     least_nodes
         Least number of nodes along each axis, by number of dims.
-        Halving or doubling this value changes variances by less than 0.2 %.
+        Half or twice as many nodes change variances by less than 0.2 %.
     block
         Number of frequencies in memory at a time, if the power has a closed form.
-        The number has no effect on the result.
+        The number of frequencies in memory has no effect on the result.
     precision
         Relative error of the Fourier transforms, far below the error of the variance.
     shells
         Number of shells of frequencies of the box. Shells grow in steps of √2.
-        The power in these shells tests whether the power outside the box is white.
-        The shells begin at an eighth of the half width.
-        Halving or doubling this value changes no variance. Errors change by factors of 0.5 to 3.
+        The power in the shells tests whether the power outside the box is white.
+        The innermost shell begins at an eighth of the half width of the box.
+        Half or twice as many shells change no variance. Errors change by factors of 0.5 to 3.
     vague
         Largest error of ∫g² in many dims, relative to the variance.
         If the error is larger, `NoClosedForm` is raised.
@@ -149,43 +149,44 @@ class DrawnSettings:
 
     Some settings are for a smooth law that is fitted to the estimated power.
 
-    The changes stated below refer to a smooth function in 2-D with poisson-disk at n = 64.
-    The half interval of this case is 3.1 %.
+    The effects of the settings were measured for a smooth function in 2-D
+    with poisson-disk at n = 64.
+    The predicted variance of this function has an interval of ±3.1 %.
 
     Attributes
     ----------
             least_sets, most_sets, points
         Number of sets that are transformed at all frequencies, and largest number of sets.
         `points` is the total number of points, which limits the work at large n.
-        Halving or doubling these numbers changes the variance by less than 0.8 %.
+        Half or twice as many sets or points change the variance by less than 0.8 %.
     slow, slow_points
         Largest `max_count` of slow samplers, which optimize their points.
         `slow_points` is the total number of points of all sets of a slow sampler.
         For slow samplers, the number of sets that are drawn first is `least_sets` / 2.
-        These sets are cached for other integrands.
+        The sets of slow samplers are cached for other integrands.
     precision
         More sets are drawn if the half interval, relative to the variance, exceeds this number.
-        Half this value would need more sets than `most_sets`.
-        Twice this value changes the variance by 1.9 %.
+        Half the limit would need more sets than `most_sets`.
+        Twice the limit changes the variance by 1.9 %.
     low
         Half width of the frequencies at which all sets are transformed.
-        These frequencies hold the energy of smooth functions.
-        Halving or doubling this value changes the variance by less than 0.5 %.
+        The low frequencies hold the energy of smooth functions.
+        Half or twice the half width changes the variance by less than 0.5 %.
     length, least_lengths
         Largest scaled frequency |m| n^(-1/d) at which a smooth function of |m| fits the power.
         `least_lengths` is the least number of different lengths in a fit of the smooth law.
         The power of stochastic sets has its first peak at the scaled frequency 1.
-        Halving or doubling either value changes the variance by less than 0.1 %.
+        Half or twice the frequency or number of lengths changes the variance by less than 0.1 %.
     agrees
         The smooth law and the measured power must agree within this number of standard errors.
-        Values from 1 to 4 give the same results.
+        The result is the same for 1 to 4 standard errors.
     steps
         Number of Newton steps, after which the fit has converged.
-        Values from 6 to 24 give the same results.
+        The result is the same for 6 to 24 steps.
     least_box, box
         Half width of the box for homogeneous sets: least value, and value in units of n^(1/d).
-        Halving or doubling this value changes the variance by less than 0.3 %.
-        Halving the half width triples the error of the variance.
+        Half or twice the size of the box changes the variance by less than 0.3 %.
+        Half the size of the box triples the error of the variance.
     """
 
     least_sets: int = 16
@@ -208,24 +209,25 @@ class DrawnSettings:
 class DualSettings:
     """Settings for the counted frequencies of a dual lattice.
 
-    The changes stated below refer to a disk with rank1-lattice | shift at n = 64.
-    The half interval of the disk is 0.11 %.
+    The effects of the settings were measured for a disk with rank1-lattice | shift at n = 64.
+    The predicted variance of the disk has an interval of ±0.11 %.
 
     Attributes
     ----------
     frequencies
         Number of frequencies of the dual lattice in a box.
-        Halving or doubling this value changes the variance by less than 0.04 %.
+        Half or twice as many frequencies change the variance by less than 0.04 %.
     periods, strip
         `periods` is the end of the strips in units of n. A strip has `strip` frequencies.
-        Halving or doubling either value changes the variance by less than 0.03 %.
+        Half or twice as long or wide strips change the variance by less than 0.03 %.
     jump
         Largest ratio of the energies Σ |g_m|² of two successive octaves of frequency.
-        This ratio is one half if g jumps along curves, and less otherwise.
-        A lower limit would cut the tail of jumps. A limit of one would make the tail infinite.
+        The ratio of energies is one half if g jumps along curves, and less otherwise.
+        A limit below one half would cut off the tail of the spectrum of a jump.
+        A limit of one would make this tail infinite.
     whole
         Rounding error of n times the differences of lattice points, which are multiples of 1/n.
-        Coordinates are accurate to 2^-53. Values from 5e-7 to 2e-6 give the same results.
+        Coordinates are accurate to 2^-53. The result is the same for errors from 5e-7 to 2e-6.
     """
 
     frequencies: int = 2**19
@@ -240,7 +242,7 @@ class DualSettings:
 class MovesSettings:
     """Settings for the offsets that move a set.
 
-    The changes stated below were measured in three cases.
+    The effects of the settings were measured in three cases.
     The sampler rank1-lattice | shift samples a jump along a line.
     The sampler kronecker | shift samples a ball in 4-D.
     The sampler sobol | digital-shift samples a smooth function.
@@ -249,15 +251,15 @@ class MovesSettings:
     ----------
     offsets, least_offsets, evaluations
         Number of offsets, and number of evaluations of g, which limits the offsets at large n.
-        With fewer than the least number of offsets, intervals exceed 35 % and the method raises.
+        With fewer than `least_offsets` offsets, intervals exceed 35 % and an error is raised.
         Halving or doubling the number of offsets changes variances by less than 1.2 %.
-        This change is within the intervals of 1 to 3 %.
+        A change by 1.2 % is within the intervals, which are 1 to 3 %.
     block
         Number of evaluations per call. The number has no effect on the result.
     spreads
         Number of parts into which the offsets are divided.
         The variances of these parts give the standard error.
-        With 8 or 32 parts instead of 16, half intervals are 1 to 1.6 times as wide.
+        With 8 or 32 parts of the offsets instead of 16, intervals are 1 to 1.6 times as wide.
     steps
         Number of rounds of lattice reduction. Values from 6 to 24 give the same results.
     """
@@ -304,7 +306,7 @@ class Region:
     table
         Energies |g_m|² from a coarser table of g, or None if the coefficients are exact.
     near
-        Whether this region is also used if the power is estimated from drawn sets.
+        Whether the region is also used if the power is estimated from drawn sets.
     """
 
     vectors: Array
@@ -580,7 +582,7 @@ def of_moves(law: Law, known: Known, stream: Stream) -> Predicted:
     ------
     NoClosedForm
         If the last step is neither a shift nor a scramble of a fixed set.
-        The error is also raised if n is so large that too few offsets remain.
+        If n is so large that too few offsets remain.
     """
     g, n = known.g, law.n
     count = min(_MOVES.offsets, _MOVES.evaluations // n)
@@ -650,7 +652,7 @@ def moves_resolve(law: Law, known: Known) -> bool:
     """Return whether `of_moves` resolves a set in 1 to 3 dims better than other methods.
 
     Random moves are better for shifted lattices if the coefficients of g are not exact.
-    They are also better for nets in base 2 with a digital shift, whose weights depend on g.
+    Random moves are also better for base-2 nets with a digital shift, whose weights depend on g.
     """
     if law.dims > 3 or not moves_at_once(law):
         return False
@@ -671,12 +673,12 @@ def _drawn(
 ) -> tuple[list[Array], Array, int]:
     """Return mean power over sets, half the 95 % interval of Σ |g_m|² P(m), and the number of sets.
 
-    The first sets are transformed at all frequencies.
+    The first point sets are transformed at all frequencies.
     Further sets are transformed only at low frequencies, which hold the energy of smooth functions.
-    Sets are added until the error is small compared with the variance.
-    The total number of points is limited.
+    Sets are added until the error is small compared with the variance,
+    or until the sets together have the largest allowed number of points.
     If power depends only on the length of m, a smooth law may fit the measured power.
-    This smooth law then replaces the measured power.
+    The smooth law then replaces the measured power.
     """
     from scipy.special import stdtrit
 
@@ -694,8 +696,8 @@ def _drawn(
     lawful = isotropic and len(np.unique(np.rint(length[inside] ** 2 * n))) >= _DRAWN.least_lengths
     core = replace(low, energy=np.where(inside, low.energy, 0.0) if lawful else 0.0 * low.energy)
     sums, low_sum, count = [np.zeros(r.shape) for r in regions], np.zeros(low.shape), 0
-    # Three contributions to the variance: of low frequencies whose power a smooth law describes,
-    # of the remaining low frequencies, and of all higher frequencies
+    # The variance has three parts. At some low frequencies, a smooth law describes the power.
+    # The other two parts are the remaining low frequencies and all higher frequencies
     values: tuple[list[Array], ...] = ([], [], [])
     while True:
         for x in (
@@ -765,7 +767,7 @@ def _power_law(
 
 
 def _cropped(box: Region, width: int) -> tuple[Region, tuple[slice, ...]]:
-    """Return the part of a box within this half width, and its position on the grid."""
+    """Return the frequencies of a box within half width `width`, and their place on the grid."""
     k = min(width, box.high[0])
     low, high = tuple(max(l, -k) for l in box.low), tuple(min(h, k) for h in box.high)
     starts = zip(low, high, box.low, strict=True)

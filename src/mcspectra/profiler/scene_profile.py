@@ -6,7 +6,8 @@ Pixels are chosen at random in strata of the image.
 Each pixel is rendered several times with every sampler.
 The renders are the same as in an image (`mcspectra.rendering.rendered`).
 The samplers of this package are padded: each request of a path gets its own point set.
-They are also measured with joint dims, so that the first dims of a path come from one set.
+The samplers of this package are also measured with joint dims:
+the first dims of a path then come from one set.
 Mitsuba's own samplers are not changed.
 All samplers are measured with two numbers n of samples per pixel.
 The best sampler is then confirmed by further renders with new seeds.
@@ -14,9 +15,9 @@ The best sampler is then confirmed by further renders with new seeds.
 The error of a pixel is the ratio σ / mean, as in ``frames``.
 The number of samples that a share q of the pixels needs follows from the q-quantile of the errors.
 Samplers are compared by the geometric mean of their variances over the noisier half of the pixels.
-These pixels decide the number of samples; all other pixels reach any target earlier.
+The noisier pixels decide the number of samples; all other pixels reach any target earlier.
 Errors from few renders scatter, which widens their distribution over the pixels.
-The scatter between two halves of the renders is used to correct this widening.
+The scatter between two halves of the renders is used to correct the wider distribution.
 If the answer is far from the measured numbers of samples, it is checked by further renders.
 Pixels near the quantile are rendered again with a number of samples near the answer.
 """
@@ -89,7 +90,7 @@ class SceneSettings:
     # All samplers support powers of 4
     counts: tuple[int, int] = (16, 64)
     # Maximum and minimum number of renders of each pixel.
-    # The variance of 32 normal values has a relative error of 25 %.
+    # With 32 renders, the variance of a pixel has a relative error of 25 %.
     most_renders: int = 32
     least_renders: int = 8
     # Number of pixels, and number of renders, in the test that measures the speed.
@@ -100,7 +101,7 @@ class SceneSettings:
     # The rest of the time is for larger numbers of samples and for the confirmation
     comparison: float = 0.55
     # Number of pixels near a quantile that are rendered with more samples.
-    # The second number is the number of renders of each of these pixels
+    # Number of renders of each pixel near a quantile
     near: int = 32
     near_renders: int = 16
     # Fraction of the time that is spent on pixels near a quantile, on average over five scenes
@@ -109,12 +110,12 @@ class SceneSettings:
     compilation: float = 2.0
     # Largest number of samples per pixel with which pixels near a quantile are rendered
     most_samples: int = 2**14
-    # Ratio of a sampler's variance to the least variance, at the first number of samples.
-    # Samplers with a larger ratio are not measured at the second number of samples.
-    # Between the two numbers of samples, a ratio of variances changes by less than a factor of 2
+    # Largest ratio of a sampler's variance to the least variance at 16 samples.
+    # Samplers with a larger variance are not measured at 64 samples.
+    # Between 16 and 64 samples, a ratio of variances changes by less than a factor of 2
     dropped: float = 2.0
     # Number of pixels from which the shares of the variance are estimated.
-    # The second number is the number of pairs of paths for each pixel
+    # Number of pairs of paths for each pixel from which the shares are estimated
     cause_pixels: int = 128
     cause_chains: int = 64
     # Number of pixels with the largest errors that are listed
@@ -496,7 +497,7 @@ class _Work:
         pixels = pixels_of(tiles, self.side)
 
         # Render with all samplers at the first number of samples.
-        # At the second number of samples, render only with promising samplers
+        # At the larger number of samples, render only with promising samplers
         values: dict[str, dict[int, Array]] = {name: {} for name in candidates}
         notes: list[str] = []
         for k, n in enumerate(counts):
@@ -847,8 +848,8 @@ class _Work:
             found = self._values(plugin, count, pixels[near], settings.near_renders, side=1)
             there = self._logs(found, mean[near])
             own = float(np.median(there))
-            # At the last measured number of samples, these pixels have errors at the quantile.
-            # The error of the quantile is added to the scatter of the new errors
+            # At the last number of samples, the errors of these pixels were near the quantile.
+            # The error of the quantile is added to the scatter of the errors in the new renders
             scatter = 1.2533 * float(np.std(there)) / math.sqrt(len(near))
             slope = bounded((own - level) / math.log(count / n)) if count != n else slope
             slope_error = math.hypot(scatter, error) / abs(math.log(count / n) or 1.0)

@@ -65,7 +65,7 @@ def quality_figures(
         Names from `FIGURES`. The default is all names. Figures on projections need at least 3 dims.
     realizations
         Number of realizations. The default is 16.
-        For a deterministic sampler it is 1. For given points it is the number of sets.
+        The default is 1 for a deterministic sampler, and the number of sets for given points.
     rng
         Seed of the random numbers (SPEC 7).
     workers
@@ -76,7 +76,7 @@ def quality_figures(
     xarray.Dataset
         One variable per figure, on the dim ``realization``.
         A figure is NaN if it cannot be computed. Its attribute ``missing`` gives the reason:
-        there are too many points or dims, or n is not a power of the base.
+        the set has too many points or dims, or n is not a power of the base.
         The attribute ``sets`` is the number of different sets, if the sampler has a limited number.
         The attribute ``projections`` lists the pairs of axes that were used.
 
@@ -88,7 +88,7 @@ def quality_figures(
     Notes
     -----
     The t-value and elementary intervals use the base of the sampler's digits.
-    Both figures are missing if the coordinates have different bases.
+    The t-value and the intervals are missing if the coordinates have different bases.
     """
     sampler = as_sampler(source)
     if n is None:

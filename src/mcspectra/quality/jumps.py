@@ -24,9 +24,9 @@ _FIRST, _NEXT = 6, 12
 # On a straight line, six halvings of the interval leave 1/64 of the change
 _SLOPE = 1 / 32
 # Fraction of a change that must remain after the last twelve halvings if the change is a jump.
-# At a square root of the distance, which is no jump, only 2^-6 of the change remains
+# The square root of the distance has no jump: only 2^-6 of its change remains
 _STAYS = 0.5
-_GROWS = 2.0  # Factor of growth above which the change is a pole
+_GROWS = 2.0  # Factor by which a change must grow so that it counts as a pole
 _NEGLIGIBLE = 1e-7  # Fraction of the scale below which changes are ignored
 _BLOCK = 8  # Blocks of 8 × 8 cells, in which a curve is treated as straight
 
@@ -87,7 +87,7 @@ def find_jumps(function: Function, dims: int, side: int, *, scale: float) -> Jum
     Jumps below about 1/60 of the smooth change between two cells are taken for slopes.
     If an interval has several jumps, only the largest is found.
     The grid has d·side^d intervals. The search takes about 7 evaluations for each interval.
-    It takes 24 further evaluations for each possible jump.
+    The search takes 24 further evaluations for each possible jump.
     """
     heights = np.zeros((dims, *[side] * dims))
     poles = np.zeros(heights.shape, bool)
@@ -129,8 +129,8 @@ def curve_length(crossed: Array) -> float:
     Notes
     -----
     A curve is treated as straight in blocks of 8 × 8 cells.
-    If it crosses c_0 and c_1 intervals along the axes, its length is √(c_0² + c_1²)/N.
-    This length is exact for straight lines, except at their ends.
+    If a curve crosses c_0 and c_1 intervals along the axes, its length is √(c_0² + c_1²)/N.
+    The length of a straight line is exact, except at its ends.
     """
     if len(crossed) == 1:
         return float(np.count_nonzero(crossed))

@@ -36,18 +36,19 @@ def warp_quality(density: Density | str, *, resolution: int = 256) -> xr.Dataset
         ``stretch`` (u0, u1) is the largest singular value of ∂T/∂u, divided by the smallest.
         The stretch is 1 in 1-D, and infinite where T is flat.
         ``jump`` (axis, u0, u1) is the jump of T between a cell and its next neighbor on each axis.
-        The jump is 0 where T is continuous.
+        The jump is 0 where the warp T is continuous.
         ``warped`` (u0, u1, coordinate) is T at the cell centers.
 
-        The other variables are single numbers for the whole warp.
+        The following variables are single numbers for the whole warp.
         ``mean_stretch`` is the geometric mean over cells where T is not flat.
-        ``max_stretch`` is the largest stretch.
+        ``max_stretch`` is the largest stretch of any cell.
         ``jump_length`` is the length of the jump curves, or the number of jumps in 1-D.
         ``mean_jump`` is the mean size of a jump.
         ``distortion`` compares the image of a small square with a square of the image's area.
-        It is the geometric mean of the ratio of their diameters. It is 1 if squares stay squares.
+        The distortion is the geometric mean of the ratio of the two diameters.
+        The distortion is 1 if squares stay squares.
         ``neighbor_expansion`` is the distance between the images of neighboring cells, in cells.
-        It is the root mean square over all neighbors, including those at jumps.
+        The expansion is the root mean square over all neighbors, including those at jumps.
 
     Raises
     ------
@@ -56,7 +57,7 @@ def warp_quality(density: Density | str, *, resolution: int = 256) -> xr.Dataset
 
     Notes
     -----
-    Slopes are one-sided differences over a thousandth of a cell.
+    Slopes are one-sided differences over a thousandth of a grid cell.
     The smaller one of the left and the right difference is used: it does not cross a jump.
     Jumps are found by refinement (`mcspectra.quality.jumps`).
     Opposite sides of the square are not compared.

@@ -6,7 +6,8 @@ A map gives the variance V of each pixel at n samples, and its rate p: V falls l
 The error σ / mean reaches the target E with n·(V / (E·mean)²)^(−1/p) samples.
 Rates of single pixels are noisy, so that the median rate of the image is used.
 The samples are averaged over small windows of pixels, which removes noise of the variances.
-The average is at least a ninth of its largest value, so that a noisy pixel is not lost.
+Each average is at least a ninth of the largest number of samples in its window,
+so that a noisy pixel is not lost.
 
 An image takes each pixel's samples, rounded up to a power of two, as one point set.
 All pixels with the same number of samples are one wavefront of Mitsuba.
@@ -54,7 +55,7 @@ if TYPE_CHECKING:
 __all__ = ["SamplesPerPixel", "render_adaptive", "samples_per_pixel"]
 
 _LEAST, _MOST = 4, 4096
-_STEEPEST, _SLOWEST = -3.0, -0.5  # rates outside come from noise
+_STEEPEST, _SLOWEST = -3.0, -0.5  # steeper or slower rates of pixels come from noise
 _LEAST_SLOPE_ERROR = 0.05  # least standard error of a pixel's rate about the median rate
 _LANES = 2**22  # samples in one wavefront; they take some 400 MiB
 _QUANTILES = (0.5, 0.95)
@@ -74,7 +75,7 @@ class SamplesPerPixel:
     target
         Relative error σ / mean that pixels should reach.
     least, most
-        Limits of the samples.
+        Least and largest allowed number of samples per pixel.
     uniform
         Equal samples per pixel with which half and 95 % of the pixels reach the target.
     missing
@@ -163,7 +164,7 @@ def samples_per_pixel(
     ----------
     result
         A map of whole paths, by `variance_map` with an integrator.
-        If it compares samplers, the first one is used.
+        If the map compares samplers, its first sampler is used.
     target
         Relative error σ / mean that each pixel should reach.
     least, most
@@ -184,8 +185,8 @@ def samples_per_pixel(
 
     Notes
     -----
-    Intervals hold the errors of the variances, of interpolated pixels and of the rates.
-    Smoothing does not narrow them, because pixels of a map may share their points.
+    Intervals include the errors of the variances, of interpolated pixels and of the rates.
+    Smoothing does not narrow the intervals, because pixels of a map may share their points.
     """
     goal = as_real("target", target, above=0.0, most=1e3)
     least = as_integer("least", least, least=1, most=MOST_SAMPLES)
@@ -228,7 +229,7 @@ def samples_per_pixel(
     factor = np.exp(np.minimum(half, 60.0))
 
     def limited(values: Array) -> Array:
-        # A number that exceeds a whole one by rounding errors is not raised to the next one
+        # A number that exceeds a whole number only by rounding errors is not raised to the next one
         return np.clip(np.ceil(values * (1.0 - 1e-9)), least, most).astype(np.int64)
 
     if not seen.any():
@@ -272,7 +273,7 @@ def render_adaptive(
         A scene: a name, a file or a dictionary, as in `load_scene`.
     spp
         Samples per pixel (height, width) of the film, whole numbers from 1 to 65,536.
-        They are rounded up to powers of two.
+        The samples per pixel are rounded up to powers of two.
     integrator
         Mitsuba plugin, such as ``"path(max_depth=5)"``; by default the scene's own.
     sampler, joint_dims

@@ -8,7 +8,7 @@ The first candidate is the user's ``DRJIT_LIBLLVM_PATH``.
 The next candidates are the library in the package karellen-llvm-core,
 and system libraries of version 19 or newer.
 The cache folder (`mcspectra.core.cache`) stores the result of each test.
-Only the first start therefore runs the test.
+Therefore the test of a library runs only at its first use.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ mi.file_resolver().clear()
 mi.file_resolver().append(os.path.dirname(mi.__file__))
 """  # Mitsuba would search the current folder first, which may be untrusted
 # This program tests three operations that fail with unsuitable versions of LLVM.
-# The operations are the minimum of two numbers, tracing rays, and sampling a rough metal
+# The program takes the minimum of two numbers, traces rays, and samples a rough metal
 _RAYS = """
 import drjit as dr
 scene = mi.load_dict({"type": "scene", "ball": {
@@ -221,7 +221,7 @@ def describe() -> dict[str, Any]:
 
 
 def _cuda_works() -> bool:
-    """Whether the CUDA variant traces rays; false without a driver, which is not a problem."""
+    """Whether the CUDA variant traces rays. Without a driver the result is false, not an error."""
     if ctypes.util.find_library("nvcuda" if platform.system() == "Windows" else "cuda") is None:
         return False
     try:

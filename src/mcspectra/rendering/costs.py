@@ -2,7 +2,7 @@
 
 All verbs of scenes use the same method.
 The work is run at growing sizes until a run takes long enough.
-Sizes are numbers of pixels, or of samples per pixel.
+The size of a run is its number of pixels, or of samples per pixel.
 The first run also compiles kernels, so it is repeated.
 The time is a fixed part and a part in proportion to the size, by the last two runs.
 """
@@ -20,7 +20,7 @@ from mcspectra.core.display import counted
 __all__ = ["SceneCost", "TimedWork", "timed_work"]
 
 _GROWTH = 4  # ratio of the sizes of successive runs
-_ENOUGH = 0.25  # share of the time for all runs that ends the growth of sizes
+_ENOUGH = 0.25  # sizes stop growing when a run takes this share of the time for all runs
 
 
 @final
@@ -39,7 +39,7 @@ class SceneCost:
     samples
         Number of samples of all pixels.
     samples_per_second
-        Speed that was measured.
+        Measured number of samples per second.
     seconds
         Estimated time, with the time for loading, compiling and writing.
     storage
@@ -109,7 +109,7 @@ def timed_work(
     work
         Function of the size of the work, whose time grows in proportion to the size.
     total
-        Size of the whole work.
+        Size of the work whose time is estimated.
     first, most
         Sizes of the first and of the largest run.
     seconds
@@ -132,7 +132,7 @@ def timed_work(
     each = spent / size
     if len(runs) > 1:
         before, shorter = runs[-2]
-        # The slope is between half of the mean time and the mean time, whatever a busy machine does
+        # The slope is limited to half of the mean time … the mean time: the machine may be busy
         slope = (spent - shorter) / (size - before)
         each = min(max(slope, 0.5 * each), each)
     fixed = max(spent - each * size, 0.0) + max(compiled - runs[0][1], 0.0)

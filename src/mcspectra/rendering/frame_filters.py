@@ -7,7 +7,7 @@ Here C(d) is the covariance of the errors of two pixels at a lag d, averaged ove
 The numbers h(d) are the autocorrelation of the filter's weights, with the transform |K(ν)|².
 The covariances use pairs inside the image: every pair counts once, without wrap-around.
 Near a border, the formula assumes that similar pixels continue beyond the border.
-A filter that repeats or mirrors the border leaves somewhat more error there.
+Near a border, a filter that repeats or mirrors border pixels leaves somewhat more error.
 
 Filters in space are separable, with the same weights along rows and columns.
 Filters in time act on the frames of a sequence, such as ``ema``, the exponential moving average.
@@ -365,7 +365,7 @@ def filtered_of(
         least[k] = noise[k] / max(mean[0], 1e-300) ** 2 / ((count - 1) * frames)
         if rest > 0 and times > 1:
             # The correlations at lags longer than the sequence are unknown.
-            # Assume that they do not exceed the correlations at the longest quarter of known lags
+            # Assume that they do not exceed known correlations at the longest quarter of lags
             late = own[:, 3 * times // 4 :].mean(axis=1)
             most = float(late.mean()) + student_t(count) * float(late.std(ddof=1)) / count**0.5
             more[k] = scale * rest * max(most, 0.0)

@@ -13,15 +13,15 @@ A coordinate therefore has the same meaning for all paths.
 Numbers for bounces that a path does not reach have no effect on that path.
 
 A dry run finds D and the bounce of each number. Its loop is not recorded but evaluated:
-Dr.Jit evaluates the counter of requested numbers after each iteration.
+Dr.Jit evaluates the number of requested random numbers after each iteration.
 If the requests of a bounce match an integrator of Mitsuba, the decision of each number is known.
 For any other integrator, decisions are named ``request 1``, ``request 2`` and so on.
 Mitsuba selects a light by stretching the first coordinate of its point.
 The choice of the light and the choice of a point on it are therefore one decision.
 
 Rare paths need numbers beyond D. If fewer dims are requested, all paths may need them.
-These numbers are hashed from the last two coordinates.
-The integrand remains a function of u, but good points do not spread these numbers evenly.
+Numbers beyond D are hashed from the last two coordinates.
+The integrand remains a function of u, but good points do not spread hashed numbers evenly.
 
 Integrators return the radiance of all lights together.
 The choice of paths does not depend on the emission.
@@ -92,7 +92,7 @@ _PAIR = ("x", "y")
 _MOST_DIMS = 64  # default limit of dims, because analyses by axes support no more
 # Limits of one kernel: values in its table of numbers (128 MiB), and number of lanes
 _TABLE_NUMBERS, _LANES = 2**25, 2**20
-_DIMMED = 2.0**-30  # factor that dims all other lights; exact in float32
+_DIMMED = 2.0**-30  # factor that dims all lights except one; exact in float32
 _EMITTED = r"(\w+_)?scale|(radiance|intensity|irradiance)\.(.+\.)?(value|data)"
 _PATH = ((2, "light"), (1, "lobe"), (2, "direction"), (1, "roulette"))
 _ORDERS = {
@@ -152,7 +152,7 @@ class PathPixel(MitsubaIntegrand):
         Numbers that a path takes beyond D are pseudo-random.
     selection
         Relative probabilities of the lights: positive numbers in the order of `emitter_names`.
-        They replace the sampling weights of the scene.
+        These probabilities replace the sampling weights of the lights in the scene.
 
     Attributes
     ----------
@@ -199,7 +199,7 @@ class PathPixel(MitsubaIntegrand):
     def dimensions(self) -> tuple[Dimension, ...]:
         """Purpose of each coordinate, as found by a dry run that traces some paths.
 
-        The purpose is unknown if all paths of the dry run have fewer coordinates.
+        The purpose of a coordinate is unknown if all traced paths have fewer coordinates.
         """
         return self._tracer.dimensions(((self.x, self.y),), self.dims)
 
@@ -305,7 +305,7 @@ class Tracer:
     ) -> tuple[Dimension, ...]:
         """Return how paths through these pixels use each of the first `dims` coordinates of u.
 
-        By default, `dims` is the number that paths use, at most 64. Later ones are "unknown".
+        By default, `dims` is the number that paths use, at most 64. Others are "unknown".
         """
         found = self.dry_run(pixels)[0]
         count = min(len(found), _MOST_DIMS) if dims is None else dims

@@ -27,7 +27,7 @@ __all__ = ["Sky", "environment_of", "rotation_of", "sky_pixels", "sky_technique"
 _ROWS = 512
 _MOST_ROWS = 2**12
 _ORTHONORMAL = 1e-4  # tolerance for products of several rotations in float32
-_SMALLEST_SINE = 1e-12  # limit near the poles, where the density per steradian is unbounded
+_SMALLEST_SINE = 1e-12  # least sine near the poles, where the density per steradian is unbounded
 
 
 @final

@@ -27,7 +27,7 @@ __all__ = [
 
 _TOGETHER = 0.3  # interactions with a smaller share of the variance are not reported
 _SHOWN = 0.005  # smallest share of the variance that is named
-_CHARGED = ("order", "roulette", "selection")  # kinds of changes that affect the cost of a path
+_CHARGED = ("order", "roulette", "selection")  # kinds of changes of paths that affect their cost
 _ABOUT_CHARGED = (
     "Costs are counted in random numbers: each turn of the integrator's loop (a ray and at most "
     "one shadow ray) uses the same number of them. A change that needs a pilot run is charged for "
@@ -128,7 +128,7 @@ def path_answer(tree: xr.DataTree) -> str:
     for k in range(found.sizes["remedy"]):
         row = found.isel(remedy=k)
         # Recommend only changes whose gain is significant, as in the table of changes.
-        # The variable `error` excludes the cost of a pilot. The verdict includes this cost
+        # The variable `error` excludes the cost of a pilot run. The verdict includes this cost
         sure = row["verdict"].item() in ("better", "given")
         if not sure and row["remedy"].item() != other["remedy"].item():
             continue
@@ -138,11 +138,11 @@ def path_answer(tree: xr.DataTree) -> str:
 
 
 def _advised(tree: xr.DataTree, *kinds: str) -> tuple[xr.Dataset, xr.Dataset]:
-    """Return the recommended path and the reference path.
+    """Return the recommended way to sample paths, and the way with which it is compared.
 
-    The best change is recommended if it helps significantly, and otherwise the path as given.
+    The best change is recommended if it helps significantly, otherwise the scene's own way.
     If `kinds` are given, only these kinds of changes are considered.
-    The reference is the path with random numbers if it was measured, otherwise the path as given.
+    The comparison is with random numbers if they were measured, else with the scene's own way.
     """
     found = tree["remedies"].to_dataset()
     given = found.sel(remedy="as given")

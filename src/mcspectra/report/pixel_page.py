@@ -267,7 +267,8 @@ def pixel_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
         text = f"{explain(row, terms)} {known[f'diagnosis_{strategy}']}"
         said.append((STRATEGY_NAMES[strategy], text.strip()))
     said += [("bottleneck", bottleneck_sentence(tree)), ("fastest", _fastest(every))]
-    # Report regions without points only once, and replace the specs of strategies by their names
+    # Report regions without points only once,
+    # and use the names of strategies instead of their specs
     note = str(tree["convergence"].attrs.get("note", ""))
     for name, spec in zip(
         *(tree["convergence"][v].values for v in ("strategy", "spec")), strict=True
@@ -304,7 +305,7 @@ def bottleneck_sentence(tree: xr.DataTree) -> str:
         n, slopes = int(found["n"][-1]), found["technique_rate"].values
         later = f" at larger n; at n = {n} it has {percent(part)} of the variance"
         gap = float(slopes[slow] - slopes[1 - slow])
-        if gap > 0.0 and last[slow] > 0.0:  # n at which the two fitted lines cross
+        if gap > 0.0 and last[slow] > 0.0:  # n at which the lines of both techniques cross
             crossing = n * float(last[1 - slow] / last[slow]) ** (1.0 / gap)
             later += f", and more than half beyond n ≈ {number(crossing, 2)} by the fitted lines"
     name = names[slow][0].upper() + names[slow][1:]

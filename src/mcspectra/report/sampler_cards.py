@@ -110,7 +110,7 @@ class Card:
     spec
         Spec of the sampler that the images and the spectrum show.
     randomized
-        Spec of the sampler whose rates were measured. Fixed sets are randomized for this purpose.
+        Spec of the sampler whose rates were measured. Fixed sets are randomized to measure rates.
         Empty if no rates were measured.
     points
         One realization of the points, with shape (n, dims).
@@ -365,7 +365,7 @@ def _card_facts(card: Card) -> list[tuple[str, str]]:
 
 
 def _settings(effort: CardEffort) -> str:
-    """Describe how the cards were measured."""
+    """Describe in words how the results on the cards of samplers were measured."""
     low, high = effort.counts[0], effort.counts[-1]
     return (
         f"Each card shows a set of n ≈ {effort.n} points in 2-D, or in the only number of dims "

@@ -23,7 +23,7 @@ _REALS = np.arange(1.0, 65.0) * 0.37 + 0.05
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Compare the closed forms with the slides' formulas, with simulations, and with limits."""
+    """Compare closed forms with formulas of the reproduced slides, simulations, and limits."""
     realizations = 4000 if quick else 40_000
     nu = np.concatenate([_INTEGERS, _REALS])
     known = np.concatenate([[0.0], nu])

@@ -1,7 +1,7 @@
 """Mirroring of integrands or samples. With it, homogenization does not reduce the rate.
 
 Mirror-uniform draws n/4 points, and evaluates f at all four mirror images of each point.
-Therefore it samples h, the mean of f over the four images, at n/4 points.
+Mirror-uniform sampling therefore samples h, the mean of f over the four images.
 Mirror-random chooses one image at random. This adds 1/n of the variance of f between images.
 
 The mean over the images, h = q(x) q(y), is continuous on the torus.

@@ -137,7 +137,8 @@ def _as_closed(name: str, data: xr.Dataset) -> Claim:
 def _transformed(name: str) -> Claim:
     """Compare N⟨|S_m|²⟩ with 1 + (N − 1) ∫ g(|h|) cos(2πmh) dh over the torus, in 1-D for m ≠ 0."""
     n, m = 16, np.arange(1, 49)
-    # g is linear up to 1/n and constant beyond: use Gauss-Legendre nodes in intervals of 1/n
+    # The pair correlation g is linear up to the distance 1/n and constant above,
+    # so Gauss-Legendre nodes are placed in intervals of length 1/n
     nodes, weights = np.polynomial.legendre.leggauss(16)
     h = ((np.arange(n // 2)[:, None] + (nodes + 1) / 2) / n).ravel()
     g = mcs.spectra.closed_form_pair_correlation(mcs.sampler(name, 1), n, h)

@@ -9,7 +9,7 @@ Two cells of one frame repel each other by a Gaussian in space.
 Two cells at one place repel each other by a Gaussian in time; other cells do not interact.
 Every frame is then blue in space, and every pixel is blue in time.
 
-Notation of the kernels: a ``pattern`` bool (T·s, s) on the torus has ones at the points.
+In the kernels, ``pattern`` bool (T·s, s) is true at the points. Its edges join as on a torus.
 The rows of frame t are t·s … t·s + s − 1; sets and dither masks have one frame.
 ``energy`` float64 (T·s, s) is the sum of Gaussians around the ones.
 ``weights`` is a tuple: one Gaussian along an axis of space (2·reach + 1,), and one over time (T,).
@@ -17,7 +17,7 @@ The rows of frame t are t·s … t·s + s − 1; sets and dither masks have one 
 the column of the one with the highest energy (tightest cluster),
 and the column of the zero with the lowest energy (largest void).
 A column number is −1 if the row has no ones, or no zeros.
-A ``grid`` is the tuple of pattern, energy and heads.
+A ``grid`` is the tuple of the arrays ``pattern``, ``energy`` and ``heads``.
 The cell in row i and column j has the number i·s + j.
 Arrays ``points`` float64 (s, s, 2) have one point in each of s × s cells, in units of cells:
 the point of cell (i, j) is in [i, i+1) × [j, j+1), on the torus.
@@ -63,7 +63,7 @@ _SIGMA_PER_SPACING = 0.47
 # A width in proportion to the spacing of the ones in time would cause peaks in the spectrum.
 _SIGMA_TIME = 1.9
 _WIDTHS = 6.0  # cutoff radius of the Gaussian, in widths; its value there is 1.5e-8
-_CLEAR = 1e-9  # smallest gain of energy, above rounding errors, so that relaxation ends
+_CLEAR = 1e-9  # smallest gain of energy by a move; rounding errors are smaller, so relaxation ends
 _CLUSTER, _VOID = 0, 1
 _REPELLING = 0.5  # width in cells of the Gaussians by which points repel each other
 _REACH = 2  # number of cells on either side whose points contribute to the energy
@@ -257,7 +257,7 @@ def _flip(cell: int, grid: Any, weights: Any) -> None:
     for k in range(weights[0].size):
         _find_heads(i // side * side + (i + k - reach) % side, pattern, energy, heads)
 
-    # In the other frames of the mask, only the cell at the same place has a new energy
+    # In other frames, only the cell at the place of the flipped cell has a new energy
     for other in range(i + side, i + rows, side):
         row = other % rows
         kind = _CLUSTER if pattern[row, j] else _VOID
@@ -301,12 +301,12 @@ def _relax(grid: Any, weights: Any, steps: int) -> bool:
 @kernel
 def _rank_ones(grid: Any, order: Array) -> None:
     # Clear the pattern, tightest cluster first.
-    # Write the cleared cells to order (ones,), from the end: the cell cleared first comes last.
+    # Write the cleared cells to `order` (ones,) from its end: the cell cleared first comes last.
     weights, again = _start(grid), order.size // 2
     for rank in range(order.size - 1, -1, -1):
         order[rank] = _head(_CLUSTER, grid)
         _flip(order[rank], grid, weights)
-        # When half of the ones are left, they are farther apart and need a wider Gaussian
+        # When half of the points are left, they are farther apart and need a wider Gaussian
         if rank == again and rank > 0:
             weights, again = _start(grid), again // 2
 
@@ -336,7 +336,7 @@ def _rank_all(grid: Any, order: Array) -> None:
 @kernel
 def _jitter_cells(k0: np.uint64, k1: np.uint64, cells: Array, side: int, out: Array) -> None:
     # Fill out (n, 2) with uniform points in cells (n,); one random shift by whole cells moves all.
-    number = side * side  # the first pattern used the random numbers below side²
+    number = side * side  # the first pattern used the first side² random numbers
     down, across = _mix_below(k0, k1, number, side), _mix_below(k0, k1, number + 1, side)
     for p in range(cells.size):
         number += 2
@@ -367,10 +367,10 @@ class LowDiscrepancyBlueNoise(PlaneSampler, OptimisedSampler):
     Notes
     -----
     The set has one point in each cell, and one in each of n equal intervals of either axis.
-    For all 2^j ≥ chunk, it also has one point in each interval of 2^j by 2^−j cells.
+    For all 2^j ≥ chunk, the set also has one point in each interval of 2^j by 2^−j cells.
     With chunk = 2 the set is a (0,2)-net.
     The points are exactly uniform over the cells and along each axis.
-    Within a cell, their density is not quite constant.
+    Within a cell, the density of the point is not quite constant.
     Add shift for unbiased means.
 
     The blue-noise set is a jittered set, with points relaxed within their cells.
@@ -424,7 +424,7 @@ def _energy(i: int, j: int, x: float, y: float, points: Array) -> float:
         for v in range(j - reach, j + reach + 1):
             if u != i or v != j:
                 other = points[u % side, v % side]
-                # Subtract whole cells, because neighbors may lie across the border
+                # Neighbors across the border of the torus are moved by one period
                 dx = other[0] - u % side + u - x
                 dy = other[1] - v % side + v - y
                 total += np.exp(-(dx * dx + dy * dy) / (2 * _REPELLING * _REPELLING))
@@ -453,7 +453,7 @@ def _snap_line(low: int, chunk: int, line: int, positions: Array, out: Array) ->
     # `positions` (s,) has one number per cell: its point's coordinate perpendicular to the line.
     # `out` (s,) gets, for each cell, the index of the interval that is assigned to it.
     # The intervals of the chunks follow a van der Corput sequence with shifted digits.
-    # The number `low` contains the digits of this shift.
+    # The number `low` contains the digits of the random shift.
     side, digits = positions.size, 0
     while chunk << digits < side:
         digits += 1
@@ -476,8 +476,8 @@ def snap_in_chunks(
 ) -> None:
     """Move points to a low-discrepancy set, keeping their order in chunks; out (s, s, 2).
 
-    The s cells of each column divide the s intervals of the column's width among themselves.
-    The s cells of each row divide the s intervals of the row's height in the same way.
+    Each of the s cells of a column gets one of s intervals of the column's width.
+    Each of the s cells of a row gets one of s intervals of the row's height.
     Within a chunk, intervals follow the order of the points.
     Chunks follow the van der Corput sequence with randomly shifted digits.
     A point is uniform within its interval.

@@ -75,11 +75,11 @@ SEED_BITS = 31
 # Recognition of nets and lattices among given sets
 _NET_BASES = (2, 3, 5)
 # Least number of balanced elementary intervals in a set that counts as a net.
-# The second number is for sets with fewer than `_FEW` points, which are easily balanced by chance.
+# Sets of fewer than `_FEW` points need more balanced intervals: chance easily balances them.
 _LEAST_CELLS, _LEAST_CELLS_OF_FEW = 8, 16
 _FEW = 64
 # Largest product of the number of points and the number of interval shapes in a test for nets.
-# A test with this product takes about a second.
+# A test for nets of this size takes about a second.
 _MOST_WORK = 2**26
 _WORD = 53  # number of bits of a coordinate
 _OFF_LATTICE = 0.01  # rounding tolerance of coordinates of a lattice, in units of 1/n
@@ -105,7 +105,7 @@ class PointSets(dict[int, Array]):
         """The recognized law of the sets of each count.
 
         The largest set must pass a strict test to count as a net with some quality t.
-        Smaller sets count as nets if their t is not larger.
+        Smaller sets count as nets if their quality parameter t is not larger.
         """
         found: dict[int, Law] = {}
         largest: tuple[int, int] | None = None
@@ -250,7 +250,7 @@ class GivenPoints(Sampler):
 
     @property
     def most_realizations(self) -> float:
-        """Smallest number of sets of any count; infinite if sets may be reused."""
+        """Number of sets of the count with the fewest sets; infinite if sets may be reused."""
         return math.inf if self.cycle else min(map(len, self.sets.values()))
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
@@ -283,8 +283,8 @@ def net_quality(points: Array, like: tuple[int, int] | None = None) -> tuple[int
     The least m − t is 3 in base 2, and 2 in bases 3 and 5.
     For sets of fewer than 64 points, the least m − t is 4 in base 2 and 3 in base 3.
     If m is smaller than the least m − t, the set counts as a net only for t = 0.
-    If the same file has a larger net, `like` is its base and quality t.
-    Then the set counts as a net in this base if its own t is not larger.
+    If a larger set of the same file is a net, `like` is the base and the quality t of this net.
+    In the base of the larger net, the set counts as a net if its t is not larger.
     Blue noise of 16 points or more is rarely taken for a net: in tests, at most 1 of 200 sets was.
     """
     n, dims = points.shape
@@ -332,7 +332,7 @@ def recognized(points: Array, bases: tuple[int, ...] | None) -> Fixed:
             lambda a, b: (a + b) % np.uint64(n),
             lambda row, count: np.arange(count, dtype=np.uint64)[:, None] * row % np.uint64(n),
         )
-        # If the origin is a point of the lattice, find a row whose multiples are all rows
+        # If the origin is a point of the lattice, find a point whose multiples are all points
         orders = n // np.gcd(n, np.gcd.reduce(rows.astype(np.int64), axis=1))
         if even and orders.max() == n and (points == 0.0).all(axis=1).any():
             vector = tuple(rows[int(np.argmax(orders))].tolist())
@@ -407,7 +407,7 @@ def _by_count(sets: Iterable[tuple[str, object]]) -> dict[int, Array]:
             )
         found.setdefault(len(points), []).append(points)
     if not found:
-        # There are no points. The function `_as_sets` raises an error that says so
+        # If there are no points, the function `_as_sets` raises an error
         return {0: _as_sets([])}
     return {n: _as_sets(np.stack(found[n])) for n in sorted(found)}
 
@@ -586,7 +586,7 @@ class CommandSampler(_OfCode):
     ParameterError
         If the program does not exist, takes too long, fails, or prints other points than requested.
     FileFormatError, DomainError
-        If it prints something other than finite numbers, or points outside [0,1).
+        If the program prints something other than finite numbers, or points outside [0,1).
     ConfigError
         If a spec names the program and it is not allowed (`allow_code`).
     """
@@ -636,7 +636,7 @@ def printed_points(sampler: Any, values: Mapping[str, int], count: int, place: s
     count
         Number of points that the program should print; a much longer output is an error.
     place
-        The values in words, for messages.
+        The values of the placeholders in words, for messages.
 
     Raises
     ------
@@ -746,7 +746,7 @@ def allow_code(*names: str) -> None:
     The name ``'./mine'`` allows this program with any arguments.
     The name ``'module:function'`` allows the spec ``python('module:function')``.
     Samplers that are made from their classes in Python need no permission.
-    The specs of such samplers are also allowed from then on.
+    Once a sampler is made from its class, its spec is also allowed.
 
     Raises
     ------

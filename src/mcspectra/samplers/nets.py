@@ -91,7 +91,7 @@ class Sobol(_BinaryNet):
     The points are in natural order, not in the order of the Gray code:
     dimension 0 is the van der Corput sequence of the index.
     Counts that are not powers of the base cause a warning:
-    sets of such counts are not balanced in elementary intervals.
+    sets whose number of points is not a power of the base are not balanced.
 
     A file has one line per dim: number of the dim, degree s, polynomial a, numbers m_1 … m_s.
     Headings and text after ``#`` are ignored.
@@ -250,7 +250,7 @@ class Niederreiter(_BinaryNet):
 
     The sequence has quality parameter t = Σ (e_j − 1).
     An axis of degree e > 1 is sure to be balanced only at n = 2^k with k divisible by e.
-    Scrambling does not change this condition.
+    Scrambling does not change the numbers n at which an axis is balanced.
 
     References
     ----------
@@ -363,8 +363,8 @@ class JoinedPairs(_BinaryNet):
     Notes
     -----
     The matrices of the points are C_1, C_2, C_1 U and C_2 U with an invertible matrix U.
-    For coordinates 3 and 4, the digits of a point's index are multiplied by U.
-    The multiplication changes only the order of the points in the plane.
+    For coordinates 3 and 4, the digits of a point's index are first multiplied by the matrix U.
+    Multiplying the index by U changes only the order of the points in the plane.
     Coordinates 3 and 4 are therefore as evenly spread as coordinates 1 and 2.
     In contrast, coordinates 3 and 4 of Sobol' points do not form a (0, m, 2)-net for most m.
 

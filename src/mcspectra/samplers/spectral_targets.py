@@ -60,7 +60,7 @@ class _MatchedSampler(PlaneSampler, OptimisedSampler):
     def misfit(self, points: object) -> float:
         """Return the root-mean-square difference between the power of `points` and the target.
 
-        The mean is over all frequencies; the power of a frequency is the mean power of its ring.
+        The mean square is over all frequencies. The power of each is the mean power of its ring.
         The points have shape (n, 2).
         """
         x = as_unit_points(points, dims=2)
@@ -132,11 +132,11 @@ class TargetSpectrum(_MatchedSampler):
 
     Notes
     -----
-    The descent starts from independent uniform points.
+    The optimization by descent starts from independent uniform points.
     The descent fits the mean power over rings of frequencies, which have width one.
     Single sets therefore follow the curve more closely than random fluctuations would allow.
     A target is refused if its pair correlation (its Hankel transform) is negative somewhere.
-    No point sets have the power of such a target.
+    No point sets have the power of a target with negative pair correlation.
     `misfit` measures the difference between the power of a set and the target.
 
     References
@@ -206,7 +206,7 @@ class TargetPcf(_MatchedSampler):
 
 
 def _least_transform(sampler: Any, places: str, values: str) -> tuple[float, float]:
-    """Convert two fields of a sampler to tuples of floats: places, and values at these places.
+    """Convert the knots of a target to tuples of floats: places, and values at these places.
 
     Check that the places increase and that the values are not negative.
 
@@ -252,7 +252,7 @@ def hankel(profile: Profile, places: Array, at: Array) -> Array:
 
     The function converts power to pair correlation and back:
     power − 1 and pair correlation − 1 are Hankel transforms of each other.
-    The knots of the profile, including its end, are given as `places`.
+    The knots of the function `profile`, including the end of its range, are given as `places`.
     """
     from scipy.special import j0
 
@@ -272,7 +272,7 @@ class RingLoss:
 
     Ring r holds the frequencies with |m| within ½ of r.
     The loss is Σ (mean power − target)² over rings.
-    The target is averaged over the same frequencies.
+    The target of a ring is averaged over the same frequencies as the power.
     Rings have equal weights, because the lowest rings matter most.
     If a ring's weight were its number of frequencies,
     the errors of the lowest rings would be ten times as large.

@@ -117,7 +117,7 @@ def estimate_study(plan: StudyPlan, *, probe_seconds: float = 10.0) -> list[Cell
         seconds, storage = tried.get(cell.path, guess)
         if seconds > target and name not in cut:
             cut[name] = False
-            with contextlib.suppress(Exception):  # The study's run will report this error
+            with contextlib.suppress(Exception):  # The run of the study will report the error
                 steps = steps_of(cell.analysis, cell.subject, Stream.from_rng(seed))
                 cut[name] = sum(each.blocks for each in next(steps)) > 1
         estimates.append(

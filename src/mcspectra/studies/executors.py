@@ -581,7 +581,7 @@ def _muted(opened: contextlib.ExitStack) -> dict[logging.Handler, int]:
     """Keep dask's log off the terminal, because this package reports problems in its own messages.
 
     The log levels are restored when the context stack `opened` closes.
-    After an interruption dask stays silent, because it logs until the process ends.
+    After Ctrl-C the log remains off, because dask writes messages until the process ends.
     """
     levels = {each: each.level for each in logging.getLogger("distributed").handlers}
 
@@ -599,7 +599,7 @@ def _muted(opened: contextlib.ExitStack) -> dict[logging.Handler, int]:
 @contextlib.contextmanager
 def deaf() -> Iterator[None]:
     """Make processes and threads that start in this context ignore Ctrl-C."""
-    if not hasattr(signal, "pthread_sigmask"):  # Windows lacks this function
+    if not hasattr(signal, "pthread_sigmask"):  # Windows has no pthread_sigmask
         yield
         return
     # Starting Python's resource tracker unblocks Ctrl-C in the current thread.

@@ -156,14 +156,14 @@ def analyse_pixel(
     channel
         ``"luminance"``, 0, 1 or 2.
     dims
-        2, or 3 if a third coordinate chooses a light or a lobe of the BSDF.
+        Number of dims: 2, or 3 if a third coordinate chooses a light or a lobe of the BSDF.
     samplers
         Samplers or their spec strings, all different.
     counts, realizations, budget
         Counts n of samples of each technique, at least two, ascending.
         Number of estimates for each n.
         Number of evaluations at which remedies are ranked, by default twice the largest n.
-        The other default values come from the chosen effort.
+        By default, numbers that are not given come from the effort.
     remedies
         Whether to search for remedies that lower the noise.
     effort
@@ -183,17 +183,17 @@ def analyse_pixel(
         ``techniques``: terms by `mcspectra.technique_terms` for the balance heuristic.
         ``pictures/NAME``: pictures by `mcspectra.explain.primary_picture`; only in 2 dims.
         NAME is ``light``, ``bsdf``, or the share of a technique, such as ``balance-light``.
-        Steps from float32 rounding are removed.
+        Steps from float32 rounding are removed from the pictures.
         ``incident``: `incident_light`.
         ``picture``: ``image`` of the scene on (y, x, channel), small, by few paths.
         ``remedies``: remedies by `mcspectra.remedies` for the balance heuristic.
-        Attributes of the root describe the pixel and its contents, and the sampler of the terms.
+        Attributes of the root describe the pixel and what it shows, and name the terms' sampler.
         Sentences in ``diagnosis_STRATEGY`` describe the causes for that sampler.
 
     Raises
     ------
     McspectraError
-        Same as in `Pixel`; or if the named pixel does not exist.
+        If `Pixel` raises an error, or if the named pixel does not exist.
         If a sampler does not support a count.
     """
     # Find the pixel, and check all arguments before any work

@@ -47,7 +47,7 @@ __all__ = [
 
 _FALSE_ALARM = 1e-6
 # Largest allowed deviation in standard errors.
-# A correct component exceeds it with probability 7e-8 (Student's t).
+# The deviation of a correct component exceeds this with probability 7e-8 (Student's t).
 _SPREADS = 7.0
 _SAME = 1e-9  # largest relative difference of values and integrals that counts as rounding
 _REALIZATIONS, _CELLS = 640, 35  # numbers of realizations and of cells for the uniformity test
@@ -122,11 +122,11 @@ def check_sampler(sampler: Sampler | str, *, counts: tuple[int, ...] = (16, 64))
             continue
 
         # Compare the mean number of points per cell with n / (number of cells).
-        # Few samplers have strata of the same size as these cells:
-        # 35 cells per axis, and 5 × 7 cells per pair of neighboring axes.
+        # There are 35 cells per axis, and 5 × 7 cells per pair of neighboring axes,
+        # because few samplers have strata of the same size.
         # The error of each mean comes from the spread over realizations,
         # which includes the dependence of the points in a set.
-        # The error is at least as large as if the count were random in one realization only,
+        # The error is at least the error of a count that varies in one realization only,
         # even if the count is the same in all realizations
         from scipy.stats import norm
 
@@ -271,7 +271,7 @@ def check_integrand(integrand: Integrand | str, *, dims: int | None = None) -> N
     -----
     Closed forms are compared with means over 32 shifted sets of 4096 points.
     In up to three dims, closed forms may differ from the means by up to seven standard errors.
-    If they differ by more, they are also compared with a quadrature.
+    If closed form and mean differ by more, both are also compared with a quadrature.
     Errors of a closed form below these limits are not detected.
     If f differs from 0 in less than 1e-4 of the domain, points may miss this region.
     `Integrand.landmarks` must then return a point where f is not 0.
@@ -378,7 +378,7 @@ def _compare(f: Integrand, what: str, claimed: Array, x: Array, factors: Array) 
     rounding = _ROUNDING * (1.0 + float(np.abs(values).max()))
     allowed = _SPREADS * error + rounding
     places = f.landmarks()
-    if not values.any() and len(places):  # no point is in the region with the largest values
+    if not values.any() and len(places):  # no point fell into the region with the largest values
         largest = float(np.abs(f(places)).max())
         allowed = allowed + largest * _MISSED / values.shape[0] / values.shape[1]
     off = ~(np.abs(claimed - mean) <= allowed)
@@ -406,7 +406,7 @@ def check_analysis(analysis: Analysis, estimator: Any = None, sampler: Any = "ji
     ----------
     analysis
         The analysis, with options that make it quick to compute.
-        It should have more than one block, so that merging is also checked.
+        The analysis should have more than one block, so that merging is also checked.
     estimator, sampler
         Subject of the analysis. The estimator may be an integrand (default: 2-D `gaussian`).
         Spec strings are accepted. Some analyses also take lists of samplers.
@@ -415,7 +415,8 @@ def check_analysis(analysis: Analysis, estimator: Any = None, sampler: Any = "ji
     ------
     BrokenContract
         If an option has no description, a reserved name, or a default outside its limits.
-        If `need` raises an error, is slow or is not finite, keys repeat, or `part` lacks a key.
+        If `need` raises an error, is slow or is not finite.
+        If keys repeat, or if `part` lacks a key.
         If states change when they are stored as bytes.
         If results depend on chunks, differ for the same seed, or have undeclared variables.
 
