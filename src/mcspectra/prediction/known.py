@@ -171,7 +171,7 @@ class Known:
 
     @cached_property
     def diverges(self) -> Array:
-        """Whether ∫g² is infinite, from the growth of |g| on axis-parallel lines: (channels or 1,)."""
+        """Whether the growth of |g| along lines shows that ∫g² is infinite, (channels or 1,)."""
         found = growth(self.g) >= DIVERGES
         if self.unresolved.any() and (parts := separated(self.g)):
             found = found | np.array([part.diverges for part in parts])

@@ -154,7 +154,7 @@ def frame_files(paths: Frames, read: FrameReader, *, least: int = 2) -> list[Fra
     FileFormatError
         If there are no files, or a header is broken.
     ParameterError
-        If a group has too few files, or a file's name and header give different samples per pixel.
+        If a group has too few files, or the samples per pixel in names or headers disagree.
     """
     groups: dict[int | None, list[tuple[Path, float | None]]] = defaultdict(list)
     for file in _listed_files(paths):
