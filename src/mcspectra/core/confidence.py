@@ -53,7 +53,7 @@ def log_mean_interval(mean: Array, se: Array, count: int) -> Array:
     Student's t is applied to the logarithm of the mean.
     For example, take 4 realizations of |S|² with Gaussian S: |S|² is exponentially distributed.
     The interval contains the true mean in 93 % of cases.
-    The interval mean ± t·se would contain it in 88 %, and with the normal quantile in 78 %.
+    The interval mean ± t·se would contain the true mean in 88 %, mean ± 1.96 se in 78 %.
     """
     relative = np.divide(se, mean, out=np.array(se), where=mean > 0)
     factor = np.exp(student_t(count) * relative)

@@ -41,7 +41,7 @@ _DRAWN = (
     "spectrum",
     "points",
     "pcf",
-)  # analyses whose results a report shows in figures, not in a table for each analysis
+)  # analyses for which the list of tables has no further entry
 
 Rows = Iterator[Sequence[str | TableCell]]
 Analyses = Mapping[str, Any]

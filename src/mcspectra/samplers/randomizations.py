@@ -491,7 +491,7 @@ class Decorrelate(Randomization):
     ) -> Array:
         if self.advance:
             # Draw the points of all frames at once, n points for each frame.
-            # Round the number of frames up to a power of two, because nets have 2^m points
+            # Round the number of frames up to a power of two: some sequences need 2^m points
             frames = (first + count - 1) // self.width**2 + 1
             most = sampler.check_count(n << (frames - 1).bit_length())
             points = sampler.draw_stream(most, stream, 0, 1)[0].reshape(-1, n, sampler.dims)

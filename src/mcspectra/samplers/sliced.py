@@ -16,7 +16,7 @@ from mcspectra.samplers.optimised import OptimisedSampler, random_points
 __all__ = ["SlicedOptimalTransport", "projected_quantiles"]
 
 _TABLE = 2049  # number of points at which a projected cube's distribution is tabulated
-_NARROW = 1e-3  # smaller components of a direction are ignored; this moves quantiles by 1e-7
+_NARROW = 1e-3  # smaller components of a direction are ignored; quantiles move by at most 1e-7
 
 
 @final

@@ -65,7 +65,7 @@ PATH_SAMPLERS = ("random", "latin-hypercube", "rank1-lattice | shift", "sobol | 
 """Samplers that are compared by default; they support any count in any number of dims."""
 
 _EFFORTS = {
-    # Each effort has five values: numbers of points n, realizations for each n,
+    # Each effort has five values: numbers n of paths per estimate, estimates for each n,
     # realizations for ANOVA, paths for the shares of lights, and True to predict variances
     "quick": ((16, 64, 256, 1024), 200, 10_000, 2**14, False),
     "full": ((16, 64, 256, 1024, 4096), 1000, 100_000, 2**17, True),
