@@ -85,7 +85,7 @@ class Quadrature:
 
     @property
     def isolated(self) -> bool:
-        """Whether no further splitting is needed: the volume of unresolved cells shrinks quickly.
+        """Whether `limit` can be used, because the volume of unresolved cells shrinks quickly.
 
         The property is also true if the integral is infinite or all cells are resolved.
         """
@@ -145,7 +145,7 @@ def integrate(
         Points (M, d) where narrow peaks may be.
         Cells that contain one of these points are always split to level 16 (8 in 2-D).
     most_cells
-        Splitting ends when a level has this number of cells.
+        Maximum number of cells in a level; at this number, cells are not split further.
 
     Notes
     -----

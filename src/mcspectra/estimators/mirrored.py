@@ -70,8 +70,8 @@ class Mirrored(AbstractEstimator):
     Shifted images have the same distribution as the images of u + δ modulo 1.
     Therefore shifted points do not meet a jump of the integrand at the border of the cube.
 
-    A mirrored estimator has the same points as the inner estimator with mirrored points:
-    replace its sampler ``S`` by ``S | mirror(mode=...)``, with ``'fold'`` for ``"integrand"``.
+    A mirrored estimator with the sampler ``S`` has the same values as the inner estimator
+    with the sampler ``S | mirror(mode=...)``. Use ``'fold'`` for the mode ``"integrand"``.
     In contrast, ``S | mirror(...) | shift`` shifts the points after folding.
     Such a shift moves points across the jump between f(1) and f(0).
 

@@ -378,7 +378,7 @@ def quantity_error(x: Array, w: Array, settings: ChainSettings = CHAIN_SETTINGS)
         drifts = "the chain drifts: its mean still moves after half of the draws"
         return _stationary_error(x, w, _edges(n), drifts, settings)
     rest = _stationary_error(x[:, dropped:], w[:, dropped:], _edges(n), "", settings)
-    if "stuck-chain" in rest["cause"]:  # a stuck chain has no burn-in
+    if "stuck-chain" in rest["cause"]:  # stuck even without the burn-in
         return _stationary_error(x, w, _edges(n), "", settings)
     said = (
         f"the first draws depend on where the chains began, so the first {dropped} of {n} of each "

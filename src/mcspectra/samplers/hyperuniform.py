@@ -386,8 +386,8 @@ def _append(re: Array, im: Array, basis: tuple[Array, Array], i: int, cr: Array,
 
 @kernel
 def _draw(k0: np.uint64, k1: np.uint64, m: Array, basis: tuple[Array, Array], out: Array) -> None:
-    # Draw one realization by rejection. Proposals that are not yet rejected are kept for
-    # later points, because the tests that a proposal has passed remain valid.
+    # Draw one realization by rejection. After a point is accepted, other proposals are kept:
+    # a later point needs the same tests of a proposal, and further ones.
     n, dims = out.shape
     x, most, within = np.empty((_BATCH, dims)), np.empty(_BATCH), np.empty(_BATCH)
     re, im = np.empty((_BATCH, n)), np.empty((_BATCH, n))

@@ -662,7 +662,7 @@ def _weighted_covariance(law: Law, name: str, m: Array, other: Array, density: D
         rule = np.remainder(np.arange(s) / s + offset[i], 1.0), np.full(s, 1.0 / s)
         axis = _StrataAxis(p, s, *(_all_offsets(p, s, 1.0, highest) if shifted else rule))
         same = axis.mean_product(axis.of_stratum, m[..., i], other[..., i])
-        if latin:  # two points never lie in the same stratum
+        if latin:  # two points of a Latin hypercube never share a stratum
             free = (m[..., i] == 0) & (other[..., i] == 0)
             same = (n * free - same) / max(n - 1, 1)
         pairs = pairs * same
