@@ -185,7 +185,8 @@ class SphericalTriangle(_Light):
     x = (s, t) is the point b + √t ((1 − s) a + s c − b).
     The ray from b through x cuts off the share s of the area, next to the edge ab.
     The line through x parallel to ac cuts off a triangle at b, which has the share t of the area.
-    u_0 is the share of the solid angle up to s. u_1 is the share up to t on the line of constant s.
+    u_0 is the share of the solid angle up to s.
+    u_1 is the share from 0 to t of the density on the line of constant s.
     The map from u to x is the continuous map of [Arvo1995]_.
 
     Attributes
