@@ -1,10 +1,10 @@
 """Compare SciPy's L-BFGS-B, QR and eigensolver with our own minimizer, QR and eigensolver.
 
 The command ``python -m benchmarks descent`` runs L-BFGS-B and our descent.
-Both minimize the functions that three optimized samplers minimize, such as energies.
+Both descents minimize the energies, or similar functions, of three optimized samplers.
 The command prints the smallest values after as many evaluations as our descent takes.
-The computations of the libraries are then repeated with other numbers of threads.
-They are also repeated with the kernels of OpenBLAS for other processors.
+To compare bits, the computations of SciPy and NumPy are repeated with other numbers of threads.
+These computations are also repeated with the kernels of OpenBLAS for other processors.
 """
 
 from __future__ import annotations

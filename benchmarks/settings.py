@@ -15,7 +15,7 @@ The benchmark also prints the mean half width of the intervals, and how many con
 Each chain has one known fault or none.
 
 ``--stages`` tests `StageSettings` with 150 searches that stop when a variance is known to 10 %.
-The benchmark prints mean numbers of realizations and stages.
+The benchmark prints how many realizations and how many stages a search takes on average.
 The benchmark also prints the root mean square of the true relative error.
 """
 
@@ -42,7 +42,7 @@ from mcspectra.measure.converge import STAGE_SETTINGS, MomentsCell, StageSetting
 
 SEEDS = 2
 NESTED = ("lines", "poles", "curves")
-# Settings that `Evidence.of` uses; all other settings affect only the detectors of causes
+# Settings that change the estimates of `Evidence.of`; other settings change only the diagnosis
 EVALUATING = {
     *("nets", "more_from", "lines_share", "check_share", "given_share", "pole_share"),
     *("dimension_share", "again", "same_value", "climbed", "many_dims"),
@@ -86,7 +86,7 @@ def is_right(seen: Evidence, causes: tuple[str, ...]) -> bool:
 
 
 def poles_right(settings: PoleSettings) -> int:
-    """Count the poles whose rank and place are found, with an exponent that is right to 0.02."""
+    """Count the poles for which rank, border and exponent (to 0.02) are recognized."""
     right = 0
     for matrix, order, rank, border in POLES:
         place = np.zeros(matrix.shape[1]) if border else 0.3 + 0.1 * np.arange(matrix.shape[1])
@@ -238,7 +238,7 @@ def stages() -> None:
         wanted = next(steps)
         while True:
             count += 1
-            # Random values replace the estimates, so that no points are drawn
+            # The search receives given random values as estimates; no points are drawn
             _, first, size = map(int, wanted.key.split("-"))
             moments = Moments.of(values[first : first + size, None], tails=True)
             try:

@@ -1,12 +1,12 @@
 """Studies: overhead of a cell, and speedup by two workers.
 
-Cells of about half a second are run through tasks and ledger, and in a bare loop.
+Cells of about half a second are computed by a study, with its tasks and files, and in a bare loop.
 The overhead is the time of the study minus the time of the loop.
 Efficiency is the time with one worker divided by w times the time with w workers.
 Tasks that sleep show the cost of scheduling.
 Real tasks also share Python's lock (threads) and a memory bus.
 Without a study, two processes each loop over half of the cells.
-Their speedup is the largest that two processors of the machine allow.
+The speedup of these processes is the largest that two processors of the machine allow.
 All methods take turns in several rounds. If times vary, the shortest time is used.
 """
 
@@ -45,7 +45,7 @@ grid = { width = [WIDTHS] }
 
 
 def study(realizations: int) -> StudyConfig:
-    """Return a study of equal cells."""
+    """Return a study whose cells all take the same time."""
     widths = ", ".join(f"{0.2 + 0.01 * i:.2f}" for i in range(CELLS))
     config = decode_study(STUDY.replace("WIDTHS", widths))
     table = msgspec.structs.replace(config.analyses["convergence"], realizations=realizations)
@@ -103,7 +103,7 @@ def _print_efficiency(what: str, one: float, several: float, workers: int) -> No
 
 
 def _side_by_side(config: StudyConfig) -> float:
-    """Return the seconds in which two started processes each compute half of the cells."""
+    """Return the seconds that two processes need if each computes half of the cells."""
     context = multiprocessing.get_context("spawn")
     gate = context.Barrier(3, timeout=600)  # raises an error unless both processes start
     halves = [context.Process(target=_half, args=(config, i, gate)) for i in range(2)]

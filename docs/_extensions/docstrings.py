@@ -53,7 +53,7 @@ def _with_works_cited(lines: list[str]) -> list[str]:
 
 def _with_text_escaped(lines: list[str]) -> list[str]:
     """Escape all lines except directives, examples and literal blocks."""
-    result, literal = [], None  # literal: indentation before '::'
+    result, literal = [], None  # literal is the indentation of the line that ends in '::'
     for line in lines:
         indent = len(line) - len(line.lstrip())
         if literal is not None and line.strip() and indent <= literal:

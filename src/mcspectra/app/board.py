@@ -55,7 +55,7 @@ class Board:
         If nothing can be computed, the text is a sentence with the reason.
     on_shown
         Called in the page's thread after a part was shown, and after the job has ended.
-        The argument is True if figures were added or removed.
+        The function's argument is True if figures were added or removed.
     """
 
     def __init__(
@@ -76,7 +76,7 @@ class Board:
         self._fresh: set[str] = set()  # kinds of figures that the current job has already shown
         self._drawn: dict[
             str, tuple[Any, list[str]]
-        ] = {}  # displayed value and figures of each part
+        ] = {}  # for each part of the results: the value on display, and the kinds of its figures
         self._paired = False
         self._fraction = 0.0
         self._status = Div(sizing_mode="stretch_width", stylesheets=[sheet])
@@ -127,7 +127,7 @@ class Board:
             self._size(kind, card.drawn)
 
     def _size(self, kind: str, drawn: Drawn) -> None:
-        """Shrink the panels of the integrand, so that they fit side by side in half of the page."""
+        """Resize the panels of the figure of the integrand; two set-ups share the page's width."""
         panels: list[Any] = getattr(drawn.model, "children", [])
         if kind != "integrand" or not panels:
             return
@@ -156,7 +156,7 @@ class Board:
         """Process updates in order of arrival. The page may run its callbacks in another order."""
         while not self._inbox.empty():
             job, news = self._inbox.get()
-            if job is not self._job:  # an earlier job sent this update
+            if job is not self._job:  # ignore updates from a job that was replaced by another
                 continue
             if isinstance(news, Update):
                 # Show a part of the results. If the part has not changed, nothing is sent
@@ -224,7 +224,7 @@ class Board:
 def card_of(
     plot: Plot, side: str, before: Card | None, sheet: InlineStyleSheet, *, named: bool = True
 ) -> Card:
-    """Show a plot of a side in the card `before` if it fits, otherwise in a new card.
+    """Show a plot of set-up A or B in the card `before` if it fits, otherwise in a new card.
 
     If `named` is true, the heading names the side.
     The label for screen readers always names the side.

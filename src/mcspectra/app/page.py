@@ -101,7 +101,7 @@ class Explorer:
     def __init__(self, document: Any, query: str) -> None:
         refused = ""
         try:
-            # If the address has no set-up, begin with the first example
+            # If the page's address contains no set-up, show the first example
             first = "" if "=" in query.replace("theme=", "") else next(iter(_EXAMPLES.values()))
             begin = urlencode(parse_qsl(first) + parse_qsl(query)) if first else query
             self.state = ExplorerState.from_query(begin)
@@ -236,7 +236,7 @@ class Explorer:
         self._grid.children = [*joint, *children]
 
     def _draw_both(self) -> bool:
-        """Draw the curves of A and B in one plot; return True if it appeared or disappeared."""
+        """Draw the curves of A and B in one plot; return True if the plot was added or removed."""
         curves = {
             f"{side}: {setup.displaced_sampler}": curve
             for side, setup in self.state.setups()
@@ -338,7 +338,7 @@ def _row(side: str, setup: ExplorerSetup, board: Board) -> str:
     missing = "…" if board.busy else "–"
 
     # Show the ratio of measured and predicted variance, as in the summary of a report.
-    # Both variances are for the number of points n at which the variance terms were computed
+    # Measured and predicted variance are for the n at which the variance terms were computed
     parts = {k: v for k, v in board.latest.items() if k in ("terms", "predict")}
     ratio = missing
     if len(parts) == 2:

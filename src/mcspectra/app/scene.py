@@ -37,7 +37,7 @@ def pixel_spec(x: int, y: int, strategy: str = "light") -> str:
     """Return the spec of the integrand at a pixel, counted from the left and from the top.
 
     The strategies ``"balance"`` and ``"power"`` are sums of light and BSDF sampling.
-    In each sum, the heuristic with this name weights both techniques.
+    The balance or power heuristic gives the weights of the two techniques.
     The strategies ``"mis-light"`` and ``"mis-bsdf"`` are the two terms of the sum ``"balance"``.
 
     Raises

@@ -1,8 +1,8 @@
 """The server of the explorer. It answers only requests from this machine and from its own pages.
 
 The server listens on the loopback interface, which excludes other machines.
-Pages from other hosts, open in the user's browser, may still send requests to this server,
-or let their domain name point to 127.0.0.1.
+Pages from other hosts, open in the user's browser, may still send requests to this server.
+The owner of such a page may also let its domain name point to 127.0.0.1.
 Every request must therefore name this server as its Host, and as its Origin if it has any.
 The only request from another site that is accepted is a link to the page.
 No other page may embed this page in a frame.
@@ -66,7 +66,7 @@ class Guard(routing.Router):
         self._sessions = sessions
         self._hosts = {f"{name}:{port}" for name in (ADDRESS, "localhost")}
         self._origins = {f"http://{host}" for host in self._hosts}
-        # Requests whose page is not open yet. A request is removed when its connection closes
+        # Requests for a page that is not open yet; they are removed when their connection closes
         self._awaited: weakref.WeakSet[httputil.HTTPServerRequest] = weakref.WeakSet()
         application.add_transform(_Headers)
         # Called at the end of each request; by default, tornado would print a log line
@@ -144,7 +144,7 @@ class _Busy(web.RequestHandler):
     """Answers with 503 and a sentence, because too many pages are open."""
 
     def prepare(self) -> Awaitable[None] | None:
-        """Answer before the method of the request is called."""
+        """Send the answer before the method for GET, POST and so on is called."""
         self.set_status(503)
         self.set_header("Content-Type", "text/plain; charset=utf-8")
         self.finish(
@@ -173,7 +173,7 @@ def make_server(port: int = 0) -> Any:
 
     from mcspectra.app.page import build_page
 
-    silence(EMPTY_LAYOUT)  # the layout gets its figures later
+    silence(EMPTY_LAYOUT)  # bokeh warns of a layout without figures, which are added later
     if as_integer("port", port, least=0, most=65535) == 0:
         with socket.socket() as probe:
             probe.bind((ADDRESS, 0))

@@ -41,8 +41,8 @@ def deviations_t(count: int) -> float:
 
     The deviations are those of `count` values from their own mean.
     For normal values, the squares of two deviations have the correlation 1/(count − 1)².
-    Their spread therefore makes the standard error too small, by the factor
-    √((count − 2)/(count − 1)). Two values show no spread, because both squares are equal.
+    Because of this correlation, the standard error is too small by √((count − 2)/(count − 1)).
+    Two values give no standard error, because the squares of their deviations are equal.
     """
     return student_t(count) * (1.0 if count < 3 else ((count - 1) / (count - 2)) ** 0.5)
 
@@ -53,7 +53,7 @@ def log_mean_interval(mean: Array, se: Array, count: int) -> Array:
     Student's t is applied to the logarithm of the mean.
     For example, take 4 realizations of |S|² with Gaussian S: |S|² is exponentially distributed.
     The interval contains the true mean in 93 % of cases.
-    It would be 88 % for the interval mean ± t·se, and 78 % for the normal quantile.
+    The interval mean ± t·se would contain the true mean in 88 %, mean ± 1.96 se in 78 %.
     """
     relative = np.divide(se, mean, out=np.array(se), where=mean > 0)
     factor = np.exp(student_t(count) * relative)

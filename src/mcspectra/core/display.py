@@ -3,13 +3,13 @@
 Names, titles, paths and messages may come from an untrusted file.
 `printable` escapes characters that would control a terminal or reorder a line.
 `escape_html` and `csv_cell` also escape text that a browser or a spreadsheet would run.
-The package applies `printable` to errors and warnings when it creates them.
+The texts of errors and warnings pass through `printable` when an error or warning is created.
 Text in tables and answers passes through `printable` when it is printed.
 Text in pages and figures passes through `printable` when it is drawn.
 
-Drawing needs modules of `mcspectra.report`, which is a higher layer.
+Drawing needs modules of the package `mcspectra.report`, which this package must not import.
 The names of these modules are stored as text, and a module is imported when it is first needed.
-A registry of components does the same with its classes.
+Registries of components also store the names of classes as text, and import them when needed.
 Therefore no module imports from a higher layer, and nothing is loaded before it is needed.
 """
 
@@ -146,7 +146,7 @@ def escape_html(text: object) -> str:
 def csv_cell(value: object) -> object:
     """Return a spreadsheet cell. Text that would run as a formula gets the prefix ``'``.
 
-    Such text begins with ``=``, ``+``, ``-``, ``@`` or a tab, and is not a number.
+    A formula begins with ``=``, ``+``, ``-``, ``@`` or a tab, and cannot be read as a number.
     Numbers and None are returned unchanged. All text is made `printable`.
     """
     if not isinstance(value, str):
@@ -177,7 +177,7 @@ def plot_of(component: object, kind: str | None, **options: Any) -> Any:
 
 
 class Drawable:
-    """Base of components and estimators, which notebooks show as pictures and which have plots."""
+    """Base class of components and estimators: they have plots, and pictures in notebooks."""
 
     def _repr_html_(self) -> str | None:
         """Return a picture and the main figures as HTML, for notebooks."""
@@ -199,8 +199,8 @@ class Drawable:
         kind
             A sampler has the plots ``points`` and ``spectrum``.
             Densities and integrands have the plot ``integrand``: the function, as a curve or a map.
-            An estimator also has ``strata`` (parts of the variance) and ``estimates``.
-            The default is the first of these.
+            An estimator also has the plots ``strata`` (parts of the variance) and ``estimates``.
+            The default is the first kind that is listed here for the component.
         n
             Number of points. The default is about 16 in 1-D, and about 64 in more dims.
         sampler
@@ -213,7 +213,7 @@ class Drawable:
         Returns
         -------
         matplotlib.axes.Axes or list of matplotlib.axes.Axes
-            The axes that contain the drawing.
+            The Matplotlib axes into which the plot was drawn.
         """
         return plot_of(self, kind, n=n, sampler=sampler, rng=rng, axes=axes)
 

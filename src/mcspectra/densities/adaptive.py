@@ -2,13 +2,13 @@
 
 Method
 ------
-The domain starts as equal cells.
+The domain of integration is divided into equal cells.
 A Gauss-Legendre rule on a cell is compared with the same rule on the 2^d halves of the cell.
-If the results agree, the cell is *resolved*. Other cells are split, level by level.
+If the two integrals agree, the cell is *resolved*. All other cells are split, level by level.
 The unresolved part at level L lies within about 2^-L of the singularities and jumps.
-The integral U_L over this part is approximately a sum over dyadic shells around them.
-Therefore U_L shows the kind of singularity.
-If f ~ r^-a next to a line, U_L shrinks like 2^{-(1-a)L}.
+The integral U_L over the unresolved part at level L shows the kind of singularity:
+U_L is approximately a sum over shells around the singularities, with radii 2^-L, 2^-L-1, ….
+If f ~ r^-a at the distance r from a line, the integral U_L shrinks like 2^{-(1-a)L}.
 If the integral diverges, U_L stays constant or grows.
 
 The quadrature is deterministic: it uses fixed points and fixed offsets, and no seed.
@@ -40,12 +40,12 @@ __all__ = [
 
 # The orders of the Gauss rules are even, so that no node is the center of a cell.
 # The orders of the two axes differ, so that no node lies on the diagonal of a cell.
-# A node at such a place could coincide with an isolated 0 of the density
+# If a density were 0 only at the center or on the diagonal, a node there would find 1/0
 _ORDERS = {1: (8,), 2: (6, 4)}
 _DEPTH = {1: 36, 2: 28}
 _FULL_DEPTH = {1: 6, 2: 2}  # at least 4096 cells, so that nodes do not miss narrow steps
 MOST_CELLS = 2**16
-"""At this number of cells in a level, splitting ends. In 2-D this takes 1.6 million evaluations."""
+"""Splitting ends at this number of cells in a level, in 2-D after 1.6 million evaluations."""
 _RELATIVE = 1e-10
 _ABSOLUTE = 1e-13  # tolerance relative to the whole integral
 _FORCED_DEPTH = {1: 16, 2: 8}
@@ -57,10 +57,10 @@ SETS, SET_SIZE = 32, 4096
 _SLOWEST = 0.98  # largest ratio between levels: p ~ r^a with a > 0.97 counts as divergent
 _NEGLIGIBLE = 1e-6
 # Largest ratio between the unresolved volumes of successive levels.
-# In 2-D, this ratio is ½ if cells along a line are unresolved, and ¼ if cells at a point are
+# In 2-D, the ratio is ½ for unresolved cells along a line, and ¼ for unresolved cells at a point
 _SHRINKING = 0.8
 # Number of levels at the start that are omitted from ratios of levels.
-# These levels also split cells that are near a zero without containing it
+# On the first levels, cells near a zero of the density are split even if they do not contain it
 _FIRST_LEVELS = 4
 _WINDOW = 8
 _TAIL = 256
@@ -73,8 +73,8 @@ class Quadrature:
 
     `errors` bounds the error of each integral.
     `totals` holds the estimate of the whole integral after each level.
-    `unresolved` is the part of each total that comes from cells where the rules disagree.
-    `volumes` is the total volume of these cells.
+    `unresolved` is the part of each total that comes from unresolved cells.
+    `volumes` is the total volume of the unresolved cells of each level.
     """
 
     cells: Array
@@ -85,7 +85,10 @@ class Quadrature:
 
     @property
     def isolated(self) -> bool:
-        """Whether the integral is infinite or resolved, or unresolved cells shrink quickly."""
+        """Whether `limit` can be used, because the volume of unresolved cells shrinks quickly.
+
+        The property is also true if the integral is infinite or all cells are resolved.
+        """
         if not math.isfinite(self.totals[-1]) or self.unresolved[-1] == 0:
             return True
         volumes = self.volumes
@@ -95,8 +98,8 @@ class Quadrature:
     def ratio(self) -> float:
         """Ratio of the unresolved parts of successive levels. It is 0 if everything is resolved.
 
-        The ratio is computed from two sums: over the last levels, and over as many levels before.
-        Ratios of single levels vary, because the position of a zero within its cell changes.
+        The ratio is that of two sums: over the last k levels, and over the k levels before these.
+        The ratio of two single levels varies with the position of a zero in its cell.
         """
         parts = self.unresolved
         half = min(_WINDOW, (len(parts) - _FIRST_LEVELS) // 2)
@@ -106,7 +109,7 @@ class Quadrature:
 
     @property
     def limit(self) -> float:
-        """Limit of the totals. It is infinite if the unresolved part does not shrink."""
+        """Limit of the integral for infinitely many levels; infinite if it appears to diverge."""
         last = self.totals[-1]
         if not math.isfinite(last):
             return math.inf
@@ -116,7 +119,7 @@ class Quadrature:
 
     @property
     def bounds(self) -> Array:
-        """`errors` plus the estimate for all deeper levels, which form a geometric series."""
+        """Bounds of the error: `errors` plus a geometric series for all deeper levels."""
         return 2.0 * self.errors / (1.0 - min(self.ratio, _SLOWEST))
 
 
@@ -142,7 +145,7 @@ def integrate(
         Points (M, d) where narrow peaks may be.
         Cells that contain one of these points are always split to level 16 (8 in 2-D).
     most_cells
-        Splitting ends when a level has this number of cells.
+        Maximum number of cells in a level; at this number, cells are not split further.
 
     Notes
     -----
@@ -217,7 +220,7 @@ def positive_integral(
     dims
         Number of dims d, 1 or 2.
     most_cells
-        Splitting ends when a level has this number of cells.
+        Maximum number of cells in a level; at this number, cells are not split further.
 
     Returns
     -------
@@ -226,8 +229,8 @@ def positive_integral(
         If the unresolved part does not shrink, the integral is infinite and the error is 0.
         Poles r^-a with a > 0.97 count as divergent.
         See `mcspectra.densities.reciprocal_integral`.
-        If the totals were extrapolated as a geometric series of ratio r, the error is a product:
-        the last change of the extrapolated limit, times the larger of 1 and r/(1 − r).
+        If the integral was extrapolated by a geometric series of ratio r, the error is
+        the last change of the extrapolated integral times the larger of 1 and r/(1 − r).
         Where poles cross, the levels form only approximately a geometric series.
     """
     with np.errstate(over="ignore", invalid="ignore"):

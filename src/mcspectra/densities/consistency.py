@@ -14,9 +14,9 @@ from mcspectra.densities.adaptive import CELLS, SET_SIZE, SETS, integrate, recur
 __all__ = ["check_density"]
 
 _SPREADS = 7.0  # limit in standard errors; a false alarm has probability 7e-8 per cell
-# Let the mean count of a cell be k + q. All sets have the count k with probability (1 − q)^32.
-# For q > 0.4 this probability is below 7e-8.
-# If the counts of the sets differ, their standard error already covers the error of the mean.
+# Let the mean count of points in a cell be k + q, with an integer k and 0 ≤ q < 1.
+# All 32 point sets have k points in the cell with probability (1 − q)^32: 7e-8 for q = 0.4.
+# If the sets have different counts, the standard error of the counts covers this case.
 _ALIKE = 0.4
 _ROUND_TRIP = 1e-6
 _INTEGRAL = 1e-4
@@ -68,19 +68,20 @@ def check_density(density: Checkable) -> None:
     In 1-D and 2-D, points of 32 shifted sets of 4096 points are counted in cells.
     There are 64 cells (16 × 16 in 2-D), and larger cells of 2, 4, … times the edge.
     The share of points in each cell is compared with the integral of the pdf over it.
-    The two may differ by 7 standard errors, plus the error of the quadrature.
-    If all sets have the same count in a cell, 0.4/4096 is added to this bound.
-    In 1-D this detects a mass of 1/2 that is wrong by 0.1 %, or a mass of 1/64 wrong by 2 %.
+    Share and integral may differ by 7 standard errors, plus the error of the quadrature.
+    If all sets have the same number of points in a cell, 0.4/4096 is added to the tolerance.
+    In 1-D the test detects an error of 0.1 % in a mass of 1/2, or of 2 % in a mass of 1/64.
     Errors within a cell are not detected.
 
     In three or more dims, cells are too coarse. There the test is that |det ∂T/∂u| · p(T(u)) = 1.
-    It uses central differences at 512 points. Because of jumps, 2 % of the points may fail.
+    The determinant is found by central differences at 512 points.
+    Because warps may jump, 2 % of these points may fail the test.
 
     If the warp is not one-to-one (`Density.one_to_one`), each axis is divided into 8 slabs.
     The share of the points in a slab is compared with the mean of the pdf over the slab.
     Both numbers come from the same points. This test detects only wrong marginals.
 
-    A density with errors below these bounds passes.
+    A density passes if its errors are smaller than the tolerances above.
     Peaks narrower than 2^-20 of the domain (2^-12 in 2-D) are not resolved.
     """
     if not hasattr(density, "_pdf"):

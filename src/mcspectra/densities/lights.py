@@ -1,14 +1,14 @@
 """Solid-angle sampling of a rectangular or triangular light, in area coordinates of the light.
 
 The square (s, t) maps to the light with a constant Jacobian.
-Therefore the uniform density on the square samples the area uniformly.
+Therefore uniform points (s, t) in the square are uniform on the area of the light.
 The densities here are uniform in solid angle, p(s, t) = area · cos θ' / (r² Ω).
 Both densities are positive everywhere, and can be applied to any integrand in (s, t).
 
 The code computes cumulative solid angles without differences of nearly equal terms.
 Newton's method inverts these cumulative solid angles.
 The closed forms of the papers compute a small Ω as a difference of angles of order 1.
-Therefore these closed forms lose all digits for small lights.
+Therefore the closed forms of the papers lose all digits for small lights.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class _Light(Density):
 
     @abstractmethod
     def _share(self, s: Array) -> tuple[Array, Array]:
-        """Return the share of the solid angle up to s, and its derivative."""
+        """Return the fraction of Ω from coordinate 0 to s, and the derivative in s."""
 
     @abstractmethod
     def _share_of_line(self, s: Array, t: Array) -> tuple[Array, Array]:
@@ -70,7 +70,7 @@ def _solve_increasing(function: Callable[[Array], tuple[Array, Array]], target: 
     ----------
     function
         Function of s that returns F(s) and F'(s) > 0, with F(0) = 0 and F(1) = 1.
-        Both values have the shape of `target`.
+        F(s) and F'(s) have the shape of `target`.
     target
         Values in [0,1].
 
@@ -104,7 +104,7 @@ class SphericalRectangle(_Light):
     """Density uniform in a rectangle's solid angle. x = (s, t) is the point corner + s e_0 + t e_1.
 
     u_0 is the share of the solid angle up to s [Urena2013]_.
-    u_1 is the share up to t on the line of constant s.
+    u_1 is the share from 0 to t of the density on the line of constant s.
 
     Attributes
     ----------
@@ -184,8 +184,9 @@ class SphericalTriangle(_Light):
 
     x = (s, t) is the point b + √t ((1 − s) a + s c − b).
     The ray from b through x cuts off the share s of the area, next to the edge ab.
-    The line through x parallel to ac cuts off the share t of the area, at the corner b.
-    u_0 is the share of the solid angle up to s. u_1 is the share up to t on the line of constant s.
+    The line through x parallel to ac cuts off a triangle at b, which has the share t of the area.
+    u_0 is the share of the solid angle up to s.
+    u_1 is the share from 0 to t of the density on the line of constant s.
     The map from u to x is the continuous map of [Arvo1995]_.
 
     Attributes
@@ -244,8 +245,8 @@ class SphericalTriangle(_Light):
     def _share_of_line(self, s: Array, t: Array) -> tuple[Array, Array]:
         """Return the fraction of the line of constant s below t, and its derivative in t.
 
-        The fraction is (1 − cos a)/(1 − cos b).
         The line from 0 to t spans the angle a, and the whole line spans the angle b.
+        The fraction of the line below t is (1 − cos a)/(1 − cos b).
         """
         point, whole = self._point(s, t), self._spread(self._opposite(s))
         return t * whole / self._spread(point), 0.5 * whole / norm(point) ** 3
@@ -256,7 +257,7 @@ class SphericalTriangle(_Light):
 
 
 def _corners(x: Array, y0: float, length: float, z: float) -> tuple[Array, Array]:
-    """Return both ends (..., 3) of the lines with given x."""
+    """Return the two end points (..., 3) of the segments at x, y0 ≤ y ≤ y0 + length, z."""
     low = np.stack([x, np.full(x.shape, y0), np.full(x.shape, z)], axis=-1)
     return low, low + np.array([0.0, length, 0.0])
 

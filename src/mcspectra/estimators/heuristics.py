@@ -4,8 +4,8 @@ A heuristic gives weights w_t(x). They sum to 1 at every point that some techniq
 The estimator is I = Σ_t (1/n_t) Σ_k w_t f/p_t [VeachGuibas1995]_.
 With q_t = n_t p_t, these heuristics are described in [Veach1997]_ §9.2:
 
-* ``balance``: w_t = q_t / Σ_s q_s. With random points, its variance exceeds that of any other
-  weights ≥ 0 by at most (1/min n_t − 1/Σ n_t) I² (Theorem 9.2 of Veach).
+* ``balance``: w_t = q_t / Σ_s q_s. For random points, Veach's Theorem 9.2 bounds its variance:
+  other weights ≥ 0 have a variance that is smaller by at most (1/min n_t − 1/Σ n_t) I².
 * ``power(beta=2)``: w_t = q_t^β / Σ_s q_s^β. β = 0 gives equal shares, and β → ∞ is `maximum`.
 * ``cutoff(alpha=0.1)``: balance among techniques with q_t ≥ α max_s q_s; others have weight 0.
 * ``maximum``: weight 1 for the largest q_t. Ties have equal shares, as in ``cutoff(alpha=1)``.
@@ -14,7 +14,7 @@ With q_t = n_t p_t, these heuristics are described in [Veach1997]_ §9.2:
 The pilot is a quadrature, or a set of random points that the estimate does not use.
 The weights do not depend on the samples of the estimate, so the estimate is unbiased.
 The progressive estimator of [Kondapaneni2019]_ is not implemented.
-It computes α from the samples that it weights. It is therefore consistent but biased.
+The progressive estimator computes α from the samples that it weights, so it is biased.
 """
 
 from __future__ import annotations
@@ -59,10 +59,10 @@ _EDGE = 1e-12  # Breaks within this distance from the ends of [0,1] are dropped
 
 _MOST_SAMPLES = 2**22
 # Densities count as identical if the matrix A has a very small singular value.
-# This is the limit, as a fraction of the largest singular value of A.
+# `_SINGULAR` is the limit for this value, as a fraction of the largest singular value of A.
 # Identical densities share one coefficient α
 _SINGULAR = 1e-10
-# Upper limit of v_t = 1 + μ²/σ², reached if all samples of a technique are equal
+# Upper limit of v_t = 1 + μ²/σ², which is infinite if all samples of a technique are equal
 _MOST_FACTOR = 1e8
 # Number of cells of a quadrature that only tests whether an integral diverges
 _FEW_CELLS = 2**12
@@ -149,7 +149,7 @@ class Pilot(ABC):
         """Return f at k points, (k, channels); a scalar f has one channel."""
 
     def system(self, x: Array) -> Array:
-        """Return p_s p_t/q, followed by f p_s/q, as (k, T, T + C)."""
+        """Return the integrands p_s p_t/q of A and f p_s/q of b at k points, (k, T, T + C)."""
         p = self.pdfs(x)
         q = self.shares @ p
         over = np.divide(p, q, out=np.zeros_like(p), where=q > 0)
@@ -208,8 +208,8 @@ class Combination:
     def infinite(self) -> bool:
         """Whether ∫ Σ_t (w_t/p_t)² p_t diverges. If so, Var(S_0) is infinite.
 
-        For `Heuristic.bounded` weights, one convergent ∫1/p_t is enough. If all of them diverge,
-        the integral may still converge, for example if the densities are 0 at opposite ends.
+        For `Heuristic.bounded` weights, the integral converges if ∫1/p_t does for one technique t.
+        The integral may converge even if all ∫1/p_t diverge: densities may be 0 at opposite ends.
         """
         finite = [math.isfinite(p.reciprocal_integral()) for p in self.densities]
         if all(finite) or (any(finite) and self.heuristic.bounded):
@@ -246,7 +246,7 @@ class Combination:
         def active(x: Array) -> Array:
             return np.stack([self.over_density(t, x) > 0 for t in range(len(self.densities))])
 
-        # Bisect for the points where a technique begins or ceases to have a positive weight
+        # Find the ends of intervals in which a technique has a positive weight, by bisection
         grid = np.linspace(0.0, 1.0, _GRID)[:, None]
         changes = (active(grid[:-1]) != active(grid[1:])).any(axis=0)
         low, high = grid[:-1][changes], grid[1:][changes]
@@ -258,7 +258,7 @@ class Combination:
 
     def offset(self, x: Array) -> Array:
         """Return Σ_t α_t p_t, (...) or (..., channels), at points x (..., d)."""
-        assert self.control is not None  # Only estimators with a control variate call this function
+        assert self.control is not None  # `offset` is called only if there is a control variate
         pdfs = np.stack([p.pdf(x) for p in self.densities], axis=-1)
         return np.asarray(pdfs @ self.control)
 
@@ -350,7 +350,7 @@ class _Piloted(Heuristic):
 
     @property
     def pilot_evaluations(self) -> int:
-        """Number of pilot points. A quadrature counts as 0."""
+        """Number of random pilot points, or 0 if the pilot is a quadrature."""
         return self.samples if self.pilot == "samples" else 0
 
     def ratio(self, q: Array, technique: int) -> Array:
@@ -371,7 +371,8 @@ class Optimal(_Piloted):
     """Weights with the least variance for random points [Kondapaneni2019]_; some may be negative.
 
     Let q = Σ n_t p_t. The weights are w_t = α_t p_t/f + (n_t p_t/q)(1 − Σ_s α_s p_s/f).
-    The coefficients α solve A α = b, with A_st = ∫ p_s p_t/q and b_t = ∫ f p_t/q. Then w_t f/p_t is
+    The coefficients α solve A α = b, with A_st = ∫ p_s p_t/q and b_t = ∫ f p_t/q.
+    With these weights, a sample of technique t has the weighted value w_t f/p_t =
 
         α_t + n_t (f − Σ_s α_s p_s)/q,
 
@@ -383,7 +384,7 @@ class Optimal(_Piloted):
     Attributes
     ----------
     pilot
-        How the integrals A and b are computed.
+        How the integrals A_st and b_t are computed, from which α follows.
         ``"samples"`` uses random points of all techniques in proportion to their counts.
         ``"quadrature"`` makes α as accurate as the quadrature.
     samples
@@ -397,7 +398,7 @@ class Optimal(_Piloted):
         if self.pilot == "quadrature":
             found = pilot.quadrature(pilot.system)
         else:
-            # Estimate A and b as (T, T + C) from pilot points, weighted by the balance heuristic
+            # Estimate the matrices [A, b] (T, T + C) from pilot points by the balance heuristic
             wanted = self.samples * pilot.shares / pilot.shares.sum()
             counts = np.maximum(1, np.rint(wanted).astype(np.int64))
             drawn = [pilot.points(t, m, self.seed) for t, m in enumerate(counts.tolist())]
@@ -419,7 +420,7 @@ class VarianceAware(_Piloted):
     v_t is the second moment of one random sample of f/p_t, divided by its variance σ_t².
     The weights are w_t = v_t n_t p_t / Σ_s v_s n_s p_s with v_t = 1 + μ_t²/σ_t², at most 10⁸.
     The balance heuristic is derived from second moments of f/p_t.
-    With the factors v_t, variances replace these second moments.
+    The factors v_t replace the second moments by variances.
     Therefore a technique of low variance gets more weight.
     If f has several channels, v_t is computed from their mean.
 
@@ -435,7 +436,7 @@ class VarianceAware(_Piloted):
     """
 
     def adapt(self, pilot: Pilot) -> tuple[tuple[float, ...], None]:
-        """Return the counts multiplied by the factors v_t, and None for the control variate."""
+        """Return the counts n_t times the factors v_t, and None: there is no control variate."""
         techniques = len(pilot.shares)
         if self.pilot == "quadrature":
             found = pilot.quadrature(pilot.moments)
@@ -482,7 +483,7 @@ class Residual(Derived):
 @final
 @dataclass(frozen=True)
 class _Parts(Pilot):
-    """A pilot for an integrand and densities that are given on the unit cube."""
+    """A pilot for an integrand f and densities p_t that are functions on the unit cube."""
 
     integrand: Integrand
     densities: tuple[Density, ...]

@@ -1,7 +1,7 @@
 """Mirrored estimators: the primary-space integrand is reflected, then folded or averaged.
 
-The integrand f is reflected at its upper faces. For k ∈ {0,1}^d, this defines
-g(k + x) = f(x, with the coordinates reflected where k_j = 1), which has period 2.
+The integrand f is reflected at the upper faces of the cube. This gives a function g of period 2:
+for k ∈ {0,1}^d, g(k + x) = f(x with the coordinates reflected where k_j = 1).
 The function g is continuous if f is.
 There are two ways to return to period 1. Stretching gives f(1 − |2u − 1|) = g(2u).
 Averaging over the images gives 2^-d Σ_k g(k + u).
@@ -41,7 +41,7 @@ class Mirrored(AbstractEstimator):
         The estimator to mirror, with any number of techniques. An integrand or its spec also works.
     mode
         ``"integrand"`` spreads the sampler's points u over the 2^d mirror images, at 2u.
-        These points are then folded back to 1 − |2u − 1|.
+        The point 2u is then folded back into the cube, to 1 − |2u − 1|.
         ``"random"`` reflects each coordinate of each point with probability ½.
         ``"uniform"`` puts n/2^d points into each of the 2^d images.
     dims
@@ -57,26 +57,27 @@ class Mirrored(AbstractEstimator):
     In all modes, n is the number of evaluations, so variances at equal n have equal cost.
     `samples_per_point` is the number of evaluations for each point of the sampler.
     In d dims, a mirrored estimator spreads its n evaluations over a larger domain.
-    With ``"integrand"`` the evaluations cover 2^d mirror images of the cube.
-    Each stratum is therefore twice as long in the domain of f as without mirroring.
-    With ``"uniform"`` there are only n/2^d points.
+    In the mode ``"integrand"``, the points of the sampler cover 2^d mirror images of the cube.
+    In the domain of f, each stratum is therefore twice as long as without mirroring.
+    In the mode ``"uniform"`` there are only n/2^d points.
 
     The mirrored integrand has period 2. If f is continuous on the closed cube,
     the mirrored integrand is continuous across all faces.
 
     A shift in the sampler is applied before mirroring, in the doubled domain:
-    u + δ becomes 2u + 2δ. In the other modes, images are shifted to k + u + δ modulo 2.
+    in the mode ``"integrand"``, a point u + δ becomes 2u + 2δ.
+    In the other modes, the image of u in the cube k is shifted to k + u + δ modulo 2.
     Shifted images have the same distribution as the images of u + δ modulo 1.
-    Therefore wrap-around does not cause a discontinuity.
+    Therefore shifted points do not meet a jump of the integrand at the border of the cube.
 
-    A mirrored estimator with a sampler ``S`` equals the inner estimator with
-    ``S | mirror(mode=...)``, point by point. Use ``'fold'`` for the mode ``"integrand"``.
-    In contrast, ``S | mirror(...) | shift`` shifts the points after folding:
-    points then move across the jump between f(1) and f(0).
+    A mirrored estimator with the sampler ``S`` has the same values as the inner estimator
+    with the sampler ``S | mirror(mode=...)``. Use ``'fold'`` for the mode ``"integrand"``.
+    In contrast, ``S | mirror(...) | shift`` shifts the points after folding.
+    Such a shift moves points across the jump between f(1) and f(0).
 
     In ``"random"`` mode the reflections are independent, and cause a part of the variance.
-    This part is the variance of f over the images of a point, divided by n.
-    It falls as 1/n for every sampler.
+    The part of the reflections is the variance of f over the images of a point, divided by n.
+    This part of the variance falls as 1/n for every sampler.
 
     References
     ----------
@@ -141,7 +142,7 @@ class Mirrored(AbstractEstimator):
         return self.estimator.infinite_weights
 
     def randomized(self, sampler: Sampler) -> Sampler:
-        """Return the sampler; if the mode reflects points, add these reflections."""
+        """Return the sampler, followed by random reflections if the mode reflects points."""
         source = self.estimator.randomized(sampler)
         return source if self.mode == "integrand" else source.then(Mirror(mode=self.mode))
 
@@ -154,7 +155,7 @@ class Mirrored(AbstractEstimator):
         return self.estimator.draw(self.randomized(sampler), n, stream, first, count)
 
     def _primary(self, technique: int) -> Integrand:
-        """Return the folded g_t for ``"integrand"``. Other modes reflect points and return g_t."""
+        """Return g_t of the inner estimator, folded in the mode ``"integrand"``."""
         g = self.estimator.primary_integrand(technique)
         return FoldedIntegrand(g) if self.mode == "integrand" else g
 
@@ -184,14 +185,14 @@ class FoldedIntegrand(Derived):
 
     @property
     def breaks(self) -> Breaks:
-        """Breaks of the folded function: two images of each break of f, and the fold at ½."""
+        """Breaks of the folded function by axis: b/2 and 1 − b/2 for each break b of f, and ½."""
         return tuple(
             tuple(sorted({0.5, *(0.5 * b for b in axis), *(1.0 - 0.5 * b for b in axis)}))
             for axis in self.integrand.breaks
         )
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array] | None:
-        """Combine the means of f over the parts into which the folds divide each box."""
+        """Return box moments: on each axis, the fold at ½ divides a box into two parts."""
         mean: Any = 0.0
         square: Any = 0.0
         for sides in itertools.product((False, True), repeat=self.dims):
@@ -201,7 +202,7 @@ class FoldedIntegrand(Derived):
             high = np.where(above, 1.0 - np.clip(lo, 0.5, 1.0), np.clip(hi, 0.0, 0.5))
             share = ((high - low) / (hi - lo)).prod(axis=-1)
             share = share[..., None] if self.channels else share
-            empty = ~(high > low)  # The volume share of an empty part is 0
+            empty = ~(high > low)  # The part has no volume, so its share is 0
             found = self.integrand.box_moments(
                 np.where(empty, 0.0, 2.0 * low), np.where(empty, 1.0, 2.0 * high)
             )

@@ -2,16 +2,16 @@
 
 R scrambled nets of N points are evaluated once.
 Runs of 2^k successive points that start at multiples of 2^k are scrambled nets themselves.
-Therefore means over runs have the variance of nets of all sizes.
+Therefore means over such runs of 2^k points have the variance of nets of 2^k points.
 Different nets have independent points in each stratum.
-Therefore the variance between nets, within strata, is the variance of jittered points.
-In the same way, slabs of an axis give the variance of Latin hypercubes.
-The whole cube gives the variance of random points.
+The variance within strata, estimated from pairs of different nets, is that of jittered points.
+The variance within slabs across an axis gives the variance of Latin hypercubes.
+The variance within the whole cube is that of random points.
 Products of values from the same net are omitted, because these values are correlated.
 
 Errors come from a jackknife over the nets, which includes the correlation between counts.
 In the model of the rate, the rate is constant over the last octaves of n.
-Over earlier octaves the rate drifts by a random walk.
+Over the octaves before these, the rate changes by a random walk.
 Several step sizes of this walk are averaged, weighted by the likelihood of the curve.
 If the curve is straight, all counts contribute to its rate.
 If the curve is bent, its rate depends on the last counts only.
@@ -54,37 +54,37 @@ NETS = "sobol | owen"
 class CurveSettings:
     """Settings of curves of variance from nets, and of fits of rates to these curves.
 
-    Statements about the same results refer to ``python -m benchmarks settings``.
-    `CauseSettings` explains these statements.
+    "The same results" has the same meaning as in `mcspectra.explain.causes.CauseSettings`:
+    in all cases of ``python -m benchmarks settings`` the right cause of noise is found.
     Numbers for rates come from ``python -m benchmarks settings --rates``.
     This benchmark repeats each of five functions with known rates 50 times.
     """
 
-    # Number of slabs along an axis that replace the strata of a Latin hypercube.
+    # Number of slabs along an axis. A Latin hypercube of more points has finer strata.
     # Values from 16 to 64 give the same results.
     # The estimated variance of a Latin hypercube of n > 32 points is an upper bound.
-    # For additive functions the estimate is (n/32)² times the true variance.
+    # For sums of functions of one axis, this bound is (n/32)² times the true variance.
     slabs: int = 32
     # Largest number of dims in which the variance of jittered points is estimated.
     # Values from 2 to 6 give the same results.
     # 8,192 evaluations allow nets of at most 256 points, which have 4 cells along each of 4 axes.
-    # The curve in 4 dims has only three counts.
+    # In 4 dims the curve of jittered points therefore has only three numbers of points.
     jittered_dims: int = 3
     # Number of octaves at the end of a curve over which the rate is assumed to be constant.
     # With 2 octaves, intervals of rates are 1.4 times as wide and contain the rate equally often.
     # With 6 octaves, intervals contain the true rate in 63 % instead of 93 % of cases.
     octaves: int = 3
     # Candidate standard deviations of the drift of the rate in an octave, weighted by likelihood.
-    # The value 0.05 is for straight curves.
+    # The value 0.05 is for curves that are nearly straight on logarithmic axes.
     # The value 0.4 is for curves with the usual bends: the rate changes by 1 to 3 in a few octaves.
     # If all values are halved, intervals contain the true rate in 94 % of cases.
-    # If all values are doubled, or with 0.2 alone, intervals contain it in 92 % of cases.
+    # If they are doubled, or only 0.2 is used, intervals contain the true rate in 92 % of cases.
     drifts: tuple[float, ...] = (0.05, 0.1, 0.2, 0.4)
     # If a rate is not known, −1 is used with this standard error.
-    # Rates from −2 to 0 are within two standard errors.
+    # Rates from −2 to 0 are then within two standard errors of −1.
     unknown: float = 0.5
     # Least standard error of a logarithm of the variance.
-    # Real curves deviate from straight lines by 2 % or more.
+    # Measured curves of variance deviate from straight lines by 2 % or more.
     # With the value 0.01 or 0.04, rates change by at most 0.01.
     floor: float = 0.02
     # A measured rate agrees with a theoretical rate if it is within this number of standard errors.
@@ -118,9 +118,9 @@ class Curve:
     level, scatter
         `level` is the logarithm of the ratio of the fitted line to the variance at the last count.
         `scatter` is the standard deviation of log variances about the fitted line.
-        A curve that is not a straight line is extrapolated with these two numbers.
+        Curves that are not straight lines are extrapolated with `level` and `scatter`.
     bend
-        Expected change of the slope beyond the measured counts, and its standard error.
+        Expected change of the slope at numbers of points beyond the measured ones, with its error.
     """
 
     counts: Array
@@ -187,7 +187,7 @@ class _Part:
     values: Array
 
     def between(self, cell: Array, cells: int) -> Array:
-        """Return the mean over cells of products of values from two different nets."""
+        """Return the mean of g(x) g(y) over cells, for x and y in a cell from different nets."""
         r = len(self.values)
         place = (np.arange(r)[:, None] * cells + cell).ravel()
         sums = np.bincount(place, self.values.ravel(), r * cells).reshape(r, cells)
@@ -215,7 +215,7 @@ def _means(x: Array) -> Array:
 @final
 @dataclass(frozen=True)
 class Sets:
-    """Values of an estimator at R scrambled nets, and the variances that they give.
+    """Values of an estimator at R scrambled nets, from which variances of samplers follow.
 
     Attributes
     ----------
@@ -257,12 +257,12 @@ class Sets:
 
     @cached_property
     def pooled(self) -> Array:
-        """All values of g, for the technique with the largest variance."""
+        """Values of g at the points of all nets, for the technique whose g varies most."""
         return np.asarray(max(self.values, key=lambda v: float(v.var()))).ravel()
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 % interval of the mean over all nets, which is wider if g grows at the border."""
+        """95 % interval of the mean over all nets, widened if |g| grows toward the border."""
         growths = []
         if len(self.values) == 1:
             growths = border_growth(self.points[0].reshape(-1, self.dims), self.values[0].ravel())
@@ -289,7 +289,8 @@ class Sets:
             of_slabs = partial(_of_slabs, slabs=settings.slabs)
             many = counts[counts >= settings.slabs]
             found["latin-hypercube"] = self._curve(of_slabs, many, settings, -1.0)
-        # Variances of strata and slabs are differences: omit curves without significant values
+        # Variances within strata or slabs are differences of estimates, and may lack significance.
+        # Omit curves without any significant value
         if len(found["random"].counts):
             found = {name: curve for name, curve in found.items() if len(curve.counts)}
         return found
@@ -363,7 +364,7 @@ def _fitted(
     If `rate` is None, the rate is fitted.
     If `exact` is true, a variance of zero means that the true variance is zero.
     If `exact` is false, each variance is a difference of two estimates.
-    A variance of zero then means that the true variance is below the error of the difference.
+    If such a difference is zero, the true variance is smaller than the error of the difference.
     """
     degrees = len(left) - 1
     floor = rounding_floor(np.array(size))

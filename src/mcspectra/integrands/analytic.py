@@ -20,9 +20,9 @@ from mcspectra.integrands.base import Integrand, any_dims, per_axis
 
 __all__ = ["Constant", "Cosine", "Gaussian", "Linear", "Polynomial", "squared_distance"]
 
-_MAX_DEGREE = 20  # higher powers of x are ill-conditioned (see `Polynomial._fourier`)
+_MAX_DEGREE = 20  # for a higher degree, `Polynomial._fourier` would lose digits by cancellation
 # Above this number of cycles, integration by parts is stable: 2π·4 exceeds the highest degree, 20.
-# Below it, a Gauss rule is used
+# For fewer cycles, a Gauss rule computes the coefficients
 _LOW_FREQUENCY = 4
 _NARROW = 0.5  # below this width, 8 Gauss nodes replace differences of erf, with an error of 1e-19
 
@@ -178,7 +178,7 @@ class Gaussian(Integrand):
     ----------
     center
         Position of the maximum, where f is 1: one number for all axes or one for each.
-        The maximum may lie outside the domain.
+        The position of the maximum may lie outside the unit cube.
     width
         Standard deviation, > 0.
     dims
@@ -191,7 +191,7 @@ class Gaussian(Integrand):
     dims: int = any_dims()
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array]:
-        """Return products of error functions. f² is a Gaussian of width width/√2."""
+        """Return the means of f and f², products of error functions; f² has width width/√2."""
         mean = _gaussian_mean(lo, hi, self._centers, self.width)
         square = _gaussian_mean(lo, hi, self._centers, self.width / math.sqrt(2.0))
         return mean.prod(axis=-1), square.prod(axis=-1)
@@ -234,7 +234,7 @@ class Cosine(Integrand):
         return _along_first_axis(self.frequency, self.dims)
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array]:
-        """Return means: cos at the center times Π sinc. For f², the argument is doubled."""
+        """Return the means of f and f²; a cosine's mean is its value at the center times Π sinc."""
         argument = 2.0 * np.pi * (0.5 * (lo + hi) @ self._wave) + self.phase
         cycles = (hi - lo) * self._wave
         mean = np.cos(argument) * np.sinc(cycles).prod(axis=-1)
@@ -284,7 +284,7 @@ def _gaussian_fourier(m: Array, center: float, width: float) -> Array:
     """Return ∫_0^1 exp(−(x−c)²/(2w²)) exp(−2πi m x) dx for integer m.
 
     Let t = (x−c)/(w√2), let β = π m w√2, and F(x) = w√2 e^{−2πimc} e^{−β²} (√π/2) erf(t + iβ).
-    The integral is F(1) − F(0).
+    The integral from 0 to 1 is F(1) − F(0).
     In the upper half plane, F is written with the Faddeeva function W(z) = e^{−z²} erfc(−iz).
     There |W| ≤ 1, so nothing overflows. The phases at both ends are exp(−2πi m) = 1.
     """

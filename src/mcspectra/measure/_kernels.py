@@ -8,7 +8,7 @@ All sums over h with conj(f_h) S_h are real because the full spectrum is Hermiti
 
 Coefficients are processed in tiles, which stay in the first-level cache for all realizations.
 The results have the same bits as without tiles, because all sums keep their order.
-Tiles are slices, because Numba vectorizes loops that begin at 0.
+Each tile is a slice of an array, because Numba vectorizes loops that begin at 0.
 Numba does not vectorize loops with a variable start, whose sign it cannot infer.
 """
 
@@ -46,7 +46,7 @@ def band_estimates(
     """Compute Σ_{h in a} double[h] Re(conj(f_ch) S_rh) for two partitions of h, and Σ_r S_rh.
 
     The inputs are s (R, H) and f (C, H), which are both complex or both real.
-    Further inputs are double (H,), and the integers band and shell (H,).
+    Further inputs are double (H,), and the number of each frequency's band and shell, int (H,).
     The outputs are bands (R, C, A), shells (R, C, K+1) and total (H,). They must be zero initially.
     """
     for low in range(0, s.shape[1], _TILE):
@@ -70,7 +70,8 @@ def accumulate(s: Array, mean: Array, estimate: Array, squares: Array, cov: Arra
     """Add second moments of a block about its own means. All real numbers are treated alike.
 
     The inputs are s (R, J), mean (J,), and estimate (R, C) without its mean.
-    Σ_r (S − S̄)² is added to squares (J,), and Σ_r (S − S̄)(I − Ī) to cov (C, J).
+    Sums over realizations r are added to two arrays, where I is the estimate of a channel:
+    Σ_r (S − S̄)² to squares (J,), and Σ_r (S − S̄)(I − Ī) to cov (C, J).
     """
     for low in range(0, s.shape[1], _TILE):
         tile = slice(low, low + _TILE)
@@ -90,9 +91,9 @@ def accumulate(s: Array, mean: Array, estimate: Array, squares: Array, cov: Arra
 def term_sums(f: Array, m2: Array, cov: Array, double: Array, dc: Array, out: Array) -> None:
     """Compute three sums for each channel: the dc term, the power term and all terms together.
 
-    The sums are added to out (C, 3).
+    The three sums of each channel are added to the array out (C, 3).
     The inputs are f (C, H), m2 (H,), cov (C, H), double (H,) and the bool array dc (H,).
-    The sums are not yet divided by the degrees of freedom.
+    The inputs and the three sums are not yet divided by the degrees of freedom.
     """
     for c in range(f.shape[0]):
         for h in range(f.shape[1]):

@@ -1,11 +1,11 @@
 """The error of the mean of correlated draws, such as Markov chains.
 
 A stationary chain has the spectral density S(ν), with ν in cycles per draw.
-The variance of its mean over n draws is
+The mean of a chain over n draws has the variance
 
     Var = ∫ S(ν) |W(ν)|² dν = (1/n) ∫ S(ν) F_n(ν) dν,    F_n(ν) = sin²(πnν) / (n sin²(πν)),
 
-This is the power term with the Fejér kernel F_n of the window W of equal weights.
+This variance is a power term: W is the transform of n equal weights, and F_n the Fejér kernel.
 For a stationary chain the dc and cross terms vanish.
 S comes from an autoregression whose order is chosen by AIC, as in [Thompson2010]_.
 The autocovariances are corrected for the subtracted mean.
@@ -44,18 +44,18 @@ class ChainSettings:
     """
 
     # Least number of draws of a chain. With fewer draws the autoregression has order 2 at most.
-    # In general, the largest order is a quarter of the number of draws.
+    # The largest order of the autoregression is a quarter of the number of draws.
     least_draws: int = 10
     # Chains are correlated if the power of the mean chain deviates by more than this.
     # The deviation is in standard errors.
     # A normal law exceeds 5 standard errors with probability 6e-7.
     # A score of 2.5 gives 2 false alarms in 475 cases.
-    # A score of 10 misses all of 50 sets of chains that have a common part of 0.3.
+    # A score of 10 misses all of 50 sets of chains that share a part with the weight 0.3.
     score: float = 5.0
     # Probability that a test reports a fault of chains without faults.
     # Each quantity has two tests of drift and one of means.
     # A model of 100 quantities therefore has a false alarm in 2 % of runs.
-    # With 1e-2 there are 4 false alarms in 475 cases. With 1e-6 the same faults are found.
+    # A probability of 1e-2 gives 4 false alarms in 475 cases; 1e-6 finds the same faults as 1e-4.
     alarm: float = 1e-4
     # Length of a chain, in autocorrelation times, below which it still depends on its start.
     # With a length of 4, 43 of 50 chains with autocorrelation ρ = 0.99 are missed.
@@ -63,56 +63,58 @@ class ChainSettings:
     forgotten: float = 8.0
     # Initial parts of a chain, as fractions of its draws.
     # The mean of each initial part is compared with the mean of the last half.
-    # Smaller fractions have too few draws for a normal law. Larger ones would reach the last half.
+    # A smaller part would have too few draws for a normal law of its mean.
+    # A larger part would reach into the last half of the chain.
     starts: tuple[float, ...] = (0.05, 0.1, 0.2)
     # `settled` is the p-value above which the draws after a burn-in count as stationary.
-    # `margin` is the factor by which the burn-in is then lengthened.
+    # `margin` is the factor by which the burn-in is lengthened after it has been found.
     # At the end of the burn-in, the mean may still have a bias of one standard error.
-    # The values were tested on 200 sets of 4 chains of 1,000 normal draws + 5 exp(−t/100).
+    # Both settings were tested on 200 sets of 4 chains: 1,000 normal draws + 5 exp(−t/100).
     # A burn-in is reported for 153 sets (the other 47 are stuck, without an end of the burn-in).
     # Of the 95 % intervals, 93 % contain the mean.
     # With the p-value 0.3 and the factor 1.5, a burn-in is reported for 76 % of the sets.
-    # With these values, 93 % of the intervals contain the mean.
+    # With the p-value 0.3 and the factor 1.5, 93 % of the intervals contain the mean.
     # With the p-value 0.1 and the factor 1.5, a burn-in is reported for 90 % of the sets.
-    # Of the intervals, 89 % then contain the mean.
+    # With the p-value 0.1 and the factor 1.5, 89 % of the intervals contain the mean.
     settled: float = 0.2
     margin: float = 2.0
     # Significance level of the test whether the last two quarters of a chain differ.
-    # A chain with a smaller p-value counts as drifting until its end.
+    # If the p-value is smaller than this level, the chain counts as drifting until its end.
     # With 0.001, 4 of 50 linear drifts are reported as a burn-in.
     ends_alike: float = 0.05
     # Number of candidates for the length of the burn-in, equally spaced along a chain.
     # The largest fraction of a chain that may be burn-in is one half.
-    # The last half is kept, because the start is compared with it.
+    # The last half of a chain is always kept, because earlier draws are compared with it.
     cuts: int = 40
     most_left_out: float = 0.5
     # Fraction of consecutive equal draws above which a chain is stuck.
-    # Results are the same for values from 0.05 to 0.1. With 0.2, a run of 110 in 1,000 is missed.
+    # Fractions from 0.05 to 0.1 give the same results.
+    # With the fraction 0.2, a run of 110 equal draws among 1,000 is missed.
     run: float = 0.1
     # Number of different values above which repeated draws are a fault.
     # Discrete quantities, such as counts and flags, have few different values and repeat them.
     values: int = 20
     # Draws lie on two levels if more than this share of the variance lies between two groups.
     # One group has the draws above the mean, and the other group the draws below.
-    # This share of the variance is 0.64 for a normal law, 0.75 for a uniform law, 1 for two values.
-    # With 0.7, 22 of 50 random walks are reported as levels.
-    # With 0.95, levels that are 8 standard deviations apart are missed.
+    # The share between groups is 0.64 for a normal law, 0.75 for a uniform law, 1 for two values.
+    # If the limit is 0.7, 22 of 50 random walks are reported as draws on two levels.
+    # If the limit is 0.95, two levels that are 8 standard deviations apart are missed.
     two_levels: float = 0.85
-    # Largest number of moves of each chain between the levels that counts as a fault.
+    # Two levels count as a fault if each chain moves between them at most this number of times.
     # With 20 moves, the fraction of time on a level has an error of about 1/√20 = 22 %.
     # Results are the same for values from 10 to 40.
     switches: int = 20
     # Tail index above which a tail is heavy. The variance is infinite for indices of at least ½.
     # An index from 2,000 draws has a standard error of about 0.1.
-    # The test had 50 chains with infinite variance.
-    # Thresholds of 0.5, 0.6 and 0.8 find 49, 47 and 25 of these chains.
+    # In a test with 50 chains of infinite variance, the threshold 0.5 finds 49 heavy tails.
+    # The threshold 0.6 finds 47 of the 50 heavy tails, and the threshold 0.8 finds 25.
     heavy: float = 0.6
     # Least number of draws in a tail whose index is fitted. 20 draws give the index to about 0.3.
     # A least tail of 10 draws gives one false alarm in 475 cases.
-    # Least tails of 20 and 40 draws cause no false alarm and find the same tails.
+    # A least tail of 20 draws gives no false alarm, and finds the same heavy tails as one of 40.
     least_tail: int = 20
     # Smallest allowed value of the largest |draw| of a quantity.
-    # The largest allowed magnitude is the inverse of this value.
+    # The largest allowed |draw| is 1 divided by `smallest`.
     # Within these limits, sums of squares of any number of draws are in the range of float64.
     smallest: float = 1e-100
     # Draws count as too few if the error has fewer degrees of freedom than this.
@@ -157,7 +159,7 @@ def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
         ``ess`` has the interval ``ess_ci``, and exceeds n for antithetic chains.
         ``spectrum_at_zero`` is S(0).
         ``burn_in`` is the number of initial draws of each chain that depend on the start.
-        All other results omit these draws.
+        All other results omit the draws of the burn-in.
 
         The dim ``band`` has octaves of frequency, named by their periods.
         ``band_low`` and ``band_high`` are the ends of each band in cycles per draw.
@@ -168,7 +170,7 @@ def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
 
         The coordinate ``cause`` has comma-separated names of faults, or none.
         The coordinate ``evidence`` has a sentence on each fault.
-        Several quantities add a dim quantity.
+        If the draws have several quantities, the result also has the dim ``quantity``.
         For stuck chains or heavy tails the error has no upper bound, and intervals are infinite.
 
     Raises
@@ -183,7 +185,7 @@ def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
     S(0) from an autoregression has a smaller error than two alternatives.
     The interval also has a coverage closer to 95 %; see docs/theory.md, "Chains".
     One alternative, the initial monotone sequence, cannot resolve antithetic or oscillating chains.
-    The other alternative averages the spectrum over the lowest frequencies.
+    The other alternative estimates S(0) by the mean of the spectrum at the lowest frequencies.
     The cost is O(n log n).
 
     Examples
@@ -293,7 +295,7 @@ def _quantities(draws: Any) -> tuple[list[str], Array]:
         raise ParameterError(
             "draws hold no variables; give variables with the dims chain and draw."
         )
-    if "" in parts:  # The quantities of an array are named by their index
+    if "" in parts:  # For an array instead of named variables, the name of a quantity is its index
         names = [name.strip("[]") for name in names if name]
     return names, np.ascontiguousarray(np.concatenate(found))
 
@@ -329,7 +331,8 @@ def _fitted(z: Array) -> _ChainFit:
         kernel = (np.sin(np.pi * n * frequency) / np.sin(np.pi * frequency)) ** 2 / n
     kernel[0] = n
 
-    # Fit to the covariances. Fit again after adding the variance of the subtracted mean
+    # Fit the autoregression to the autocovariances of the draws minus their mean.
+    # Then add the variance of the mean to the autocovariances, and fit again
     centred = z - z.mean(axis=1, keepdims=True)
     power = np.mean([np.abs(rfft(row, length)) ** 2 for row in centred], axis=0)
     most = int(min(n // 4, 10 * math.log10(n * chains)))
@@ -354,9 +357,9 @@ def _fitted(z: Array) -> _ChainFit:
         variance = float(error.sum())
 
     # Compute the error of log S(0) by the delta method.
-    # The covariance of the coefficients contains the inverse of the autocovariance matrix.
+    # The covariance of the coefficients is proportional to the inverse autocovariance matrix.
     # AIC chooses up to two unnecessary orders.
-    # The error therefore includes one more coefficient, even if this coefficient is 0
+    # To cover these, the error also counts a coefficient beyond the chosen order
     order = len(chosen) + 1
     sums = solve_toeplitz(covariance[:order], np.ones(order)).sum() * innovation
     square = (2.0 + 4.0 * max(float(sums), 0.0) / float(chosen.sum()) ** 2) / (n * chains)
@@ -375,7 +378,7 @@ def quantity_error(x: Array, w: Array, settings: ChainSettings = CHAIN_SETTINGS)
         drifts = "the chain drifts: its mean still moves after half of the draws"
         return _stationary_error(x, w, _edges(n), drifts, settings)
     rest = _stationary_error(x[:, dropped:], w[:, dropped:], _edges(n), "", settings)
-    if "stuck-chain" in rest["cause"]:  # The chain is also stuck without its first draws
+    if "stuck-chain" in rest["cause"]:  # stuck even without the burn-in
         return _stationary_error(x, w, _edges(n), "", settings)
     said = (
         f"the first draws depend on where the chains began, so the first {dropped} of {n} of each "
@@ -394,7 +397,7 @@ def _burn_in(z: Array, settings: ChainSettings) -> int:
     """Return the number of draws of each chain that depend on its start, or n if over half do.
 
     The mean of the first draws, over all chains, is compared with the mean of the last half.
-    The spectrum of the last half at frequency 0 gives the errors of these two means.
+    The errors of the two means come from the spectrum of the last half at frequency 0.
     Draws are replaced by normal scores, which have no heavy tails.
     """
     from scipy.special import ndtri
@@ -411,7 +414,7 @@ def _burn_in(z: Array, settings: ChainSettings) -> int:
     fit = _fitted(last)
 
     def chance(start: int, stop: int, first: int = half) -> float:
-        """Return the probability that two parts of stationary draws differ at least as much."""
+        """Return the p-value of the difference of two means, over draws start … stop and first …"""
         spread = fit.at_zero * (1.0 / (stop - start) + 1.0 / (n - first)) / chains
         away = float(mean[start:stop].mean() - mean[first:].mean())
         return float(f.sf(away**2 / spread, 1, fit.degrees))
@@ -419,7 +422,7 @@ def _burn_in(z: Array, settings: ChainSettings) -> int:
     sizes = [max(1, round(part * n)) for part in settings.starts]
     if min(chance(0, size) for size in sizes) * len(sizes) > settings.alarm:
         return 0
-    # The last half drifts if its two quarters differ
+    # If the means of the last two quarters differ significantly, the chain drifts until its end
     middle = (half + n) // 2
     if chance(half, middle, middle) < settings.ends_alike:
         return n
@@ -446,7 +449,7 @@ def _stationary_error(
 
     chains, n = x.shape
     mean = float((w * x).sum() / w.sum())
-    z = w * (x - mean)  # The error of the ratio estimate is the mean of z, to first order
+    z = w * (x - mean)  # To first order, the mean of z is the error of Σwx/Σw
     size = edges.size - 1
     if not np.ptp(x, axis=1).any() or not np.any(z):
         sizes = {"band": size, "bound": 2}
@@ -469,7 +472,7 @@ def _stationary_error(
 
     # If chains move together, their error is the error of their mean chain.
     # Whiten the chains and compare the power of the mean chain with the power of all chains.
-    # For m independent chains this ratio of powers has the law Beta(1, m − 1) at each frequency
+    # For m independent chains, this ratio follows Beta(1, m − 1) at each frequency, up to scale
     fit = own = _fitted(z)
     series, remark = z, ""
     if chains > 1:
@@ -530,7 +533,7 @@ def _stationary_error(
         causes["stuck-chain"] = stuck
         variance = max(variance, between)
 
-    # Fit the tail. Draws that are less than one autocorrelation time apart are skipped
+    # Fit the tail index to draws that are one autocorrelation time apart
     index = _tail_index(z[:, :: max(1, math.ceil(tau))].ravel(), settings.least_tail)
     if index > settings.heavy:
         causes["heavy-tail"] = f"the tail index is {index:.2f}: above ½ the variance is infinite"
@@ -582,8 +585,8 @@ def _tail_index(z: Array, least: int) -> float:
     excess = excess[1:] - excess[0]
     if not excess[most // 4] > 0:
         return math.nan
-    # Average over a grid of b = −k/σ with the weights of the posterior distribution of b.
-    # The prior of b depends on the first quartile
+    # The Pareto law has the shape k and the scale σ. Average over a grid of b = −k/σ,
+    # weighted by the posterior distribution of b; the first quartile sets the scale of the grid
     grid = 30 + int(math.sqrt(most))
     b = 1 - np.sqrt(grid / (np.arange(grid) + 0.5))
     b = b / (3 * excess[int(most / 4 + 0.5) - 1]) + 1 / excess[-1]
@@ -591,7 +594,7 @@ def _tail_index(z: Array, least: int) -> float:
     likelihood = most * (np.log(-b / k) - k - 1)
     weight = np.exp(likelihood - likelihood.max())
     index = float(np.log1p(-(b @ weight) / weight.sum() * excess).mean())
-    # The prior shrinks the index toward ½, as ten further draws with index ½ would
+    # Shrink the index toward ½, as if there were ten further draws with the index ½
     return (most * index + 5) / (most + 10)
 
 

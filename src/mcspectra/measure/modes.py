@@ -6,18 +6,18 @@ The eigenvalues are the variances of the amplitudes of the modes.
 
 The covariance matrix A is never stored.
 Randomized subspace iteration [Halko2011]_ needs only the product of A with a few vectors.
-Each product takes one pass over the realizations, which are drawn again for each pass.
-The range of A Ω, for a random Ω, holds the leading eigenvectors up to small errors.
+Each product with A takes one pass over the realizations, which are drawn again every time.
+If Ω is a random matrix, the columns of A Ω approximately span the leading eigenvectors.
 Every further product with A reduces these errors.
-The result is the eigenpairs of A projected on that range (Rayleigh-Ritz).
+The results are the eigenpairs of A projected on the span of these columns (Rayleigh-Ritz).
 The distance of λ to an eigenvalue of A is at most ‖A v − λ v‖.
 The coordinates are the real and imaginary parts of the stored coefficients.
-A coordinate has a factor √2 if its frequency −m is not stored.
+These parts are multiplied by √2 if only one of the frequencies m and −m is stored.
 
-A is estimated from a sample. Each batch of realizations gives a variance along a mode v.
+A is estimated from realizations. Each batch of realizations gives a variance along a mode v.
 The spread over batches gives the error of the eigenvalue λ as the variance along v.
 This error excludes the bias of choosing v for a large λ.
-Even if the true spectrum is flat, this choice gives eigenvalues up to `noise_edge`.
+Even if all true eigenvalues are equal, the bias gives eigenvalues up to `noise_edge`.
 """
 
 from __future__ import annotations
@@ -60,9 +60,9 @@ __all__ = ["CovarianceProduct", "Modes", "covariance_modes"]
 
 @dataclass(frozen=True)
 class ModeSettings:
-    """Numbers of vectors and realizations for modes."""
+    """Settings for the computation of modes: numbers of vectors, passes and realizations."""
 
-    # Number of vectors in addition to the modes.
+    # Number of columns of Ω in addition to the number of modes.
     # [Halko2011]_ proves bounds for any number and recommends 5 to 10.
     oversampling: int = 8
     # Largest number of elements of one set of vectors: 1 GiB in float64.
@@ -72,7 +72,7 @@ class ModeSettings:
     # (1 + √(1/10))² = 1.73 times the mean for 10 realizations per coefficient [Marchenko1967]_.
     many: float = 10.0
     # Variance of a coordinate that counts as rounding, as a fraction of the largest variance.
-    # The standard deviation is then 1e-10 of the largest, about a million rounding errors.
+    # For the fraction 1e-20, the standard deviation is 1e-10 of the largest one.
     rounding: float = 1e-20
 
 
@@ -164,7 +164,7 @@ class Modes(Counted, frozen=True, kw_only=True):
                 ".",
             )
 
-        # Find the stored coefficients in the bands of these labels
+        # Find the stored coefficients whose frequencies lie in the chosen bands
         partition = make_bands(self.bands, frequencies.basis)
         inside = np.ones(frequencies.basis.stored, bool)
         if self.band is not None:
@@ -198,8 +198,8 @@ class Modes(Counted, frozen=True, kw_only=True):
                     points = estimator.draw(subject.sampler, n, stream, *blocks[place])
                     z = coordinates.real(view.coefficients(points))
                     tree.add(CovarianceProduct.of(z, vectors))
-                # Combine all blocks of a batch.
-                # A single realization has no covariance and is skipped
+                # Combine the blocks of realizations of a batch.
+                # A batch of one realization has no covariance and is skipped
                 total = tree.total()
                 some, least = slice(0, int(total.count > 1)), max(total.count - 1, 1)
                 projected = (product(vectors.T, total.product) / least)[None][some]
@@ -226,7 +226,7 @@ class Modes(Counted, frozen=True, kw_only=True):
         diagonal = found.squares / (found.count - 1)
 
         # Patterns over the frequencies.
-        # The sign of each vector is chosen so that the mode adds to the estimate
+        # Choose the sign of each vector so that a positive amplitude increases the estimate
         modes, basis, techniques = self.modes, view.basis, len(view.transforms)
         values, vectors = values[:modes], vectors[:, :modes]
         amplitude = product(coordinates.direction[None], vectors)[0]
@@ -272,7 +272,7 @@ class Modes(Counted, frozen=True, kw_only=True):
         )
 
     def part(self, subject: Subject, stream: Stream, key: str) -> Reduction[Any]:
-        """Return one pass. Earlier passes are repeated, because their vectors are needed."""
+        """Return the pass named `key`; repeat earlier passes, because it needs their vectors."""
         steps = self.reduction(subject, stream)
         states = None
         while True:
@@ -369,15 +369,15 @@ def covariance_modes(
 
 @dataclass(frozen=True)
 class _Coordinates:
-    """Real orthonormal coordinates z of the coefficients y_m of a band."""
+    """Coordinates z of the vector of coefficients y_m in a band, in a real orthonormal basis."""
 
     # Positions of the band's coefficients in the array of all stored coefficients, (P,)
     place: Array
-    # Factors (P,) that turn S into y: `scale`, and also conj(f_m) if coefficients are weighted
+    # Factor y_m/S_m of each coefficient, (P,): `scale`, times conj(f_m) for weighted coefficients
     factor: Array
     scale: Array  # Factor √2 for a coefficient that also stands for −m, else 1: (P,)
     # Indices of the coefficients with an imaginary part, (Q,).
-    # In a complex basis these are all coefficients except those of the constants
+    # In a complex basis, these are all coefficients except those of the frequency 0
     complex: Array
     direction: Array  # Vector whose scalar product with z is the band's part of the estimate: (D,)
 
@@ -405,7 +405,10 @@ class _Coordinates:
         return np.concatenate([y.real, y.imag[:, self.complex]], axis=1)
 
     def stored(self, vectors: Array, size: int) -> Array:
-        """Return the patterns over all `size` stored coefficients, (k, size), of vectors (D, k)."""
+        """Convert k vectors of coordinates, (D, k), to arrays of all stored coefficients.
+
+        The result has the shape (k, size), with 0 outside the band.
+        """
         half = len(self.place)
         y: Array = vectors[:half].T
         if self.size > half:
@@ -420,11 +423,11 @@ class _Coordinates:
 class CovarianceProduct:
     """Σ (z − z̄)(z − z̄)ᵀ V over realizations. The method `merge` joins two such sums."""
 
-    # Number of realizations; the mean z̄, (D,); and Vᵀ z̄, (k,)
+    # `count` is the number of realizations, `mean` is z̄ (D,), and `along` is Vᵀ z̄ (k,)
     count: int
     mean: Array
     along: Array
-    product: Array  # the sum of products, (D, k)
+    product: Array  # Σ (z − z̄)(z − z̄)ᵀ V over realizations, (D, k)
     squares: Array  # the sum of squares Σ (z − z̄)², (D,)
     # Degrees of freedom of the batches, (B,), and matrices Vᵀ A_b V of the batches, (B, k, k)
     degrees: Array
@@ -441,7 +444,7 @@ class CovarianceProduct:
         return CovarianceProduct(len(z), mean, along, total, squares, *none)
 
     def merge(self, other: CovarianceProduct) -> CovarianceProduct:
-        """Return sums over the realizations of both objects, about the common mean."""
+        """Return the sums over all realizations of two objects, about the mean of all."""
         count = self.count + other.count
         delta, along = other.mean - self.mean, other.along - self.along
         factor, part = self.count * other.count / count, other.count / count
@@ -464,7 +467,7 @@ class CovarianceProduct:
         image = self.product / (self.count - 1)
         values, rotation = eigenpairs(product(vectors.T, image))
         found = product(vectors, rotation)
-        # The variance along each eigenvector has a standard error, which the batches give
+        # The batches give a standard error of the variance along each eigenvector
         errors = np.full(len(values), np.nan)
         if len(self.degrees):
             along = np.einsum("ik,bij,jk->bk", rotation, self.projected, rotation)

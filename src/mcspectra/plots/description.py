@@ -42,7 +42,7 @@ Marker: TypeAlias = Literal["o", "s", "^", "D", "v", "P", "X", "*", "|"]
 @final
 @dataclass(frozen=True, kw_only=True)
 class Axis:
-    """An axis of a panel. `mcspectra.plots.scales` makes axes with limits from the data.
+    """Axis of a panel. The functions of `mcspectra.plots.scales` choose limits for given data.
 
     Attributes
     ----------
@@ -322,7 +322,7 @@ class Plot:
         Panels in reading order.
     kind
         Kebab-case name of the kind of plot, such as ``convergence``.
-        This name is set by the functions of `mcspectra.plots.kinds`.
+        The functions of `mcspectra.plots.kinds` set the name of the kind.
     columns
         Number of panels per row when printed. Narrow screens show fewer.
     caption

@@ -48,7 +48,7 @@ Data: TypeAlias = "xr.Dataset | Group"
 Styles: TypeAlias = Mapping[str, LineStyle]
 """Style of each sampler."""
 
-# Variables of a curve. If a result has several variants of a curve, each becomes a result
+# Variables of a curve. A result with several variants of a curve is divided, one per variant
 _CURVE = {
     "n",
     "variance",
@@ -209,7 +209,10 @@ def intervals(ends: Array, digits: int = 4) -> list[str]:
 
 
 def along(data: xr.Dataset, dim: str) -> Iterator[tuple[str, xr.Dataset]]:
-    """Yield the label and the part for each index along a dim, or the whole result without it."""
+    """Yield the label and the slice for each index along a dim.
+
+    If the result does not have the dim, yield a label and the whole result.
+    """
     if dim not in data.dims:
         yield str(data.attrs.get(f"{dim}_spec", data.attrs.get(dim, dim))), data
         return
@@ -239,15 +242,15 @@ def labelled(stored: xr.Dataset) -> xr.Dataset:
         for key, value in stored.attrs.items()
         if str(key).startswith("labels_")
     }
-    # Labels with the name of a dim belong to this dim.
+    # If an array of labels has the name of a dim, it is the coordinate of this dim.
     # All other labels, such as verdicts, belong to a dim with as many entries.
-    # The dim "bound" has size 2. Put it first, so that another dim of size 2 has priority
+    # The dim "bound" has size 2 and comes first; later dims of size 2 take precedence
     dims = sorted(map(str, stored.dims), key=lambda dim: dim != "bound")
     own: dict[tuple[int, ...], Any] = {
         texts[dim].shape: dim for dim in dims if dim in texts and dim != "bound"
     }
     own |= {(stored.sizes[dim],): dim for dim in dims if (stored.sizes[dim],) not in own}
-    # An array of labels with two dims gets the dims of a variable whose dims have the same sizes
+    # A two-dimensional array of labels gets the dims of a variable of the same shape
     for values in stored.data_vars.values():
         if values.ndim > 1:
             own.setdefault(values.shape[:2], values.dims[:2])

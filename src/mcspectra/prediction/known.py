@@ -1,7 +1,7 @@
 """Common parts of all prediction methods: facts about an integrand, and the type of a result.
 
 A method is a function ``(law, known, stream) -> Predicted``.
-A method raises `NoClosedForm` if it does not apply.
+If a method cannot predict the variance of this sampler and integrand, it raises `NoClosedForm`.
 A method may evaluate g anywhere except at the points of the sampler itself.
 """
 
@@ -52,9 +52,9 @@ class Predicted:
     share
         Part of ∫g² for which the method computes every term of a sum.
     tail
-        Variance from the rest of ∫g², whose terms are not summed. It is a part of `variance`.
+        Variance from the remaining part of ∫g², which `variance` includes as one estimate.
     method
-        Name of the method, from `METHODS`. The loop over the methods fills it in.
+        Name of the prediction method, a key of `METHODS`.
     poles
         Whether `error` covers poles of g that tables and points do not resolve.
     """
@@ -105,13 +105,13 @@ class Cells:
         note: str = "",
         channels: int = 1,
     ) -> Cells:
-        """Make a single row. Each number is an array (channels,), or a scalar for all channels."""
+        """Make a table of one prediction; its numbers are scalars or arrays (channels,)."""
         numbers = [np.full((1, channels), each) for each in (variance, low, high, share, tail)]
         return Cells(*numbers, *(np.array([text]) for text in (method, how, note)))
 
     @staticmethod
     def unknown(reason: str, channels: int) -> Cells:
-        """Make a row with a reason instead of a value."""
+        """Make a table of one failed prediction: NaN, with the reason as text."""
         nan, why = math.nan, reason.rstrip(".")
         return Cells.row(
             "none", why, nan, nan, nan, share=nan, tail=nan, note=why, channels=channels
@@ -125,11 +125,11 @@ class Cells:
         )
 
     def named(self, place: int = 0) -> tuple[str, str]:
-        """Return the method and the details of a row."""
+        """Return the method and the details of the prediction number `place`."""
         return str(self.methods[place]), str(self.hows[place])
 
     def at(self, place: int) -> Cells:
-        """Return a single row."""
+        """Return a table that holds only the prediction number `place`."""
         return Cells(*(each[place : place + 1] for each in self._arrays()))
 
     def _arrays(self) -> tuple[Array, ...]:
@@ -140,7 +140,7 @@ class Cells:
 class Known:
     """An integrand in primary space, with cached facts for all methods, counts and samplers.
 
-    Line searches detect jumps across an axis. All methods use the integrand cut at these jumps.
+    Searches along lines find jumps across an axis. All methods treat these jumps as breaks.
     Results of quadrature are stored in `mcspectra.integrands.base.IntegrandCache`.
     """
 
@@ -171,7 +171,7 @@ class Known:
 
     @cached_property
     def diverges(self) -> Array:
-        """Whether lines across the axes show that ∫g² is infinite, (channels or 1,)."""
+        """Whether the growth of |g| along lines shows that ∫g² is infinite, (channels or 1,)."""
         found = growth(self.g) >= DIVERGES
         if self.unresolved.any() and (parts := separated(self.g)):
             found = found | np.array([part.diverges for part in parts])
@@ -184,7 +184,7 @@ class Known:
 
     @cached_property
     def constant(self) -> str:
-        """A message if g is equal at all points of the probe, else an empty string."""
+        """A message if g has the same value at all probe points, otherwise an empty string."""
         return constant(self.g)
 
     @cached_property

@@ -8,7 +8,7 @@ Each piece is halved until the coefficients of its polynomial settle.
 The smallest pieces have width 2^-50 next to a jump or pole, and 2^-64 next to 0.
 Double precision does not resolve smaller distances.
 
-A pole t^-a has most of its square inside these smallest pieces if a is close to ½.
+If a is close to ½, most of the integral of (t^-a)² at a pole comes from the smallest pieces.
 Within a distance ε of the pole, a power law gives the integrals:
 
     ∫_0^ε h = ε h(ε) / (1 − a),    ∫_0^ε h² = ε h(ε)² / (1 − 2a).
@@ -16,7 +16,7 @@ Within a distance ε of the pole, a power law gives the integrals:
 The sum or product of the curves is compared with g at all points of the probe
 (`mcspectra.integrands._quadrature.probe`).
 The comparison finds every slab across an axis in which g differs, if it is 2^-17 wide or wider.
-The comparison finds any other region of volume v with probability 1 − exp(−2^17 v).
+A region of another shape and volume v is found with probability 1 − exp(−2^17 v).
 """
 
 from __future__ import annotations
@@ -44,15 +44,16 @@ __all__ = ["PiecewiseCurve", "PiecewiseSettings", "Separable", "separated"]
 class PiecewiseSettings:
     """Settings for curves of functions of one axis, and for the test of sums and products.
 
-    "The same results" means that no variance changes by more than 1e-10.
-    The twelve test cases are listed in `mcspectra.prediction.exact.ExactSettings`.
+    "The same results" means that no variance of the twelve test cases changes by more than 1e-10.
+    The test cases are listed in `mcspectra.prediction.exact.ExactSettings`.
     """
 
     # Number of Legendre coefficients of a piece, and of initial pieces of an axis.
     # Halving or doubling this value gives the same results.
     order: int = 16
     pieces: int = 32
-    # A piece is settled if its last coefficients, divided by its largest one, are below this.
+    # A piece is accurate enough if its last Legendre coefficients are below this value,
+    # divided by its largest coefficient.
     # Halving or doubling this value gives the same results.
     settled: float = 1e-11
     # A piece that adds less than this fraction to ∫h² counts as settled.
@@ -74,22 +75,22 @@ class PiecewiseSettings:
     least: float = 2.0**-50
     least_at_0: float = 2.0**-64
     # Values of k. The exponent of a pole is fitted to values of g at the distances 2^-k.
-    # The list `near_0` is for a pole at 0, the list `inside` for all other poles.
+    # The values in `near_0` are for a pole at 0, and the values in `inside` for all other poles.
     # At distances below the smallest 2^-k, the fitted power law replaces the polynomials.
-    # If each k changes by 5, the variance of a sum with poles changes by less than 1e-6.
+    # If 5 is added to or subtracted from all k, variances of sums with poles change by below 1e-6.
     near_0: tuple[int, ...] = (40, 45, 50, 55, 60)
     inside: tuple[int, ...] = (20, 23, 26, 29, 32)
     # Smallest exponent of a pole. Polynomials resolve weaker poles.
     # Halving or doubling this value gives the same results.
     pole: float = 0.02
     # Relative error of the distances to a pole that is not at 0.
-    # The error changes the intervals of variances, but not the variances.
+    # The error of the distances affects intervals of variances, but not the variances.
     place: float = 2.0**-16
     # Smallest change of a function from one distance to the next that counts as a pole.
-    # The change is relative to the value of the function.
+    # The change is measured as a fraction of the value of the function.
     # Halving or doubling this value gives the same results.
     step: float = 1e-6
-    # If g follows no power law on one side of a pole, pieces there end at this distance from it.
+    # On a side of a pole without a power law, the polynomial pieces end at this distance from it.
     # Halving or doubling this value gives the same results.
     gap: float = 2.0**-40
     # Number of probe points at which g is evaluated to find the largest value of a product.
@@ -101,9 +102,9 @@ class PiecewiseSettings:
     # Relative rounding error of g in the test of a sum or product.
     # Halving or doubling this value gives the same results.
     same: float = 1e-7
-    # In the test of a product plus a constant c, c is a value that g has at many probe points.
-    # The fraction of probe points with this value must exceed `common`.
-    # An example is the value 0 of an indicator function.
+    # If g − c is tested for being a product, the constant c is a value that g takes often.
+    # The fraction of probe points at which g = c must exceed `common`.
+    # For an indicator function, an example of such a constant is c = 0.
     # Halving or doubling this value gives the same results.
     common: float = 0.1
 
@@ -127,7 +128,7 @@ class PiecewiseCurve:
     coefficients
         Legendre coefficients, (P, 16).
     tails
-        Ends of each power law, and the integrals of h and h² between them, (T, 4).
+        Both ends of the interval of each power law, and the integrals of h and h² on it, (T, 4).
     places
         Positions of jumps, kinks and poles inside, (K,).
     doubt
@@ -156,7 +157,7 @@ class PiecewiseCurve:
         return np.searchsorted(self.low, x, side="right") - 1
 
     def _values(self, piece: Array, x: Array) -> Array:
-        """Evaluate the polynomials of these pieces, without the mean, by Clenshaw's algorithm."""
+        """Evaluate the polynomials of given pieces, without the mean, by Clenshaw's algorithm."""
         y = np.clip(2.0 * (x - self.start[piece]) / self.width[piece] - 1.0, -1.0, 1.0)
         c = self.coefficients
         one, two = np.zeros(y.shape), np.zeros(y.shape)
@@ -206,9 +207,10 @@ class PiecewiseCurve:
     def along(
         function: Callable[[Array], Array], ends: Sequence[float] = (), rounding: float = 0.0
     ) -> PiecewiseCurve | None:
-        """Compute the curve of a function of x (N,), cut at `ends`. None if it does not settle.
+        """Compute the curve of a function of x (N,), with breaks at `ends`.
 
-        A piece counts as settled if its last coefficients are at most `rounding`.
+        Return None if halving the pieces does not make the polynomials accurate.
+        A piece is accurate enough if its last Legendre coefficients are at most `rounding`.
         """
         node, _ = gauss_rule(_SETTINGS.order)
         y = 2.0 * node - 1.0
@@ -259,7 +261,7 @@ class PiecewiseCurve:
         start, width = low.copy(), high - low
 
         # Poles may lie at the ends, at given breaks, and where the polynomials do not settle.
-        # Several adjacent pieces may belong to one pole.
+        # Adjacent pieces without an accurate polynomial may belong to the same pole.
         rough += [(e, e, 0.0) for e in (0.0, *(e for e in ends if 0.0 < e < 1.0), 1.0)]
         clusters: list[list[tuple[float, float, float]]] = []
         for piece in sorted(rough):
@@ -269,7 +271,7 @@ class PiecewiseCurve:
                 clusters.append([piece])
         places = []
         for cluster in clusters:
-            # A pole lies in the piece with the largest values
+            # Of adjacent pieces, the pole lies in the piece with the largest values
             a, b, _ = max(cluster, key=lambda piece: piece[2])
             places.append(
                 0.0 if cluster[0][0] == 0.0 else 1.0 if cluster[-1][1] == 1.0 else 0.5 * (a + b)
@@ -282,8 +284,8 @@ class PiecewiseCurve:
                 logs = _SETTINGS.near_0 if place == 0.0 else _SETTINGS.inside
                 at = place + way * 0.5 ** np.array(logs, float)
                 distance = np.abs(at - place)
-                # At distances t with a constant ratio, take differences of the values A t^-a + B.
-                # Successive differences also have a constant ratio, which gives the exponent a
+                # Near a pole the values are A t^-a + B. If distances t have a constant ratio,
+                # differences of successive values also have one, which gives the exponent a
                 with np.errstate(all="ignore"):
                     value = np.asarray(function(at), float)
                     steps = np.diff(value)
@@ -304,14 +306,14 @@ class PiecewiseCurve:
                 doubt += square * off / (1.0 - 2.0 * a)
                 begin, stop = (place, place + size) if way > 0.0 else (place - size, place)
                 tails.append((begin, stop, first, second))
-                # On the side with the power law, the pieces end where this law begins.
-                # On the other side, the pieces end close to the pole.
+                # On the side of the power law, polynomial pieces end where the power law begins.
+                # On the other side of the pole, the pieces end at the distance `gap` from it.
                 wide = (begin, min(stop + (way < 0.0) * _SETTINGS.gap, 1.0))
                 wide = (max(0.0, begin - (way > 0.0) * _SETTINGS.gap), stop) if way > 0.0 else wide
                 cut_low = (low >= wide[0]) & (low < wide[1])
                 cut_high = (high > wide[0]) & (high <= wide[1])
                 low, high = np.where(cut_low, wide[1], low), np.where(cut_high, wide[0], high)
-        # A kink lies in narrow pieces. Of adjacent narrow pieces, take the narrowest
+        # Halving leaves narrow pieces next to a kink; the narrowest of them contains the kink
         narrow = np.flatnonzero(width < _SETTINGS.kink)
         for some in np.split(narrow, np.flatnonzero(np.diff(start[narrow]) > _SETTINGS.kink) + 1):
             if some.size:
@@ -344,7 +346,7 @@ class Separable:
     Attributes
     ----------
     curves
-        The function of each axis.
+        The functions h_i, one curve for each axis.
     product
         Whether the functions are multiplied. Otherwise they are added.
     constant
@@ -381,7 +383,7 @@ class Separable:
             c.doubt / max(m**2 + s, 1e-300)
             for c, m, s in zip(self.curves, means, squares, strict=True)
         ]
-        value = 0.0  # Add the variances axis by axis to avoid cancellation
+        value = 0.0  # The variance of a product, as a sum over axes without cancellation
         for done in range(len(means)):
             rest = math.prod((means[:done] ** 2).tolist())
             value += (
@@ -479,7 +481,7 @@ def _separated(g: Integrand, channel: int) -> Separable | None:
         if not (np.abs(of_tested - constant - made) <= _SETTINGS.same * size).all():
             continue
 
-        # Compute the curves. The curve of the first axis contains the scale of g
+        # Compute the curve of each axis. The first curve includes the constant factor or sum of g
         curves = []
         for axis in range(d):
             curve = PiecewiseCurve.along(line(z, axis, constant, origin, product), cut.breaks[axis])

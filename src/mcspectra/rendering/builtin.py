@@ -102,7 +102,7 @@ def figure1(*, edge: float = 0.0, width: int = 384, height: int = 256) -> dict[s
     edge
         Width of the light's soft border as a fraction of its half side.
         From the border inwards, the radiance rises from 0 as the smoothstep 3t² − 2t³.
-        With 0 the radiance is constant over the light.
+        If `edge` is 0, the radiance is constant over the light.
     width, height
         Film size in pixels.
 
@@ -118,14 +118,14 @@ def figure1(*, edge: float = 0.0, width: int = 384, height: int = 256) -> dict[s
 
     Notes
     -----
-    The arrangement follows Figure 1 in [Singh2019]_, which gives no numbers; these are our choice.
+    The arrangement follows Figure 1 in [Singh2019]_. The figure has no numbers; we chose them.
     The floor is y = 0. The light is the square |x| ≤ 1, |z| ≤ 1 at y = 2 and faces down.
     The occluder is a square of half side 0.7 at y = 1 around x = 1.5, z = 0.
     The occluder is rotated by 25° so that its shadow's border is not parallel to strata.
     The named pixels P and Q show the floor points P and Q. From P, the whole light is visible.
-    Neither point is below the light's center.
-    Below the center, the integrand would be equal at opposite borders of the unit square.
-    A random shift of the points would then have no disadvantage.
+    Neither P nor Q is below the light's center.
+    At a point below the center, f is equal at opposite borders of the unit square,
+    so shifted points would meet no jump at the border of the square.
 
     With a soft border, the radiance is a texture of 256² texels with bilinear interpolation.
     Mitsuba samples such a light texel by texel, in proportion to the texture.
@@ -327,7 +327,7 @@ def _on_plate(i: int, x: float) -> Point:
     **{
         "wall": (3.06, -0.73, _WALL_Z),
         "floor": (0.0, _FLOOR_Y, 4.6),
-        # Points where each plate shows the mirror image of the widest light
+        # Each of these points lies where its plate shows the mirror image of the widest light
         **{f"plate-{i}": _on_plate(i, x) for i, x in enumerate((3.3, 3.2, 3.1, 3.0))},
     }
 )

@@ -140,7 +140,7 @@ def frame_files(paths: Frames, read: FrameReader, *, least: int = 2) -> list[Fra
     paths
         A folder, a pattern, or a list of files.
     read
-        Options for reading the files. If they contain a number of samples, it holds for all files.
+        Options for reading the files. Samples per pixel given here are assumed for all files.
     least
         Least number of files per group, 1 or 2.
 
@@ -154,7 +154,7 @@ def frame_files(paths: Frames, read: FrameReader, *, least: int = 2) -> list[Fra
     FileFormatError
         If there are no files, or a header is broken.
     ParameterError
-        If a number of samples has only one file, or file names and headers disagree.
+        If a group has too few files, or the samples per pixel in names or headers disagree.
     """
     groups: dict[int | None, list[tuple[Path, float | None]]] = defaultdict(list)
     for file in _listed_files(paths):
@@ -225,7 +225,7 @@ def _listed_files(paths: Any) -> list[Path]:
     for kinds in (
         LINEAR_EXTENSIONS,
         ENCODED_EXTENSIONS,
-    ):  # PNG and JPEG files in the same folder as linear frames are previews
+    ):  # PNG and JPEG files next to linear frames are only previews
         if files := [file for file in inside if file.suffix.lower() in kinds]:
             return files
     raise FileFormatError(

@@ -60,7 +60,7 @@ class ReferenceErrors:
     symmetric
         SMAPE of a frame x against the reference r: mean of |x − r| / (|x| + |r| + 0.01).
     whole, frames
-        The same errors of the whole image, and of each frame of a sequence (frame,).
+        Bias, relMSE and SMAPE of the whole image, and of each frame of a sequence (frame,).
     square
         Mean over pixels of the squared bias, an unbiased estimate that may be negative.
     apart
@@ -220,7 +220,7 @@ def reference_errors(
         apart += moments.mean / times
     every: Array = np.array(
         sums
-    )  # (frame, sequence, kind, tile), and the whole image as the last tile
+    )  # dims (frame, sequence, kind, tile); the last tile is the whole image
     level = np.array(levels)
     value, ends = _intervals(every.mean(axis=0), level.mean(axis=0))
     frames = [_intervals(own[..., -1:], of[-1:]) for own, of in zip(every, level, strict=True)]
@@ -246,8 +246,8 @@ def _by_tile(plane: Array) -> Array:
 def _intervals(each: Array, level: Array) -> tuple[Array, Array]:
     """Return errors (kind, tile) with intervals, from sequences (sequence, kind, tile).
 
-    The first kind is divided by the level, the mean of the reference.
-    The other kinds are positive, so their intervals are symmetric on a logarithmic axis.
+    The first kind of error, bias, is divided by the level, the mean of the reference.
+    relMSE and SMAPE are positive, so their intervals are symmetric on a logarithmic axis.
     """
     count = len(each)
     with np.errstate(invalid="ignore", divide="ignore"):

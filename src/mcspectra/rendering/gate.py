@@ -44,16 +44,16 @@ GATE_VERDICTS = {"pass": 0, "fail": 3, "undecided": 4}
 """Exit code of the command for each verdict."""
 
 _LEAST_LEVEL = 1e-4
-# Number of relabelings, times the significance level. More relabelings would gain little power
+# Number of relabelings, times the significance level. With more, tests would find little more
 _RELABELINGS = 5
 _SAMPLE = 2**15  # number of tiles at which two frames are compared
 _ONE_SEED = 0.9  # two frames of one set have the same seed if their errors correlate more than this
-# Frames of two sets have the same seed if their errors correlate by at least _RELATED,
-# and by at least _FAR times the typical correlation of two frames
+# Frames of two sets have the same seed if the correlation of their errors exceeds two limits:
+# _RELATED, and _FAR times the typical correlation of two frames
 _RELATED, _FAR = 0.1, 8.0
 _LEAST_PAIRS = 4
-# The noise of two sets counts as equal if the ratio of variances is within this factor,
-# or if the difference is not significant
+# The noise of two sets counts as equal if the ratio of the variances is between 1/_EQUAL and
+# _EQUAL, or if the variances do not differ at the significance level _DOUBT
 _EQUAL, _DOUBT = 1.25, 0.01
 _COPY = 1e-6  # images that differ by less than this fraction of their mean are copies
 # Fraction of the significance level for one test: does the mean depend on the samples per pixel?
@@ -88,7 +88,7 @@ def gate(
         Relative bias of the image mean that must be found; otherwise the verdict is undecided.
     spp, spp_reference
         Samples per pixel of the frames; by default from names and headers.
-        If neither set has a number, the numbers are assumed equal.
+        If neither set states its samples per pixel, both are assumed to have equally many.
     layer, tone_mapped
         Same as in `frames`.
     rng
@@ -117,9 +117,11 @@ def gate(
     Notes
     -----
     Frames of one renderer with different seeds are exchangeable.
-    The largest test statistic is compared with its values for relabeled frames.
-    The probability of a false alarm is then at most `level`, for any noise [WestfallYoung1993]_.
-    This needs 5 + 5, 3 + 7 or 1 + 99 frames for the level 0.01, or 8 pairs with equal seeds.
+    The tests exchange frames between the two sets, and compare the largest test statistic
+    with its values after such relabelings of the frames.
+    For any noise, the probability of a false alarm is at most `level` [WestfallYoung1993]_.
+    For the level 0.01, the tests need 5 new frames and 5 reference frames, or 3 and 7, or 1 and 99.
+    If the frames form pairs with equal seeds, the tests need 8 pairs.
     With fewer frames or unequal noise, t tests of the image and of wide tiles are used instead.
     """
     level = as_real("level", level, least=_LEAST_LEVEL, below=1.0)
@@ -138,7 +140,7 @@ def gate(
         )
 
     # Compare frames with the largest number of samples that both sets have.
-    # If no number is common, take the largest number of each set
+    # If the sets have no number of samples in common, take the largest number of each set
     known = [{each.spp for each in source.groups} for source in sources]
     common = known[0] & known[1]
     chosen = [max(common or own, key=lambda n: n or 0) for own in known]
@@ -370,7 +372,8 @@ def _result(case: _Case, level: float, rng: int) -> _Result:
             return _Result(
                 outcome=outcome, method=method, levels=levels, noise_ratio=ratio, scale=scale
             )
-        # Frames of unequal noise are not exchangeable. Then only the tests of the noise are exact
+        # If the noise of the sets differs, their frames are not exchangeable.
+        # Tests of means would not be exact; only the tests of the noise are
         means = cautious(levels, contrast, level, alike=False, noise=False)
         noise = [each for each in outcome.tests if each.name not in _MEANS]
         both = [*means.tests, *noise]
@@ -401,8 +404,9 @@ def _noise(finest: Level, contrast: Contrast) -> tuple[float, bool]:
     t = (ours.mean() - theirs.mean()) / max(spread, 1e-300)
     differs = 2.0 * float(stdtr(max(min(ours.size, theirs.size) - 1, 1), -abs(t))) < _DOUBT
 
-    # Compare the variances of the two sets. The weights come from neighborhoods:
-    # a weight from the variance of the pixel alone would pull the ratio towards 1
+    # Compare the variances of the two sets by a weighted mean over pixels.
+    # The weight of a pixel comes from the variance in its neighborhood.
+    # Weights from the variance of only the pixel itself would bias the ratio toward 1
     rows, valid = finest.rows, finest.valid
     total = uniform_filter(np.where(valid, rows.var(axis=0, dtype=np.float64), 0.0), 5)
     weight = np.divide(1.0, total, out=np.zeros_like(total), where=valid & (total > 0))
@@ -558,7 +562,7 @@ def _region(tests: list[Found], shape: tuple[int, int]) -> float:
     """Return the smallest relative bias that is found in a square region of 1 % of the image.
 
     The region may lie anywhere. A region at least twice as wide as a tile covers a whole tile.
-    A narrower region covers part of a tile, at least half as wide as the region.
+    A narrower region covers a part of some tile, at least half as wide as the region itself.
     """
     half = 0.05 * math.sqrt(shape[0] * shape[1])
     known = [

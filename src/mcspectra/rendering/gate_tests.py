@@ -1,4 +1,4 @@
-"""What the tests of a gate have in common: the frames, the comparison, and the results.
+"""Common parts of the tests that compare new renders with a reference: frames and results.
 
 Tests by relabeling are in `gate_relabelings`, and t tests for few frames are in `gate_t_tests`.
 """
@@ -140,7 +140,7 @@ class Found:
     p
         p-value after the correction for all tests together.
     statistic
-        Largest difference in standard errors, or the t value in other tests.
+        Statistic of the test: the largest difference in standard errors, or a t value.
     detectable
         Smallest relative bias that this test finds with 90 % probability; NaN if not known.
     """
@@ -169,7 +169,7 @@ class Outcome:
         p-value of the most significant tile around each point (y, x), corrected for all tests.
     single
         p-value of each finest tile alone (y, x), without any correction.
-        With few frames and in t tests, Student's t approximates this value.
+        With few frames and in t tests, this p-value is an approximation by Student's t.
     """
 
     p: float

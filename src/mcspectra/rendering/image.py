@@ -5,7 +5,7 @@ Each of the independent images has its own random stream.
 A crop therefore has the same bits as the same part of the whole image.
 Kernels compute binary nets with ``owen`` scrambling themselves, by its hash (`kernel_nets`).
 A sampler that ends in ``decorrelate(…)`` draws one set and moves it at each pixel.
-Renderers work this way, which is cheaper than a separate set for each pixel.
+Renderers also move one set at each pixel, which is cheaper than a separate set for each pixel.
 """
 
 from __future__ import annotations
@@ -69,8 +69,8 @@ def render(
     scene
         A scene: a name, a file or a dictionary, as in `load_scene`.
     strategy
-        ``"light"`` or ``"bsdf"`` sampling, their parts of multiple importance sampling,
-        ``"mis-light"`` and ``"mis-bsdf"``, or ``"mis"``, the sum of these parts.
+        ``"light"`` or ``"bsdf"`` for sampling of lights or of the BSDF.
+        ``"mis"`` for multiple importance sampling, the sum of ``"mis-light"`` and ``"mis-bsdf"``.
     sampler
         A sampler or its spec, with the number of dims that the strategy needs (`Wavefront.dims`).
     spp
@@ -156,7 +156,7 @@ def render(
     finished, threads = 0, available_workers(workers)
     for images, evaluate in map_in_order(draw, blocks, threads if net is None else 1):
         means = evaluate()
-        # A single image needs no moments. With 4 samples per pixel, this saves a third of the time
+        # A single image has no variances: with 4 samples per pixel, this saves a third of the time
         if realizations == 1:
             found = Moments(1, means, *[np.zeros(())] * 3)
         else:

@@ -4,12 +4,13 @@ Rates come from line fits of log variance against log n at every pixel.
 The weights of a fit come from the relative standard errors (`mcspectra.core.fits.line_fits`).
 Arrays have the axes (strategy, n, y, x) or (strategy, y, x).
 
-`path_shares` divides the variance of a path among its requests k for random numbers:
+A path requests random numbers x_1 … x_K, one or two at a time, for its K decisions.
+`path_shares` divides the variance of the path's value f among these requests:
 Var f = Σ_k (Var E[f | x_1 … x_k] − Var E[f | x_1 … x_{k−1}]).
-No part is negative. An interaction of several requests counts for the last of them.
-Let h_k = f(x_1 … x_k, y_{k+1} … y_K) for two independent paths x and y of K requests.
-Part k is then the mean of (h_k − h_{k−1}) (h_K − c), the pick-freeze estimator [Sobol2001]_.
-K + 1 evaluations give all parts. The mean is right for any function c of h_k + h_{k−1}.
+No term is negative. An interaction of several requests counts for the last of them.
+Let h_k = f(x_1 … x_k, y_{k+1} … y_K) for two independent paths x and y of K requests each.
+Term k is the mean of (h_k − h_{k−1}) (h_K − c), the pick-freeze estimator [Sobol2001]_.
+K + 1 evaluations give all terms. The mean is right for any function c of h_k + h_{k−1}.
 The error is least if c is the regression of h_K on h_k + h_{k−1}.
 The slope of the regression is fitted to the same paths, which gives a bias of order 1/R.
 """
@@ -50,7 +51,8 @@ def fit_lines(
 
     Zeros are ignored, and variances that rounding in float32 could cause.
     Variances with a relative standard error above `largest_se` are ignored as well.
-    Such variances come from a few realizations that hit a rare event. Most are far too small.
+    Variances with large errors come from few realizations that hit a rare event.
+    Most of these variances are far too small.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         floor = (_ULPS * np.finfo(np.float32).eps * mean) ** 2
@@ -58,7 +60,7 @@ def fit_lines(
         weight = np.where(used, relative_se**-2.0, 0.0)
         y = np.where(used, np.log(variance), 0.0)
         x = np.log(ns.astype(float)).reshape(1, -1, *[1] * (variance.ndim - 2))
-        # If a fit ignores a variance but uses one at larger n, the smaller n missed a rare event
+        # A variance that is ignored at a smaller n than one that is used has missed a rare event
         missed = np.maximum.accumulate(used[:, ::-1], axis=1)[:, ::-1] & ~used
         return line_fits(x, y, weight, known=np.asarray(~missed.any(axis=1)))
 
@@ -68,7 +70,7 @@ def smooth(rate: Array, rate_se: Array, window: int, independent: bool) -> tuple
 
     Pixels without a rate are ignored and remain without a rate.
     If the points of pixels are `independent`, an average has a smaller error than its pixels.
-    Otherwise the mean standard error of the pixels is used.
+    If the points are not independent, the result has the mean standard error of the pixels.
     The mean is exact if all errors in the window are equal, and too large if they are not.
     """
     if window == 1:
@@ -99,7 +101,7 @@ def slowest(rate: Array, rate_se: Array) -> Array:
 
     The techniques must have independent points, so that their squared standard errors add up.
     A test for overlap of the two intervals would be less sensitive.
-    For equal standard errors, it would need a difference that is 1.4 times as large.
+    For equal standard errors, separate intervals need a difference that is 1.4 times as large.
     """
     return _larger(rate[0] - rate[1], rate_se, np.isnan(rate).all(axis=0))
 
@@ -114,8 +116,8 @@ def dominant(variance: Array, relative_se: Array) -> Array:
 def least(variance: Array, relative_se: Array) -> Array:
     """Return the index of the sampler with the least variance; the variances are (S, …).
 
-    The index is `UNDECIDED` if the interval of a ratio to another sampler contains 1.
-    It is NaN if the variance of any sampler is not positive.
+    The index is `UNDECIDED` unless the sampler's variance is significantly below all others.
+    The index is NaN if the variance of any sampler is not positive.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         log = np.where(variance > 0.0, np.log(variance), np.nan)
@@ -136,7 +138,7 @@ def path_shares(chains: Array, partitions: list[Array]) -> tuple[Array, Array, A
         Values h_0 … h_K of R chains (pairs of paths) at P pixels, (R, K + 1, P).
     partitions
         Each partition is a mask (G, K) that groups the K requests of a path into G parts.
-        Every request belongs to exactly one part.
+        Every request for random numbers belongs to exactly one of these parts.
 
     Returns
     -------
@@ -150,7 +152,7 @@ def path_shares(chains: Array, partitions: list[Array]) -> tuple[Array, Array, A
     """
     from scipy.special import stdtrit
 
-    # From each chain, estimate the variance that each request adds, with a control variate
+    # From each pair of paths, estimate the variance that each request for random numbers adds
     count, mean = len(chains), chains.mean(axis=(0, 1))
     values = chains - mean
     last, steps = values[:, -1:], np.diff(values, axis=1)
@@ -194,9 +196,10 @@ def gain(single: LineFits, mis: LineFits, total: float, missed: Array) -> tuple[
     """Variance of the best single strategy divided by that of MIS, each with `total` samples.
 
     Strategies in `missed` are excluded, because they miss light that another strategy hits.
-    The measured variance of such a strategy is too small.
+    The measured variance of an excluded strategy is too small.
 
-    Both variances come from the fitted lines. MIS gives each technique half of the samples.
+    The variances of MIS and of the strategies come from the fitted lines.
+    MIS gives each technique half of the samples.
     The standard error treats the two variances as independent.
     The variances share points, so this standard error is rather too large than too small.
     """

@@ -94,10 +94,10 @@ _DIMS = {
     "measured": ("y", "x"),
     "interpolation_factor": ("strategy", "y", "x"),
 }
-# Labels of the random streams that choose the measured pixels, and those of a trial
+# Labels of two random streams: one chooses the measured pixels, the other the pixels of a trial
 _CHOICE, _TRIAL = 0x9C401, 0x7D1A1
 _TRIED = 4096  # maximum number of pixels that a trial measures
-# Seconds and bytes for each number of a result: fits, files of results and layers
+# Seconds and bytes that each number of a result costs in fits, in files and in image layers
 _PIXEL_SECONDS, _PIXEL_BYTES = 3e-7, 10
 _STATE_BYTES = 8  # bytes for each measured number that is kept for a resumption
 
@@ -378,7 +378,7 @@ class Map(Analysis, frozen=True, kw_only=True):
         return measurement, window
 
     def of_samplers(self, subjects: Sequence[Subject]) -> list[Map]:
-        """Return the map of each sampler; only the first map measures shares.
+        """Return the map of each sampler. Only the map of the first sampler has shares of variance.
 
         Rejects samplers that cannot be compared, and invalid options, before the work begins.
         """
@@ -504,7 +504,7 @@ def variance_map(
         A crop gives the same numbers as the whole image.
     pixels
         Number of pixels that are measured, at least 64, or their share as a text such as ``"1%"``.
-        They are chosen at random, one in each stratum of the image or crop.
+        The measured pixels are chosen at random, one in each stratum of the image or crop.
         All other pixels are interpolated, see Notes. By default, all pixels are measured.
     size
         Width and height of a grid of pixels laid over the film; by default the film's own.
@@ -514,7 +514,7 @@ def variance_map(
     dims
         2, the default, or 3. The third coordinate then chooses a light or a BSDF lobe.
         With an integrator, the same as in `PathPixel`.
-        The default is then the number of random numbers that paths through 256 pixels use.
+        With an integrator, the default is how many random numbers paths through 256 pixels use.
     integrator
         Measures whole paths, like `PathPixel`. The only strategy is then ``"path"``.
         The value ``"scene"`` is the scene's own integrator.
@@ -523,23 +523,24 @@ def variance_map(
         With an integrator: how many of the first numbers of a path come from one joint set.
         Every later request of the integrator has its own set (padding), as in renderers.
         The default is 4 for randomized nets in base 2 and 0 otherwise, as in the plugin.
-        If it equals the number of dims of the paths, all numbers are joint.
+        With the value `dims`, all random numbers of a path come from one joint set.
     points
         ``"shared"``: in a realization, all pixels have the same points.
         Each pixel is measured as accurately as with points of its own, but in less time.
         Shared points also give smooth maps, but the errors of neighbors are correlated.
-        Structure in such a map may therefore come from one set of points.
+        With shared points, structure in a map may be an artifact of one set of points.
         ``"own"``: every pixel has its own realizations, so the errors look like noise.
     smoothing
         Width of the square window over which rates are averaged: an odd number of pixels.
-        This averaging blurs the map of rates.
-        Averages have smaller standard errors only with ``points="own"``.
+        The average over a window blurs the map of rates.
+        The averaged rates have smaller standard errors only with ``points="own"``.
     predict_every
         Step between the pixels at which the variance at the largest count is predicted.
         Pixels are chosen if x and y are multiples of this step. With 0 there are no predictions.
-        Jittered points use stratum quadrature; the prediction for random points is exact.
+        For jittered points, quadrature over the strata predicts the variance.
+        The prediction for random points is exact.
         In 2-D, shifted points use the power spectrum, and scrambled nets in base 2 use gains.
-        Other samplers have no prediction.
+        The variance of other samplers is not predicted.
     chains
         Number of pairs of random paths for the shares of the variance of whole paths.
         The default is 128 pairs. With 0, shares are not computed.
@@ -586,8 +587,9 @@ def variance_map(
         An index is −1 if the share does not differ significantly from another share.
 
         With `pixels`: ``measured`` is 1 at measured pixels, otherwise 0.
-        ``interpolation_factor(strategy)`` is a factor f, and 1 at measured pixels:
-        at 95 % of the pixels the variance is between 1/f and f times the interpolated one.
+        ``interpolation_factor(strategy)`` is a factor f that bounds the error of interpolation:
+        at 95 % of interpolated pixels, the variance is between 1/f and f times the given variance.
+        At measured pixels f is 1.
         Standard errors and intervals of all variables include the error of interpolation.
 
         With several samplers, all variables except the shares have the dim (sampler).
@@ -607,7 +609,7 @@ def variance_map(
     -----
     All shares come from the same pairs of paths and are sensitive to outliers.
     With 128 pairs, a share of a few per cent that rare paths cause is mostly too small.
-    The interval of such a share is also too small.
+    The interval of a share that rare paths cause is also too narrow.
 
     With `pixels`, another pixel gets the mean of its 8 nearest measured pixels.
     Weights are inverse squares of distances [Shepard1968]_; variances are averaged as logarithms.
@@ -619,8 +621,9 @@ def variance_map(
     A study keeps finished tiles and can resume.
     If few realizations hit a light, variances are mostly far too small at the smaller n.
     There is no rate if a variance at a smaller n is zero, or has a relative standard error above ½.
-    With more realizations, more pixels have a rate.
-    At each pixel, ``bottleneck`` is a test at 95 % of two techniques with independent points.
+    If more realizations are measured, more pixels have a rate.
+    At each pixel, ``bottleneck`` tests at 95 % whether the rates of the two techniques differ.
+    The points of the two techniques are independent.
     If both rates are equal, chance decides at one pixel in 20.
     """
     analysis = Map.of(locals())
@@ -792,7 +795,7 @@ def missed(row: dict[str, int], mean: Array, se: Array, realizations: int) -> Ar
     """Whether a strategy (S, y, x) significantly missed light that another strategy hit (t-test).
 
     The measured variance of a strategy is too small if the strategy missed light.
-    The two parts of MIS estimate different integrals and are never marked.
+    ``"mis-light"`` and ``"mis-bsdf"`` estimate different integrals, so this test ignores them.
     """
     from scipy.special import stdtrit
 

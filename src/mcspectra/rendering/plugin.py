@@ -5,17 +5,17 @@ Use the function `render_file` or the command ``render`` instead of the executab
 
 Method
 ------
-Sets are *padded* as in pbrt: each request for two numbers has its own two-dimensional set,
-and each request for one number has its own one-dimensional set.
-The points of each set are shuffled.
-Different requests are therefore independent of each other.
+An integrator requests one or two random numbers at a time. Sets are *padded* as in pbrt:
+each request for two numbers has its own two-dimensional set,
+and each request for a single number has its own one-dimensional set.
+The points of each set are shuffled, so that different requests are independent of each other.
 The numbers of each request are as evenly spread as the sampler's points [KolligKeller2002]_.
 
 Alternatively, the first `joint_dims` numbers of a sample come from a single *joint* set.
-By default, `JOINT_DIMS` numbers of binary nets with ``owen``, or with
-``digital-shift(jitter=True)``, are joint:
-the position in the pixel and the next pair, which is a point on the lens or on a light.
-Each pair of these numbers is as even as with padding (`mcspectra.samplers.nets.JoinedPairs`).
+By default, binary nets with ``owen`` or ``digital-shift(jitter=True)`` have joint sets
+of `JOINT_DIMS` numbers:
+two are the position in the pixel, and the next two a point on the lens or on a light.
+Both pairs of a joint set are as even as with padding (`mcspectra.samplers.nets.JoinedPairs`).
 All other samplers are padded by default.
 The same rule holds for `mcspectra.rendering.variance_map` and for pixels (`padding`).
 The command ``python -m benchmarks scenes`` measures the effect of this rule on five scenes.
@@ -23,7 +23,7 @@ The command ``python -m benchmarks scenes`` measures the effect of this rule on 
 In vectorized variants, lane i is sample i mod n of pixel ⌊i / n⌋.
 Kernels compute randomized nets (`kernel_nets`), also joint sets up to `_MOST_WORDS` dims.
 Sets of other samplers are stored as float32 tables in Dr.Jit's memory.
-Requests read these tables in the layout of `Rounds`.
+The class `Rounds` assigns the sets of these tables to requests for random numbers.
 In scalar variants, Mitsuba seeds the sampler for each pixel. Then the sets of the pixel are drawn.
 """
 
@@ -170,10 +170,10 @@ def joint_dims_of(sampler: Sampler) -> int:
 
 
 def joint_sampler(pair: Sampler, dims: int) -> Sampler:
-    """Return the sampler of joint sets for a sampler in two dims.
+    """Return a sampler of sets in more dims, for numbers that come jointly from one set.
 
     For `JOINT_DIMS` dims, two copies of a randomized binary net are joined (`JoinedPairs`).
-    In other cases, the sampler itself is used in `dims` dims.
+    For other numbers of dims or other samplers, the sampler itself is used in `dims` dims.
     """
     net = net_of(pair) or shifted_net_of(pair)
     if net is None or dims != JOINT_DIMS:
@@ -191,7 +191,7 @@ def _plugin_class(variant: str) -> Any:
     mitsuba = import_mitsuba()
     if variant.startswith("llvm"):
         before = mitsuba.variant()
-        load_mitsuba()  # this searches LLVM and reports missing packages
+        load_mitsuba()  # reports a missing package or a missing LLVM
         if before is not None:
             mitsuba.set_variant(before)
     try:
@@ -225,7 +225,7 @@ def _plugin_class(variant: str) -> Any:
             self.per_pass = samples_per_wavefront
 
         def seed(self, seed: Any, wavefront_size: int = _UNKNOWN) -> None:
-            # The method `seed` of the base class calls this method again if Python called it
+            # `super().seed` calls this method a second time; `seeding` tells the two calls apart
             if self.seeding:
                 super().seed(seed, wavefront_size)
                 return
@@ -310,7 +310,7 @@ class PixelState:
         return PixelState(sets, stream)
 
     def copy(self) -> PixelState:
-        """Return an independent copy of the state; it draws its sets again when needed."""
+        """Return an independent copy of the state, which draws point sets again when needed."""
         twin = PixelState(self._sets, self._stream)
         twin._index, twin._coordinate = self._index, self._coordinate
         twin._requests = dict(self._requests)
@@ -404,7 +404,7 @@ class _DeviceSets:
         self.size, self._count = (drjit.opaque(module.UInt32, k) for k in sets.shape[:2])
 
     def at(self, _: Any, __: Any) -> _DeviceSets:
-        """Return the sets, from which each request gathers its numbers."""
+        """Return this object, which holds the sets of all pixels and realizations."""
         return self
 
     def draw(self, dims: int, number: Any, start: Any, index: Any, active: Any) -> list[Any]:
@@ -421,7 +421,7 @@ class _DeviceSets:
 class _TablePads:
     """Tables of point sets: 1-D sets answer requests for one number, 2-D sets those for two.
 
-    An offset selects the set that answers a request. Each request of a pixel has another offset.
+    The number of a set is the pixel plus an offset; each request of a pixel has another offset.
     """
 
     def __init__(self, module: Any, sets: PaddedSets, stream: Stream, rounds: Rounds) -> None:
@@ -435,7 +435,7 @@ class _TablePads:
         return self._wrapped(offset + self._stride)
 
     def draw(self, dims: int, pixel: Any, offset: Any, index: Any, active: Any) -> list[Any]:
-        """Return the random numbers for a request with this offset."""
+        """Return `dims` random numbers for each lane, from the set at the given offset."""
         number = self._wrapped(pixel % self._sets[dims].size + offset)
         return self._sets[dims].draw(dims, number, 0, index, active)
 
@@ -450,8 +450,8 @@ class _TablePads:
 class LaneState:
     """State of a wavefront. It is a dataclass, so that Dr.Jit carries its arrays through loops.
 
-    Each lane has a pixel, the index of its sample, the number of used coordinates,
-    and the offsets of its next sets.
+    Each lane has a pixel, the index of its sample, and the number of coordinates it has used.
+    Each lane also has the offsets of the sets that it will use next.
     The attribute `done` counts the samples of earlier passes.
     """
 
@@ -521,14 +521,14 @@ MOST_SAMPLES = 2**16
 """Maximum samples per pixel. With more samples, the largest table would hold too few sets."""
 
 _MOST_NUMBERS = 2**27  # maximum number of values in one table (512 MiB)
-_FEWEST_SETS = 509  # minimum number of sets, a prime; after this many requests, sets repeat
+_FEWEST_SETS = 509  # minimum number of sets in a table, a prime; later requests reuse them
 _BLOCK_NUMBERS = 2**19  # numbers drawn at once (4 MiB of float64)
 _GOLDEN = (5**0.5 - 1) / 2
 
 
 @kernel
 def _shuffle(points: Array, keys: Array, largest: Any, out: Array) -> None:
-    # Fisher-Yates shuffle that builds the output. Shapes: points and out (R, n, d), keys (R, 2)
+    # Write shuffled points (R, n, d) to `out` by the inside-out Fisher-Yates method; keys (R, 2)
     for r in range(points.shape[0]):
         for i in range(points.shape[1]):
             j = int(mix_bits(keys[r, 0], keys[r, 1], i) % np.uint64(i + 1))

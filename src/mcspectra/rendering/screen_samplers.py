@@ -7,7 +7,7 @@ Points are made for blocks: rectangles of pixels over some frames. Sources of po
 * ``command(run='./mine {x} {y} {frame} {n} {seed}')``: a program, see `CommandScreen`;
 * ``python(function='module:function')``: a function of arrays x, y and frame, see `PythonScreen`;
 * ``tiles(path='…')``: files of masks, repeated over the screen, see `Tiles`;
-* ``tables(path='….cpp')``: the published tables of Heitz and others, see `Tables`.
+* ``tables(path='….cpp')``: tables of blue-noise samples, published by Heitz and others (`Tables`).
 
 This module is in the package `rendering`, because point samplers have no pixels and frames.
 """
@@ -223,7 +223,7 @@ class PixelSampler(ScreenSampler):
             _check_processes(self.spec, seeds * block.size)
 
     def repeats(self, n: int, block: ScreenBlock) -> tuple[bool, bool]:
-        """Return whether the block is a whole number of masks, in space and in time."""
+        """Return whether the mask covers the block exactly: in space, and repeated in time."""
         del n
         mask = self._mask
         if mask is None or mask.mask not in ("blue-noise", "spatiotemporal"):
@@ -265,9 +265,9 @@ def _check_processes(spec: str, processes: int) -> None:
 
 
 _AXES = (("frame", "frames"), ("y", "height"), ("x", "width"))
-"""Placeholders of the axes of a block, for one position and for the number of positions.
+"""Names of the placeholders in commands: for each axis, the position and the number of positions.
 
-The slowest axis comes first.
+The axis that varies slowest comes first.
 """
 
 _PLACEHOLDERS = (*(name for axis in _AXES for name in axis), "n", "seed", "dims")
@@ -356,7 +356,7 @@ class CommandScreen(ScreenSampler):
         return runs, [size // part for size, part in zip(sizes, runs, strict=True)]
 
     def blocks(self, block: ScreenBlock, seeds: int) -> tuple[int, bool]:
-        """Return one block if the program does not get a seed."""
+        """Return how many blocks differ: only one if the command has no placeholder of the seed."""
         del block
         return (seeds if "{seed}" in self.run else 1), False
 
@@ -366,7 +366,7 @@ class CommandScreen(ScreenSampler):
         return False, not set(_AXES[0]) & set(PLACEHOLDER.findall(self.run))
 
     def check(self, n: int, block: ScreenBlock, seeds: int) -> None:
-        """Also reject too many processes."""
+        """Check the block, and reject it if the program would run in too many processes."""
         ScreenSampler.check(self, n, block, seeds)
         _check_processes(self.spec, self.blocks(block, seeds)[0] * math.prod(self._parts(block)[0]))
 
@@ -521,7 +521,7 @@ class PythonScreen(_OfFunction):
     CountError
         If the function raises an exception.
     ConfigError
-        If a spec names the function and it is not allowed (`mcspectra.samplers.allow_code`).
+        If a spec names a function that `mcspectra.samplers.allow_code` has not allowed.
     """
 
     name: ClassVar[str] = "python"
@@ -562,24 +562,25 @@ class Tiles(ScreenSampler):
     ----------
     path
         A file, or a pattern with ``*`` that matches one picture per frame.
-        For a list of files, the channels of all files are joined in this order.
+        For a list of files, the mask has the channels of all files, in the order of the list.
 
         * PNG: one picture per frame, sorted by the numbers in the names.
           Spatio-temporal masks are often published so, as in ``stbn_vec2_2Dx1D_128x128x64_*``.
           Level k of L becomes (k + ½)/L, for 256 or 65,536 levels. Alpha is not used.
         * ``.npy``: shape (frames, height, width, channels), or (height, width, channels), or
-          (height, width) for one channel. Floats lie in [0,1). Levels of unsigned integers of 8 or
-          16 bits become (k + ½)/L, and other integers are ranks 0 … L − 1.
+          (height, width) for one channel. Floats lie in [0,1).
+          Level k of unsigned integers of 8 or 16 bits becomes (k + ½)/L, for L levels.
+          Other integers are ranks k from 0 to L − 1.
         * ``.bin``, ``.raw``: bytes in the order of a shape that must be given.
     shape
         Frames, height, width and channels of a file of bytes.
     points
         Sampler of one point set that all pixels share, such as ``'sobol'``.
-        Each pixel adds its value of the mask to this set, modulo 1.
+        At each pixel, the value of the mask is added to the shared points, modulo 1.
         By default, the mask's values are the points: frame t uses the slices t·n … t·n + n − 1.
     time
         ``"golden"`` shifts the values of frame t by t times the step of Roberts's R-sequence.
-        A mask of one frame then changes from frame to frame.
+        With this shift, a mask that has only one frame also changes from frame to frame.
     dims
         Number of channels to use, starting with the first.
     name_
@@ -662,7 +663,7 @@ class Tiles(ScreenSampler):
         return [max(1, whole // part) for whole, part in sides]
 
     def check(self, n: int, block: ScreenBlock, seeds: int) -> None:
-        """Also reject more points per pixel than the mask has frames."""
+        """Check the block, and reject more points per pixel than the mask has frames."""
         ScreenSampler.check(self, n, block, seeds)
         if self.points:
             as_sampler(self.points, self.dims).check_count(n)
@@ -673,7 +674,7 @@ class Tiles(ScreenSampler):
             )
 
     def frames_of(self, n: int, block: ScreenBlock, seed: int, stream: Stream) -> Iterator[Array]:
-        """Look up the values of the pixels in the mask."""
+        """Return the points of each frame, from the mask's values at the pixels of the block."""
         frames, height, width, _ = self.values.shape
         places = self._places(block)
         start = np.unravel_index(seed % math.prod(places), places)

@@ -1,6 +1,6 @@
 """Notebook representations of samplers, densities, integrands and estimators: images with facts.
 
-All of this is cheap to compute: a set of about 64 points, and values on a 48 × 48 grid.
+Pictures are quick to compute: they show about 64 points, or values on a 48 × 48 grid.
 Integrals are shown only if they are known in closed form.
 Components that are declared `costly`, and slow functions, are shown without an image.
 Images are SVG text. An image is drawn in a millisecond and needs no other files.
@@ -52,7 +52,7 @@ Pictures: TypeAlias = list[tuple[str, str]]
 def component_html(component: object) -> str:
     """Return the HTML of a component. For an unknown kind of component, only its spec is shown."""
     with warnings.catch_warnings(), np.errstate(all="ignore"):
-        warnings.simplefilter("ignore")  # warnings about counts and 0/0 in f/p do not matter here
+        warnings.simplefilter("ignore")  # pictures may use other counts, and have 0/0 in f/p
         if isinstance(component, Sampler):
             return _page(component.spec, *_sampler(component))
         if isinstance(component, Density):
@@ -97,7 +97,7 @@ def _sampler(sampler: Sampler) -> tuple[Pictures, Rows]:
     if _is_costly(sampler) or n * sampler.dims > _MOST_NUMBERS:
         return [], [*rows, ("picture", f"omitted: {n} points would take long")]
     points = sampler.draw(n, rng=0)[0]
-    # The nearest point is the point itself, so use the second; a single point gives infinity
+    # The second point of a query is the nearest other point; a single point has the distance ∞
     tree = KDTree(points, boxsize=np.ones(points.shape[1]))
     least = float(np.min(tree.query(points, k=[2])[0]))
     rows.append(("smallest distance", f"{number(least)} (of these points)"))
@@ -280,7 +280,7 @@ def _framed(drawing: str, label: str) -> str:
 
 
 def _limits(values: Array) -> tuple[float, float]:
-    """Return the range of values for colors, from percentiles of the finite values."""
+    """Return the limits of a color scale: two percentiles of the finite values."""
     finite = values[np.isfinite(values)]
     if not finite.size:
         return 0.0, 0.0

@@ -41,7 +41,7 @@ _DRAWN = (
     "spectrum",
     "points",
     "pcf",
-)  # these analyses have no table of their own
+)  # analyses for which the list of tables has no further entry
 
 Rows = Iterator[Sequence[str | TableCell]]
 Analyses = Mapping[str, Any]
@@ -60,7 +60,7 @@ def summary_table(
     rows
         Summary of each pair of estimator and sampler.
     analyses
-        Results by analysis for the channel of each row. The bottleneck is derived from them.
+        For each row, the results of all analyses for its channel. They determine the bottleneck.
     links
         Address of a hyperlink on the estimator in each row. Default: no links.
 
@@ -314,7 +314,7 @@ _TABLES: Mapping[
             "Ratio",
             "95 % interval",
             "Rate",
-            "Verdict",  # not marked as a column of words, because columns of words wrap
+            "Verdict",  # left out of the columns of words below, whose text may wrap
             "What to do",
         ),
         (0, 1, -1),

@@ -42,7 +42,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         for name in ("jittered", "jittered | shift")
     }
 
-    # Check the formula for the size of a matrix, and request a matrix that is too large
+    # Check the formula for the size of a matrix, and the error message for too large a matrix
     wrong = [d for d, x in whole.items() if x["cross_matrix"].size != entries(d, SMALL[d][1])]
     times = entries(2, 64) / entries(1, 64)
     answer = "a matrix"
@@ -51,14 +51,15 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     except mcs.McspectraError as refusal:
         answer = str(refusal)
 
-    # The sum of contributions minus |f_m|² C_mm must be the third term
+    # Check that the contributions without their diagonal |f_m|² C_mm sum to the third term
     errors = [
         abs(float((data["contribution"] - data["power_contribution"]).sum() - data["cross_term"]))
         / float(data["power_term"])
         for data in runs.values()
     ]
 
-    # Compare each band of random points with the ANOVA component of its axes, divided by N
+    # For random points, the variance from a band of frequencies should be 1/N times
+    # the ANOVA component of the axes of this band
     random, (n, half_width) = bands["random"], RUNS[3]
     known, order = components(3, half_width), labelled_subsets(random)
     kept = [k for k, subset in enumerate(order) if subset]
@@ -166,7 +167,7 @@ def bell_terms(
 
 
 def entries(dims: int, half_width: int) -> int:
-    """Return the number of entries of the matrix. A map has the square root of this number."""
+    """Return the number of entries of the full matrix; a map over frequencies has its root."""
     return int((2 * half_width + 1) ** (2 * dims))
 
 

@@ -41,10 +41,10 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     integral = float(np.squeeze(mcs.integrand(BELL, 1).integral))
 
     # Compute the exact second and third variance terms for f(x) = x and jittered points.
-    # The terms are sums over all frequencies up to the half width
+    # The exact terms are sums over all frequencies |m| ≤ HALF_WIDTH
     _, *exact = split(exact_matrix(mcs.integrand(LINE, 1), "jittered", None, HALF_WIDTH))
 
-    # Extrapolate both terms to all frequencies. A sum up to frequency K has an error of order 1/K
+    # Extrapolate second and third term to all frequencies: up to K, their errors are of order 1/K
     near, far = (
         np.array(split(exact_matrix(mcs.integrand(LINE, 1), "jittered", None, k)))
         for k in (256, 512)
@@ -54,7 +54,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         "third term is 1/(6N³) − 1/(6N²)": 1 / (6 * N**3) - 1 / (6 * N**2),
     }
 
-    # Sum the terms with ⟨S_m conj(S_l)⟩ and with ⟨conj(S_m) S_l⟩, for random importance samples
+    # For random importance samples, sum the terms of the formula with ⟨S_m conj(S_l)⟩,
+    # and again with ⟨conj(S_m) S_l⟩ as printed on the slides
     f = mcs.integrand(BELL, 1)
     mirrored = mcs.Integrand.from_function(lambda x: f(1.0 - x), dims=1, integral=f.integral)
     matrix = exact_matrix(f, "random", DENSITY, 128)
@@ -71,7 +72,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     values = (float(matrix.sum().real), as_printed)
 
     # Compare the sum of the terms with the truncated variance in each case.
-    # Also take the off-diagonal entries of each matrix, whose sum is the third term
+    # The third term of each case is the sum of the off-diagonal entries of its matrix
     errors = [float(d["predicted_variance"] / d["truncated_variance"][-1]) - 1.0 for d in every]
     off = [
         each[~np.eye(len(each), dtype=bool)]

@@ -61,7 +61,7 @@ _RESOLUTION = 256
 _ROUNDING = 1e-12
 
 
-# Ends of the color scale for matrices of f(x) = x with 16 points: four decades
+# Color scale for matrices of f(x) = x with 16 points. It covers four decades of each sign
 _ENTRIES = signed_scale("conj(f_m) f_l C_ml", [np.array([-1e-4, 1e-8, 1e-4])], decades=4)
 
 
@@ -127,7 +127,7 @@ def variance_panel(
 
 
 def at_ring(spectrum: xr.Dataset, ring: int, scale: float) -> Measured:
-    """Return the radial power at |m| ≈ `ring`, times `scale`."""
+    """Return the radial mean power at |m| ≈ `ring`, multiplied by the factor `scale`."""
     row = spectrum.isel(radius=ring - 1)
     return Measured.normal(
         scale * float(row["radial_power"]), scale * float(row["radial_power_se"])

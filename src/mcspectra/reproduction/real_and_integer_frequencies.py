@@ -1,10 +1,10 @@
 """Sums over integer frequencies give the variance. Sums over real frequencies diverge.
 
 On the unit interval, f(x) = x jumps at the border, and g(x) = (1 − cos 2πx)/2 does not.
-Half-integers are the frequencies of a domain of twice the length, [0, 2),
-whose second half contains neither values of f nor points.
+Half-integers are the frequencies of a domain of twice the length, [0, 2).
+In the second half of this domain, f is 0 and there are no points.
 For Δν = ½ and N → ∞, the sum over half-integers ν ≠ 0 tends to ∫ (f ⋆ box)² − I²/2.
-The reason is that |⟨S_ν⟩|² is the power spectrum of a box: 1 on [0, 1) and 0 on [1, 2).
+This limit holds because |⟨S_ν⟩|² is the power spectrum of a box: 1 on [0, 1) and 0 on [1, 2).
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ SAMPLERS = {
 }
 RATES = {"f": -2.0, "g": -3.0}
 _SHOWN = 64  # number of points that the figure shows at first
-# Number of frequencies in a sum. Higher frequencies of f(x) = x would add little to the sum:
-# a share of 12 N / (4π² 2^16), which is 0.5 % at N = 1024.
+# Number of frequencies in a sum. For f(x) = x, higher frequencies would increase the sum
+# by the fraction 12 N / (4π² 2^16) of its value, which is 0.5 % at N = 1024.
 _HIGHEST = 2**16
 
 
@@ -194,7 +194,7 @@ def frequency_sums(name: str, sampler: str, step: float) -> Array:
 
 @cache
 def real_limit(name: str) -> float:
-    """Return the limit of sums over half-integers, from quadrature of (f ⋆ box)² over [0, 2]."""
+    """Return ∫ (f ⋆ box)² − I²/2, the limit of the sum over half-integers for N → ∞."""
     node, weight = np.polynomial.legendre.leggauss(60)
     t, weight = (node + 1) / 2, weight / 2
     # f ⋆ box is F(t) on [0, 1] and I − F(t − 1) on [1, 2], where F is the integral of f from 0

@@ -130,7 +130,7 @@ def _product(n: int) -> Plot:
 
 
 def importance_terms(realizations: int, seed: int) -> xr.Dataset:
-    """Return the variance terms of random points with a density, which correlates frequencies."""
+    """Return the variance terms of importance samples, whose coefficients S_m are correlated."""
     return mcs.variance_terms(
         _estimator(), "random", N, half_width=16, realizations=realizations, rng=seed
     )
@@ -166,7 +166,7 @@ def _closed_sum(name: str) -> Claim:
         "truncation: relative difference.",
         total / exact(name) - 1.0,
         # On the torus, the integrand jumps by exp(−(0.4/0.1)²/2) = 3e-4 at the border.
-        # The jump causes |f_m|² at frequencies above the half width
+        # Because of this jump, frequencies above the half width contribute to the variance
         at_most=1e-5,
     )
 

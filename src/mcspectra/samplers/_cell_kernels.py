@@ -8,20 +8,21 @@ Removing or inserting a point changes only the adjacent cells.
 Notation for farthest points: n points in 2 dims. Buckets are described in `_spacing_kernels`.
 Voronoi cells are stored like the cells of power diagrams (below).
 Each row of the array holes (n, 4) belongs to one Voronoi cell.
-The row holds the coordinates of the corner farthest from the cell's point,
-the squared distance of this corner, and the squared distance of the nearest neighbor.
+The first two numbers of the row are the coordinates of the corner farthest from the cell's point.
+The other two are the squared distances of this corner and of the nearest neighbor.
 
 Power diagrams: the cell of site i contains all x that satisfy the inequality
 |x − x_i|² − w_i ≤ |x − x_j|² − w_j for all sites j and their images.
 Nearby sites, taken ring by ring from a grid, cut the cell.
-The cuts end when the remaining sites are too far away.
+No more sites are taken when the remaining sites are too far away to cut the cell.
 
 Notation for power diagrams: n sites in 2 dims; points (n, 2) in [0,1), weights w (n,).
 The array sites (n, 3) holds points and weights in the order of the grid.
 A cell (K, 4) is a counterclockwise polygon relative to its site. Each row describes a corner.
-The row holds x, y, and two numbers for the site beyond the edge to the next corner:
-the distance of this site, and its index (−1 for an image of the cell's own site).
-The array `spare` (K, 4) holds the corners of a cell before a cut.
+The first two numbers of the row are x and y of the corner.
+The third is the distance of the site beyond the edge to the next corner.
+The fourth is the index of this site (−1 for an image of the cell's own site).
+While a cell is cut, the array `spare` (K, 4) holds a copy of its corners.
 
 Gaussian blue noise: the energy of all pairs of points, and the gradient of the energy.
 Notation: n points, d dims; `points` float64 in [0,1); `force` gets the gradient.
@@ -51,12 +52,12 @@ __all__ = [
 _CORNERS = 64  # largest number of corners of a Voronoi cell; six on average
 _LOAD = 2.0  # number of sites per cell of the grid; 1 to 3 take the same time
 _SOLVED = 1e-3  # relative residual of the linear equations; enough for Newton steps
-# Largest ratio of the lengths of two successive Newton steps.
+# A Newton step is at most this factor longer than the step before it.
 # A long trial step after a short one is usually rejected, because short steps come in series.
 _LONGER = 4.0
 _HALVINGS = 40
 _UNLIMITED = 2**62
-_PRODUCTS = 4  # cost of a product in the linear solver; visiting a site has cost 1
+_PRODUCTS = 4  # work for each entry of a matrix-vector product; a corner of a cell counts 1
 
 
 @kernel
@@ -96,8 +97,8 @@ def _cut(
             count += 1
         if (u <= 0.0) != (v <= 0.0):
             # The border of the cell crosses the line x·d = level between these two corners.
-            # The new edge on this line starts where the border leaves the half-plane x·d ≤ level,
-            # and ends where the border returns to this half-plane
+            # The new edge lies on this line. It starts where the border of the cell leaves the
+            # half-plane x·d ≤ level, and ends where the border enters the half-plane again
             t = u / (u - v)
             cell[count, 0] = spare[k, 0] + t * (spare[after, 0] - spare[k, 0])
             cell[count, 1] = spare[k, 1] + t * (spare[after, 1] - spare[k, 1])
@@ -166,7 +167,7 @@ def measure_all(points: Array) -> Any:
 
 @kernel
 def _measure_around(size: int, cell: Array, points: Array, buckets: Any, holes: Array) -> None:
-    # Update the distances of the neighbors of a cell.
+    # Compute the cells of all neighbors of a cell again, and their farthest corners
     other, spare = np.empty((_CORNERS, 4)), np.empty((_CORNERS, 4))
     for k in range(size):
         if cell[k, 3] >= 0:
@@ -213,9 +214,10 @@ class Diagram(NamedTuple):
     offsets
         Offsets of the centroids from the sites, (n, 2).
     rows, neighbors, couplings
-        Cell i has the faces rows[i, 0] … rows[i, 1] − 1. The neighbor is the site beyond the face.
+        The faces of cell i have the indices rows[i, 0] … rows[i, 1] − 1.
+        The neighbor of a face is the site on the other side.
         The coupling of a face is length / (2 distance).
-        Per unit of the neighbor's weight, the area of cell i decreases by the coupling.
+        If the weight of the neighbor grows by ε, the area of cell i shrinks by ε · coupling.
     work
         Amount of work: the number of corners of the cell, summed over visited sites and grid cells.
     """
@@ -306,7 +308,7 @@ def power_diagram(points: Array, weights: Array) -> Diagram:
     areas, moments, offsets = np.empty(n), np.empty(n), np.empty((n, 2))
     rows, used, work = np.zeros((n, 2), np.int64), 0, 0
     neighbors, couplings = np.empty(8 * n + 8, np.int64), np.empty(8 * n + 8)
-    # A cell lies within a unit square, where at most 9 images of a site share a face with it
+    # A cell fits into a unit square, so at most 9 periodic images of another site are neighbors
     cell, spare = np.empty((10 * n + 10, 4)), np.empty((10 * n + 10, 4))
     for s in range(n):
         i = order[s]
@@ -364,7 +366,7 @@ def _solve(diagram: Diagram, rest: Array) -> tuple[Array, int]:
             break
         work += _PRODUCTS * (n + diagram.couplings.size)
 
-        # Multiply the direction by the Laplacian L of the neighbor graph
+        # Multiply the search direction by the Laplacian L, and compute direction · L direction
         product = 0.0
         for i in range(n):
             total = 0.0
@@ -384,7 +386,7 @@ def _solve(diagram: Diagram, rest: Array) -> tuple[Array, int]:
 
 @kernel
 def _compare(areas: Array, masses: Array, rest: Array) -> Any:
-    # Write masses − areas to `rest`; return its largest entry relative to a mass, and |rest|².
+    # Write rest = masses − areas. Return the largest |rest| relative to a mass, and |rest|².
     worst, square = 0.0, 0.0
     for i in range(areas.size):
         rest[i] = masses[i] - areas[i]
@@ -404,9 +406,9 @@ def balance(
 ) -> Any:
     """Return weights whose cells have areas `masses`, and their power diagram.
 
-    Newton steps start at `weights`, or at 0 if `weights` leave a cell empty.
+    Newton's method starts at `weights`, or at weights of 0 if `weights` leave a cell empty.
     The steps end after a given number, or when all areas are right within the tolerance.
-    The steps also end when the areas no longer improve, or when the work exceeds `most_work`.
+    Newton's method also ends if the areas no longer improve, or the work exceeds `most_work`.
     The work includes the linear solver; `Diagram` defines the unit of work.
     No step is taken if some sites are so close that a cell is empty with equal weights.
 
@@ -438,7 +440,7 @@ def balance(
                 break
             length /= 2
         else:
-            break  # rounding prevents further improvement
+            break  # because of rounding errors, no length of the step improves the areas
         weights += length * change
         diagram, worst, square = trial, trial_worst, trial_square
     return weights, diagram
@@ -481,7 +483,7 @@ def near_energy(points: Array, cells: Array, offsets: Array, sigma: float, force
 
     `offsets` (K, 3) are steps from a cell to its neighbors. The first step is zero.
     Of two opposite steps, only one is listed, so each pair of cells is visited once.
-    Steps may go around the torus several times, so that all images count.
+    Steps may go around the torus several times, so that all periodic images of a point count.
     """
     n = points.shape[0]
     cell = np.empty(n, np.int64)
@@ -530,7 +532,7 @@ def series_energy(points: Array, weights: Array, force: Array) -> float:
     energy = 0.0
     for i in range(n):
         for k in range(i):
-            # Compute the factor of each axis, and the derivative of the factor
+            # Compute the factor 1 + Σ_m weights[m−1] cos 2πm(x_j − y_j) and its derivative
             for j in range(dims):
                 value[j], slope[j] = 1.0, 0.0
                 for m in range(weights.size):
@@ -539,7 +541,7 @@ def series_energy(points: Array, weights: Array, force: Array) -> float:
                     turn = s[i, j, m] * c[k, j, m] - c[i, j, m] * s[k, j, m]
                     slope[j] -= 2.0 * pi * (m + 1) * w * turn
 
-            # Compute the derivatives of the product of the factors
+            # Compute the derivatives of the product over all axes j
             after[dims] = 1.0
             for j in range(dims - 1, -1, -1):
                 after[j] = after[j + 1] * value[j]

@@ -9,7 +9,7 @@ __all__ = ["LARGEST_BASE", "is_prime", "power_from", "prime_from"]
 LARGEST_BASE = 2**13
 """Largest base of digits. It is above the 1,000th prime.
 
-In every base b up to this one, the least power b^m ≥ 2^32 is far below 2^53.
+For every base b up to this number, the smallest power b^m ≥ 2^32 is far below 2^53.
 """
 
 

@@ -56,7 +56,7 @@ class PerturbedLattice(GridSampler):
     width
         Standard deviation of each coordinate's displacement, as a multiple of the spacing 1/s.
     correlation
-        Exponent β, −2 ≤ β ≤ 2; 0 makes displacements independent.
+        Exponent β, −2 ≤ β ≤ 2. If β is 0, the displacements of different points are independent.
         The power spectrum of the displacements is proportional to |k|^(−β).
         The power of the points therefore grows like |m|^(2−β).
 
@@ -64,7 +64,7 @@ class PerturbedLattice(GridSampler):
     -----
     The field is periodic, and is computed from white noise by a fast Fourier transform.
     For independent displacements n⟨|S_m|²⟩ = 1 − exp(−4π²|m|²(width/s)²).
-    This formula does not hold at the frequencies of the grid, m ≡ 0 modulo s.
+    The formula for |S_m|² does not hold at the frequencies of the grid, m ≡ 0 modulo s.
 
     References
     ----------
@@ -90,7 +90,7 @@ class PerturbedLattice(GridSampler):
         """Return ⟨|S_m|²⟩ at integer m (..., d), which a common translation does not change.
 
         The power is (1/n) Σ_r exp(−2πi m·r/s) exp(−4π² |m|² (width/s)² (1 − ρ(r))).
-        The sum is over the positions r of the grid.
+        The sum runs over all positions r of the grid, which are integers from 0 to s − 1.
         ρ(r) is the correlation of displacements at offset r ([Gabrielli2004]_, Gaussian case).
         """
         sides = self._sides(n)
@@ -115,7 +115,7 @@ class PerturbedLattice(GridSampler):
         fill_normals(keys, self.dims, moves)
         field = moves.reshape(count, n, self.dims)
 
-        # Filter the white noise to power proportional to |k|^(−β), without changing its variance
+        # Filter the white noise, so that its power is proportional to |k|^(−β); keep its variance
         if self.correlation != 0.0 and n == 1:
             field = np.zeros_like(field)  # the only frequency of the field is 0
         elif self.correlation != 0.0:
@@ -183,7 +183,7 @@ class StealthyHyperuniform(OptimisedSampler):
     """
 
     max_dims: ClassVar[int | None] = 64
-    max_count: ClassVar[int] = 2**14  # work grows as n²
+    max_count: ClassVar[int] = 2**14  # computing time grows as n²
     dims: int = DEFAULT_DIMS
     stealthiness: float = real(0.4, above=0.0)
     iterations: int = whole(10_000, least=1, most=10**6)
@@ -296,8 +296,8 @@ class Determinantal(Sampler):
     -----
     Points are drawn exactly, one after another, each by rejection from uniform proposals.
     See Hough et al., algorithm 18, and Lavancier et al., algorithm 1.
-    The process is stationary. Its pair density is n² − |K(x, y)|², and its power is
-    n⟨|S_k|²⟩ = 1 − #{(m, m') in M × M: m − m' = k}/n.
+    The process is stationary. Its pair density is n² − |K(x, y)|².
+    Its power is n⟨|S_k|²⟩ = 1 − #{(m, m') in M × M: m − m' = k}/n.
     The process is thus hyperuniform, with power ∝ |k|.
     Variances of smooth integrands fall as n^(−1−1/d).
 
@@ -322,7 +322,8 @@ class Determinantal(Sampler):
     def _power(self, n: int, m: Array) -> Array:
         """Return ⟨|S_m|²⟩ at integer frequencies m (..., d): (1 − s)/n, and 1 at m = 0.
 
-        Here s is the share of the kernel's n frequencies k for which k + m is also one of the n.
+        A frequency k of the kernel's n frequencies counts for s if k + m is also one of them;
+        s is the fraction of frequencies that count.
         """
         waves = self.frequencies(n)
         flat = np.rint(m).reshape(-1, self.dims).astype(np.int64)
@@ -348,7 +349,8 @@ class Determinantal(Sampler):
 
 @kernel
 def _add_block(re: Array, im: Array, vr: Array, vi: Array, cr: Array, ci: Array) -> float:
-    # Compute coefficients of a feature vector in one block of the basis, and their sum of squares.
+    # Project a feature vector onto one block of basis vectors: write the complex coefficients to
+    # cr and ci, and return the sum of their squared absolute values.
     cr[:] = 0.0
     ci[:] = 0.0
     for k in range(re.size):
@@ -384,8 +386,8 @@ def _append(re: Array, im: Array, basis: tuple[Array, Array], i: int, cr: Array,
 
 @kernel
 def _draw(k0: np.uint64, k1: np.uint64, m: Array, basis: tuple[Array, Array], out: Array) -> None:
-    # Draw one realization. When a point is found, other proposals are kept for later points:
-    # the tests that a proposal has passed remain valid.
+    # Draw one realization by rejection. After a point is accepted, other proposals are kept:
+    # a later point needs the same tests of a proposal, and further ones.
     n, dims = out.shape
     x, most, within = np.empty((_BATCH, dims)), np.empty(_BATCH), np.empty(_BATCH)
     re, im = np.empty((_BATCH, n)), np.empty((_BATCH, n))
@@ -393,7 +395,7 @@ def _draw(k0: np.uint64, k1: np.uint64, m: Array, basis: tuple[Array, Array], ou
     cr, ci = np.zeros(shape), np.zeros(shape)
     i, number = 0, 0
     while i < n:
-        # Propose positions, with their feature vectors exp(2π i m·x)
+        # Draw random positions x as proposals, and compute their feature vectors exp(2π i m·x)
         for p in range(_BATCH):
             for j in range(dims):
                 x[p, j] = mix_uniform(k0, k1, number + j)
@@ -407,7 +409,7 @@ def _draw(k0: np.uint64, k1: np.uint64, m: Array, basis: tuple[Array, Array], ou
                 im[p, k] = sin(2.0 * pi * phase)
 
         # Project the feature vectors of the proposals onto the basis.
-        # Reject a proposal if the squared norm of its projection reaches the proposal's limit
+        # Reject a proposal p if the squared norm of its projection reaches its random limit most[p]
         within[:] = 0.0
         for block in range((i + _BLOCK - 1) // _BLOCK):
             vr, vi = basis[0][block], basis[1][block]
@@ -416,7 +418,7 @@ def _draw(k0: np.uint64, k1: np.uint64, m: Array, basis: tuple[Array, Array], ou
                     within[p] += _add_block(re[p], im[p], vr, vi, cr[p, block], ci[p, block])
 
         # Accept the remaining proposals in order. Each accepted point adds a vector to the basis.
-        # Each later proposal is also projected onto the new vector.
+        # Then project the proposals that follow in this batch onto the new basis vector.
         for p in range(_BATCH):
             if i == n or within[p] >= most[p]:
                 continue
@@ -435,10 +437,10 @@ def _draw(k0: np.uint64, k1: np.uint64, m: Array, basis: tuple[Array, Array], ou
 
 @kernel
 def _fill_determinantal(keys: Array, m: Array, out: Array) -> None:
-    # Draw from the projection process of the frequencies m (n, d); out (R, n, d).
+    # Draw R realizations (R, n, d) of the determinantal process with the frequencies m (n, d).
     # After i points, the density of the next point is ‖P φ(x)‖²/(n − i), with feature vector φ(x).
     # The projection P removes the feature vectors of the drawn points.
-    # The bound for the rejection is ‖φ‖² = n.
+    # Uniform proposals are rejected with the bound ‖P φ(x)‖² ≤ ‖φ(x)‖² = n.
     n = out.shape[1]
     shape = ((n + _BLOCK - 1) // _BLOCK, n, _BLOCK)
     basis = np.empty(shape), np.empty(shape)
@@ -480,7 +482,7 @@ def half_shells(most: int, dims: int) -> Array:
     """
     found = nearest_frequencies(2 * most + 2, dims)
     norms = np.sum(found**2, axis=1)
-    inside = found[norms < norms[-1]]  # the last shell may be incomplete, so it is left out
+    inside = found[norms < norms[-1]]  # without the last shell, which may be incomplete
     first = np.argmax(inside != 0, axis=1)
     half: Array = inside[inside[np.arange(len(inside)), first] > 0]
     return half

@@ -2,7 +2,8 @@
 
 The function `minimize` is limited-memory BFGS with reproducible bits [Nocedal1980]_.
 Linear algebra libraries may sum in another order on other numbers of threads or processors.
-Here every sum is NumPy's own, so a set depends only on its random numbers (docs/decisions/0015).
+This module uses no such library: NumPy computes all sums in a fixed order.
+Therefore a set of points depends only on its random numbers (docs/decisions/0015).
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ Report: TypeAlias = Callable[[float], None]
 
 _CHILD = 1  # label of the random stream for the translations of reused sets
 # Number of earlier steps in the memory of limited-memory BFGS; 5 to 20 are usual.
-# Each stored step comes with the change of the gradient during the step.
+# For each of these steps, the memory also holds the change of the gradient.
 _MEMORY = 10
 _DECREASE = 1e-4  # least decrease of an accepted step, relative to the slope
 _HALVINGS = 20
@@ -57,10 +58,10 @@ class OptimisedSampler(Sampler, ABC):
     ----------
     sets
         With None, every realization is a new set, made from its own random numbers.
-        With K, only K sets are made, the same for every seed.
+        With a number K, only K sets are made, which are the same for every seed.
         Realization r is then set r mod K under a random translation of the torus.
         Estimated means and variances remain correct on average.
-        However, the sample has only K sets, on which standard errors of spectra are based.
+        Standard errors of spectra treat only the K sets as independent, not all realizations.
     """
 
     costly: ClassVar[bool] = True
@@ -172,7 +173,7 @@ def minimize(
     report
         Function that is called at intervals with the fraction of the iterations done.
     goal
-        Value of `function` at which the descent ends.
+        The descent ends as soon as the value of `function` is at most this.
     gain
         The descent ends when a step gains less than this, relative to the value or to 1.
     """
@@ -197,7 +198,7 @@ def minimize(
             length /= 2
         else:
             if not memory:
-                # Not even a step along the gradient lowers the value: rounding errors prevent it
+                # A step along the gradient does not lower the value, because of rounding errors
                 break
             memory.clear()
             continue
@@ -214,7 +215,7 @@ def minimize(
 
 
 def _direction(gradient: Array, memory: deque[tuple[Array, Array, float]]) -> Array:
-    """Return minus the approximate inverse Hessian times the gradient: Nocedal's two loops."""
+    """Return −H g by Nocedal's two loops, with the approximate inverse Hessian H and gradient g."""
     direction, factors = -gradient, []
     for step, change, product in reversed(memory):
         factor = _dot(step, direction) / product

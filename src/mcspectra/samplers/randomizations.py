@@ -37,14 +37,14 @@ __all__ = ["Decorrelate", "Mirror", "RandomRotation", "Shift", "StrataShift", "f
 
 _MOST_IMAGED = 30  # largest number of dims of the uniform mode, which makes 2^d images
 _MASK_KEY = 0x3A5C  # arbitrary seed of the dither mask; realizations shift the same mask at random
-# Half the side of the first window that is searched for the n points of a rotated set.
-# Its area is 1.44, so it nearly always contains more than n of the repeated points.
+# Half the side of the first square window in which a rotated set is searched for n points.
+# The window has the area 1.44, so it nearly always contains more than n of the repeated points.
 _FIRST_REACH = 0.6
 # Half the side of a window that always contains more than n points.
 # A disk of radius √5/2 < 1.12 contains two copies of the domain, side by side.
 _REACH = 1.12
 
-# Structures that remain after a randomization.
+# For each structure of a point set, the structure that is left after a randomization.
 # A translation of the torus moves strata and elementary intervals away from the origin.
 # A rotation preserves digits, but exchanges coordinates of different bases.
 # Reflections map cells to cells, but images of points near a face lie close to each other.
@@ -71,7 +71,7 @@ class Shift(Randomization):
     debiases: ClassVar[bool] = True
 
     def law_of(self, law: Law, n: int) -> Law:  # noqa: ARG002
-        """Return the law after one uniform translation of the torus."""
+        """Return the joint distribution of the points after a uniform translation of the torus."""
         return shifted(law)
 
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
@@ -150,7 +150,7 @@ class RandomRotation(Randomization):
     Notes
     -----
     If a unit square is rotated by another angle and wrapped, it covers parts of the torus twice.
-    Other parts of the torus stay empty. The window avoids both errors.
+    Other parts of the torus stay empty. Taking the points in a window avoids both problems.
     Inside the window, distances are preserved up to a scale of 1 + O(n^-1/2) for random points.
     Distances across the window's border are not preserved.
     The translation moves this border to a random place, and makes every point exactly uniform.
@@ -174,7 +174,7 @@ class RandomRotation(Randomization):
         return Randomization.fit(self, sampler)
 
     def left(self, sampler: Sampler) -> Structure:
-        """Return DIGITS for elementary intervals if all coordinates have digits in one base."""
+        """Return the structure that is left. A toroidal rotation keeps digits in a common base."""
         same = self.boundary == "toroidal" and len(set(sampler.digit_bases)) == 1
         if sampler.structure is Structure.DIGITS and same:
             return Structure.DIGITS
@@ -295,7 +295,7 @@ class Mirror(Randomization):
     References
     ----------
     See [Hickernell2002]_ for the baker's transform.
-    The other modes are our interpretation of mirrored samples.
+    The modes ``"random"`` and ``"uniform"`` are our interpretation of mirrored samples.
     The uniform mode is the antithetic variate of [HammersleyMorton1956]_ in each coordinate.
     """
 
@@ -317,7 +317,7 @@ class Mirror(Randomization):
         return Randomization.fit(self, sampler)
 
     def law_of(self, law: Law, n: int) -> Law:
-        """Return the folded or mirrored law, equivalent to a changed integrand."""
+        """Return the law of the mirrored points; predictions change the integrand instead."""
         if self.mode == "fold":
             return Folded(n=n, dims=law.dims, inner=law)
         return Mirrored(n=n, dims=law.dims, inner=law, mode=self.mode)  # type: ignore[arg-type]
@@ -369,7 +369,7 @@ def folded(points: Array) -> Array:
 
 @kernel
 def _reflect_at_random(keys: Array, points: Array, out: Array) -> None:
-    # Reflect each coordinate if its bit is set; 64 coordinates share a random number.
+    # One random bit decides whether a coordinate is reflected; a random number has 64 bits.
     count, n, dims = points.shape
     words = (dims + 63) // 64
     for r in range(count):
@@ -415,14 +415,15 @@ class Decorrelate(Randomization):
     Notes
     -----
     The realizations of one seed are the pixels of one image.
-    All pixels share a set, and with a mask their shifts share one pattern.
+    All pixels share one point set. With a mask, the shifts of all pixels come from one pattern.
     Variances over the pixels are variances within an image.
     Variances over the pixels do not converge to variances over seeds.
 
-    A mask has one number per dim. This is enough for shift, and for digital-shift in base 2.
-    In one pixel every point is uniform with any mask.
+    At each pixel a mask gives one number per dim, which is enough for shift,
+    and for digital-shift in base 2.
+    For every mask, the points in a single pixel are uniformly distributed.
     In each dim, the shifts of the width² pixels of a blue-noise mask are stratified:
-    each of width² equal intervals of [0,1) contains one shift.
+    if [0,1) is divided into width² equal intervals, each interval contains one shift.
     The shifts of a spatio-temporal mask are stratified in the same way over all its frames.
 
     References
@@ -476,7 +477,7 @@ class Decorrelate(Randomization):
         return self
 
     def law_of(self, law: Law, n: int) -> Law:
-        """Return the law of one pixel; pixels share one set."""
+        """Return the joint distribution of the points in one pixel; all pixels share one set."""
         if self.advance:  # each frame uses other points of the sequence
             return Randomization.law_of(self, law, n)
         return self._step().law_of(law, n)
@@ -490,7 +491,7 @@ class Decorrelate(Randomization):
     ) -> Array:
         if self.advance:
             # Draw the points of all frames at once, n points for each frame.
-            # Increase the number of frames to a power of two, because some sequences need it
+            # Round the number of frames up to a power of two: some sequences need 2^m points
             frames = (first + count - 1) // self.width**2 + 1
             most = sampler.check_count(n << (frames - 1).bit_length())
             points = sampler.draw_stream(most, stream, 0, 1)[0].reshape(-1, n, sampler.dims)
@@ -513,7 +514,8 @@ class Decorrelate(Randomization):
             sums = units + pixels.astype(np.uint64)[:, None] * golden_steps(dims)  # modulo 2^64
             return np.asarray((sums >> np.uint64(11)) * 2.0**-53)
 
-        # Ranks of the mask, moved separately for each dim, plus a random number within each rank
+        # A shift is (rank + random number)/number of ranks.
+        # Each dim has its own position of the mask
         width, places = self.width, places.reshape(3, dims)
         ranks = _mask(width, self.frames if self.mask == "spatiotemporal" else 1)
         frame = pixels // width**2

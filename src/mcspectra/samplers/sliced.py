@@ -16,7 +16,7 @@ from mcspectra.samplers.optimised import OptimisedSampler, random_points
 __all__ = ["SlicedOptimalTransport", "projected_quantiles"]
 
 _TABLE = 2049  # number of points at which a projected cube's distribution is tabulated
-_NARROW = 1e-3  # smaller components are ignored; quantiles change by at most 1e-7
+_NARROW = 1e-3  # smaller components of a direction are ignored; quantiles move by at most 1e-7
 
 
 @final
@@ -27,7 +27,7 @@ class SlicedOptimalTransport(OptimisedSampler):
     Attributes
     ----------
     iterations
-        Number of moves of all points; each move is a mean over random directions.
+        Number of iterations. In each one, all points move once, by a mean over random directions.
     directions
         Number of random directions per iteration.
     sets
@@ -36,11 +36,12 @@ class SlicedOptimalTransport(OptimisedSampler):
     Notes
     -----
     For every direction θ, the points are sorted by θ·x.
-    The k-th point moves toward the quantile (k − ½)/n of the projected cube.
-    The paper uses a ball as target, and maps the ball to the cube.
-    Here the target is the cube: its projection is a sum of d uniform numbers of widths |θ_j|.
+    The k-th point of this order moves along θ, toward the quantile (k − ½)/n of the projected cube.
+    The paper instead projects a ball, and maps the points from the ball to the cube.
+    The projection of the cube is the distribution of a sum of d uniform numbers of widths |θ_j|.
     Points near the faces and corners of the cube are not quite uniform, so means are not exact.
-    Means are exact after a shift, or if `sets` is a number, because sets are then translated.
+    Means are exact after a random shift. They are also exact if `sets` is a number,
+    because the reused sets are translated at random.
 
     References
     ----------
@@ -55,7 +56,7 @@ class SlicedOptimalTransport(OptimisedSampler):
 
     @property
     def unbiased(self) -> bool:  # type: ignore[override]
-        """Whether every point is uniform: true only if sets are translated."""
+        """Whether every point is uniform, which a random translation of reused sets ensures."""
         return self.sets is not None
 
     def _optimize(self, n: int, keys: Array, report: Callable[[float], None]) -> Array:
@@ -70,7 +71,7 @@ class SlicedOptimalTransport(OptimisedSampler):
             # Move each point by the mean, over directions, of its moves to the quantiles
             move = np.zeros(points.shape)
             for direction in directions:
-                # NumPy's own sum gives the same bits everywhere
+                # np.sum gives the same bits on every machine, unlike a product of BLAS
                 place = np.sum((points - 0.5) * direction, axis=1)
                 order, delta = np.argsort(place, kind="stable"), np.empty(n)
                 delta[order] = projected_quantiles(direction, n) - place[order]
@@ -84,7 +85,8 @@ class SlicedOptimalTransport(OptimisedSampler):
 def projected_quantiles(direction: Array, n: int) -> Array:
     """Return the quantiles (k − ½)/n, k = 1 … n, of θ·(x − ½) for x uniform in the cube.
 
-    The computation starts with the distribution function of the widest component.
+    θ·(x − ½) is a sum of independent uniform numbers, one of width |θ_j| for each component θ_j.
+    The computation starts with the distribution function of the number of the largest width.
     For each further component, the function is averaged over an interval of the component's width.
     """
     widths = np.sort(np.abs(direction))[::-1]
@@ -93,7 +95,7 @@ def projected_quantiles(direction: Array, n: int) -> Array:
     below = np.clip(t / widths[0] + 0.5, 0.0, 1.0)
     for width in widths[1:]:
         if width > _NARROW:
-            # Average the distribution function over t ± width/2; the function is 1 above the last t
+            # Average the distribution function over t ± width/2. Above the table it equals 1
             strips = np.cumsum((below[1:] + below[:-1]) * ((t[1] - t[0]) / 2))
             primitive = np.concatenate([[0.0], strips])
             upper, lower = t + width / 2, t - width / 2

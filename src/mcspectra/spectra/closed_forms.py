@@ -6,7 +6,7 @@ The shift does not change the power. It makes the covariance matrix C_ml diagona
 
 Method
 ------
-There are three kinds of sets. They use two transforms, which are products over the axes.
+The closed forms distinguish three kinds of sets. All use two transforms, products over the axes.
 The transform of the unit interval is χ(ν) = sinc(πν) exp(−iπν).
 The transform of a grid of s points is A_s(ν) = (1/s) Σ_{j<s} exp(−2πi νj/s).
 
@@ -15,27 +15,28 @@ The transform of a grid of s points is A_s(ν) = (1/s) Σ_{j<s} exp(−2πi νj/
   The mean is ⟨S_ν⟩ = A(ν) ⟨M(ν/s)⟩, and the covariance is
   C_ml = (1/N) A(m − l) [⟨M(m/s) conj M(l/s)⟩ − ⟨M(m/s)⟩ conj⟨M(l/s)⟩].
   For random points, one cell contains n motifs of one point each.
-  Motifs of jittered, box-jitter and gaussian-jitter are also single points.
+  For jittered, box-jitter and gaussian-jitter points, each motif is also a single point.
   Motifs of antithetic-jittered are pairs of points.
-* Sets that are the same every time, and grids with a common offset. For these S_ν itself is known.
-* Sets with a known law of pairs. C_ml + ⟨S_m⟩ conj⟨S_l⟩ is (1/n²) times the sum of
-  ⟨exp(−2πi (m·x − l·y))⟩ over all ordered pairs of points x, y.
-  The pair of a point with itself contributes χ(m − l) on each axis.
+* Sets that are the same in every realization, and grids with a common offset.
+  The coefficients S_ν of these sets are known.
+* Sets for which the joint distribution of two points is known.
+  C_ml + ⟨S_m⟩ conj⟨S_l⟩ = (1/n²) Σ ⟨exp(−2πi (m·x − l·y))⟩ over all ordered pairs of points x, y.
+  If x and y are the same point, the mean is the product of χ(m − l) over the axes.
   For two different points the axes are independent, given the strata they share.
   On each axis, the mean over two coordinates is one of three products:
   *free* = χ(m) conj χ(l), if the two coordinates are uniform and independent;
   *same* = A_s(m − l) χ(m/s) conj χ(l/s), if the two coordinates share one of s strata;
-  *apart* = (s *free* − *same*) / (s − 1), if the two coordinates lie in different strata.
+  *apart* = (s *free* − *same*) / (s − 1), if they lie in different strata of the s strata.
   Within strata, the two coordinates are uniform and independent.
-  Determinantal sets also have a known law of pairs.
+  For determinantal sets, the joint distribution of two points is known from the kernel.
 
 Importance-sampled points x = T(u), with weights 1/(n p), are covered for some densities p:
 the density must be a product over the axes, with monotone warps T.
-In this case M_t(m), the transform of the warped stratum that starts at t, replaces χ.
+For warped points, the transform M_t(m) of the warped stratum that starts at t replaces χ.
 The products *same* and *apart* are means over the starts t of the strata.
-After a random shift of the points, these products are means over all t from 0 to 1.
+If the points are shifted at random, *same* and *apart* are means over all t from 0 to 1.
+On one axis, let A_δ(m) be the coefficient S_m of the grid with offset δ.
 A grid with one random offset δ has C_ml = Π_i ∫ A_δ(m_i) conj A_δ(l_i) dδ − δ_m0 δ_l0.
-Here A_δ(m) is the coefficient S_m of the grid with offset δ on one axis.
 """
 
 from __future__ import annotations
@@ -95,7 +96,7 @@ _TERMS_AT_ONCE = 2**22
 
 # The closed forms of importance-sampled points use the following constants.
 _BLOCK = 2**20  # number of values processed at a time
-# Largest product of the number of strata and the number of frequency pairs; it takes minutes.
+# Largest product of the numbers of strata and frequency pairs; such a product takes minutes.
 _MAX_STRATA_WORK = 2**31
 _ORDER = 16
 _CELLS = 64
@@ -124,7 +125,8 @@ def closed_form_power(
     density
         Importance density. For random points, any density is allowed.
         Jittered, latin-hypercube and grids allow densities that are products over the axes.
-        A shift or strata-shift may follow them. Frequencies must then be integers.
+        With such a density, a shift or strata-shift may follow these samplers.
+        The frequencies of shifted points must be integers.
 
     Returns
     -------
@@ -217,7 +219,7 @@ def closed_form_covariance(
 class SpectralMoments:
     """Exact moments of S_ν under a sampler's law."""
 
-    mean: Callable[[Array], Array]  # maps frequencies (..., d) to ⟨S_ν⟩ (...)
+    mean: Callable[[Array], Array]  # function that returns ⟨S_ν⟩ (...) for frequencies ν (..., d)
     # Function that maps two arrays of frequencies, both (..., d), to C_ml: complex (...)
     covariance: Callable[[Array, Array], Array]
     # Whether the moments hold only at integer frequencies, because points wrap around the torus
@@ -351,7 +353,7 @@ def _(law: Moved) -> SpectralMoments | None:
 
 
 def _motifs(sides: tuple[int, ...], count: int, motif: Motif) -> SpectralMoments:
-    """Return moments of `count` independent motifs of points, with equally many in each cell."""
+    """Return moments of `count` independent groups of points, equally many in each cell."""
     s = np.asarray(sides, float)
 
     def covariance(m: Array, other: Array) -> Array:
@@ -376,7 +378,7 @@ def _offset_grid(s: Array) -> SpectralMoments:
 
 
 def _stationary(power: Callable[[Array], Array]) -> SpectralMoments:
-    """Return moments of a stationary set at integer frequencies: no bias and no covariances."""
+    """Return moments at integer frequencies of a stationary set, whose S_m are uncorrelated."""
 
     def covariance(m: Array, other: Array) -> Array:
         same = np.all(m == other, axis=-1)
@@ -394,7 +396,7 @@ def _(law: Fixed) -> SpectralMoments:
             corner = np.exp(-2j * np.pi * np.remainder(law.corner * nu / s, 1.0))
             return _product(_comb(nu, s) * corner)
         if law.vector is not None and np.array_equal(nu, np.rint(nu)):
-            # S_ν is 1 if ν·z ≡ 0 modulo n. Products of residues do not overflow
+            # For a lattice, S_ν is 1 if ν·z ≡ 0 modulo n. Residues are multiplied without overflow
             n, vector = law.n, np.asarray(law.vector, np.int64)
             residues = np.rint(np.remainder(nu, n)).astype(np.int64) * (vector % n) % n
             return np.asarray((residues.sum(axis=-1) % n == 0) + 0j)
@@ -410,7 +412,7 @@ def _(law: Fixed) -> SpectralMoments:
 
 
 def _of_pairs(n: int, pairs: Callable[[Array, Array], Array]) -> SpectralMoments:
-    """Return moments of n uniform points, given (1/n²) Σ over pairs of different points."""
+    """Return moments of n uniform points, given the part of C_ml from pairs of different points."""
 
     def covariance(m: Array, other: Array) -> Array:
         second = _product(_interval(m - other)) / n + pairs(m, other)
@@ -435,7 +437,7 @@ def _apart(m: Array, other: Array, s: int | Array) -> Array:
 
 
 def _level_mates(m: Array, other: Array, s: int | Array, parts: int | Array | None = None) -> Array:
-    """Return the mean product for two points in different parts of a common stratum."""
+    """Return ⟨exp(−2πi (m x − l y))⟩ for x and y in different parts of a common stratum."""
     return _comb(m - other, s) * _apart(m / s, other / s, s if parts is None else parts)
 
 
@@ -462,20 +464,20 @@ def _nested_pairs(law: Fixed, bases: Sequence[int], m: Array, other: Array) -> A
     """Return (1/n²) Σ over pairs of different points, after nested scrambling.
 
     Suppose that two coordinates agree in their first a digits and differ in the next digit.
-    After scrambling, both lie in one common stratum. There are b^a strata, with b parts each.
-    The coordinates are uniform in two different parts of this stratum [Owen1997]_.
+    Divide [0,1) into b^a strata, and each stratum into b parts. After scrambling,
+    both coordinates are uniform in two different parts of a random stratum [Owen1997]_.
     """
     n, levels = law.n, [_levels(law.points[:, j], b) for j, b in enumerate(bases)]
     most = max(levels)
     shares = (law.agreements(bases, most) - 1.0) / n
-    # Each share counts the pairs of points that agree in a or more digits.
-    # Convert it to the share of pairs that agree in exactly a digits
+    # `shares` are fractions of the pairs of points that agree in a or more digits.
+    # By differences, compute the fractions of pairs that agree in exactly a digits
     for axis in range(law.dims):
         shares = np.moveaxis(shares, axis, 0)
         shares = np.concatenate([shares[:-1] - shares[1:], shares[-1:]])
         shares = np.moveaxis(shares, 0, axis)
 
-    # Sum over the levels of one axis after another, for all frequencies
+    # For all frequencies, sum over the number of digits that agree, one axis after another
     total = shares[..., None]
     flat, far = (np.broadcast_to(a, m.shape).reshape(-1, law.dims) for a in (m, other))
     if float(shares.size) * len(flat) > _MOST_PAIR_TERMS:
@@ -488,7 +490,7 @@ def _nested_pairs(law: Fixed, bases: Sequence[int], m: Array, other: Array) -> A
     for axis in range(law.dims - 1, -1, -1):
         b, row, column = bases[axis], flat[:, axis : axis + 1], far[:, axis : axis + 1]
         by_level = [_level_mates(row, column, b**a, b)[:, 0] for a in range(most)]
-        # The last entry is for equal coordinates, which have equal digits after scrambling
+        # The last entry is for pairs of equal coordinates, which scrambling keeps equal
         by_level.append(_same(row, column, b ** _scrambled_digits(b))[:, 0])
         total = np.einsum("...af,af->...f", total, np.array(by_level))
     return np.asarray(total.reshape(m.shape[:-1]))
@@ -501,7 +503,7 @@ def _scrambled_digits(base: int) -> int:
 def _levels(x: Array, base: int) -> int:
     """Return the least number of digits that distinguishes all coordinates.
 
-    The result is at most the number of scrambled digits.
+    The least number of digits is at most the number of scrambled digits.
     """
     most = _scrambled_digits(base)
     different = len(np.unique(x))
@@ -512,14 +514,14 @@ def _levels(x: Array, base: int) -> int:
 
 
 def _place_pairs(net: Fixed, bases: Sequence[int], shifted: bool, m: Array, other: Array) -> Array:
-    """Return (1/n²) Σ over pairs of different points, if each digit is changed at random.
+    """Return the part of C_ml from pairs of different points, if digits are changed at random.
 
-    If `shifted` is true, a random digit is added at each place.
+    If `shifted` is true, a random digit is added to the k-th digit of all points, for each k.
     The joint law of two changed digits then depends only on the difference of the digits.
-    Otherwise a random permutation is applied at each place.
+    If `shifted` is false, a random permutation is applied to the k-th digits.
     The joint law of two changed digits then depends only on whether the digits are equal.
-    The changes at different places are independent, so each place contributes a factor.
-    All digits below the scrambled places are shifted by one uniform number.
+    The changes of digits at different places k are independent, so the means are multiplied.
+    The digits behind the last changed place are replaced by one uniform number per coordinate.
     If the digits form a group, the pairs with one given point represent all pairs.
     """
     n, dims, points = net.n, net.dims, net.points
@@ -534,7 +536,7 @@ def _place_pairs(net: Fixed, bases: Sequence[int], shifted: bool, m: Array, othe
             ", or ask for fewer.",
         )
     # At each place of an axis, a factor depends on the difference of two digits.
-    # The factors have the shape (b, frequencies)
+    # Each factor is an array (b, frequencies) of means for all b differences
     factors = list[list[Array]]()
     for axis, b in enumerate(bases):
         digit, own = np.arange(b), list[Array]()
@@ -556,7 +558,7 @@ def _place_pairs(net: Fixed, bases: Sequence[int], shifted: bool, m: Array, othe
     total = np.zeros(len(flat), complex)
     # Find the digits of each axis, with the highest first.
     # Rounding may have moved a coordinate from a multiple of b^-places to just below it.
-    # A small number, `nudge`, is therefore added to all coordinates before digits are read.
+    # To correct this, the small number `nudge` is added to all coordinates before reading digits.
     digits = []
     for axis, b in enumerate(bases):
         nudge = 0.0 if b & (b - 1) == 0 else 2.0**-52
@@ -604,7 +606,7 @@ def _comb(nu: Array, sides: Any) -> Array:
 
 
 def _product(values: Array) -> Array:
-    """Return the product over the axes."""
+    """Return the product of the values of all axes."""
     return np.asarray(np.prod(values, axis=-1))
 
 
@@ -612,14 +614,14 @@ def _is_zero(m: Array) -> Array:
     return np.asarray(np.all(m == 0, axis=-1).astype(float))
 
 
-# ---- With a density
+# ---- Covariances of importance-sampled points
 
 
 def _weighted_covariance(law: Law, name: str, m: Array, other: Array, density: Density) -> Array:
     """Return C_ml of importance-sampled points at integers m and l of the same shape (..., d)."""
     zero = np.all(m == 0, axis=-1) & np.all(other == 0, axis=-1)
 
-    # Remove translations from the law
+    # Find out whether the points are shifted, at random or by a fixed offset, and the law before
     n, offset, shifted = law.n, np.zeros(density.dims), False
     while isinstance(law, Shifted | Moved):
         if isinstance(law, Moved):
@@ -654,13 +656,13 @@ def _weighted_covariance(law: Law, name: str, m: Array, other: Array, density: D
             Function("variance_terms"),
             ".",
         )
-    # On each axis, average over the given strata, or over all their shifts if points are shifted
+    # On each axis, average over all strata; if points are shifted, average over all shifts too
     highest, pairs = _highest(m, other), np.ones(m.shape[:-1])
     for i, (p, s) in enumerate(zip(_factors(density), sides, strict=True)):
         rule = np.remainder(np.arange(s) / s + offset[i], 1.0), np.full(s, 1.0 / s)
         axis = _StrataAxis(p, s, *(_all_offsets(p, s, 1.0, highest) if shifted else rule))
         same = axis.mean_product(axis.of_stratum, m[..., i], other[..., i])
-        if latin:  # two points never lie in the same stratum
+        if latin:  # two points of a Latin hypercube never share a stratum
             free = (m[..., i] == 0) & (other[..., i] == 0)
             same = (n * free - same) / max(n - 1, 1)
         pairs = pairs * same
@@ -672,10 +674,10 @@ def _weighted_covariance(law: Law, name: str, m: Array, other: Array, density: D
 @final
 @dataclass(frozen=True)
 class _StrataAxis:
-    """One axis with its density: an axis that has strata, or grids with several offsets.
+    """Importance-sampled strata on one axis, or grids with several offsets on one axis.
 
     A start t is the lower end of a stratum, or the offset of a grid.
-    Each start has a weight in means over the starts.
+    Means over all starts use one weight for each start.
     """
 
     density: Density
@@ -684,7 +686,7 @@ class _StrataAxis:
     weights: Array
 
     def mean_product(self, of: Callable[[Array], Array], m: Array, other: Array) -> Array:
-        """Return the mean of the products `of(m)` · conj `of(other)` over the weighted starts."""
+        """Return the mean of `of(m)` · conj `of(other)` over all starts, with their weights."""
         known, back = np.unique(np.stack([m, other]), return_inverse=True)
         row, column = back.reshape(2, -1)
         if float(self.starts.size) * max(row.size, known.size * self.sides) > _MAX_STRATA_WORK:
@@ -703,7 +705,7 @@ class _StrataAxis:
     def of_stratum(self, m: Array) -> Array:
         """Return the transform M_t(m) of the stratum at each start t: (frequencies, starts).
 
-        Strata that extend beyond 1 continue at 0 (periodically).
+        The axis is periodic: a stratum that extends beyond 1 continues at 0.
         """
         end = self.starts + 1.0 / self.sides
         over = np.maximum(end - 1.0, 0.0)
@@ -735,7 +737,8 @@ def _strips(m: Array, low: Array, high: Array) -> Array:
 def _all_offsets(density: Density, sides: int, length: float, highest: int) -> tuple[Array, Array]:
     """Return a quadrature rule over the start t of the strata, in [0, length).
 
-    The rule is split where a stratum starts or ends at 0 or at a break of the density.
+    The rule treats two kinds of starts t as breaks: those at which a stratum starts or ends at 0,
+    and those at which it starts or ends at a break of the density.
     """
     breaks = np.array([0.0, *density.breaks[0]])
     ends = np.concatenate([breaks, breaks - 1.0 / sides]) % 1.0 % length

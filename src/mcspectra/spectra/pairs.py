@@ -73,13 +73,13 @@ def pair_correlation(
         ``pair_correlation_ci`` is a 95 % interval from Student's t of the logarithm of g.
         The interval is 0 to 0 if a bin has no pairs.
         If the sampler has fewer different sets than realizations, only the sets are independent.
-        If sets are reused, errors and Student's t are computed with the number of sets.
+        If sets are reused, errors and Student's t are computed with the number of independent sets.
 
     Notes
     -----
     On the torus, g = pairs in a shell / (n(n−1)/2 · volume of the shell).
     With the border correction, g = ordered pairs / (n(n−1) · volume of the shell · (1−2r)^d).
-    Here (1−2r)^d is the volume in which the first point may lie.
+    In this formula, (1−2r)^d is the volume of the region in which the first point may lie.
     This estimate is unbiased if the set is stationary.
     Only points whose first coordinates differ by less than max_distance are compared.
     The cost is O(n log n + n² max_distance) per realization.
@@ -126,7 +126,7 @@ class PairCorrelation(Analysis, frozen=True, kw_only=True):
                 Parameter("max_distance"),
                 " is 0.5; with the border correction give less: no point is that far inside.",
             )
-        # Memory per bin: four partial counts, sums, the edge of the bin, the expected count
+        # For each bin, memory holds four partial counts, sums, the bin's edge and expected count
         return Need(cost=self._cost, memory=memory_of(self.n, source.dims) + 128 * self.bins)
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[MeanSums]:
@@ -144,7 +144,8 @@ class PairCorrelation(Analysis, frozen=True, kw_only=True):
             return MeanSums.of(count_pairs(points, edges, wrap=wrap) / expected)
 
         def result(total: MeanSums) -> xr.Dataset:
-            # Translations preserve distances, so realizations that reuse a set repeat its counts
+            # Translations preserve distances. Realizations that reuse a set give the same counts,
+            # so only different sets are independent
             sets = independent_sets(source.law(n))
             count = self.realizations if sets is None else min(self.realizations, sets)
             mean, se = total.mean_and_error(sets)
@@ -198,7 +199,7 @@ def count_pairs(points: Array, edges: Array, *, wrap: bool) -> Array:
         count_ordered_pairs(coordinates, per_unit, limit, last, ordered)
         return ordered.astype(float)
     copies = coordinates[:, coordinates[0] <= limit]
-    copies = copies + np.eye(len(coordinates), 1)  # copies move by 1 along axis 0
+    copies = copies + np.eye(len(coordinates), 1)  # move the copies by 1 along the first axis
     counts = np.zeros((4, bins + 1), np.int64)
     count_distances(np.concatenate([coordinates, copies], axis=1), n, per_unit, limit, counts)
     return np.asarray(counts[:, :bins].sum(axis=0), float)
@@ -214,7 +215,7 @@ def closed_form_pair_correlation(sampler: Sampler | str, n: int, r: Any) -> Arra
     n
         Number of points, at least 2.
     r
-        Distances from 0 to 1/2.
+        Distances r on the torus, from 0 to 1/2.
 
     Raises
     ------
@@ -225,9 +226,9 @@ def closed_form_pair_correlation(sampler: Sampler | str, n: int, r: Any) -> Arra
     -----
     Two points of a jittered set are independent, except that they cannot lie in the same cell.
     Let two positions differ by h, and let a cell have the sides 1/s_i.
-    Both lie in the same cell with probability Π max(0, 1 − s_i |h_i|).
-    If an axis has only one cell, its factor is 1, even across the border of the torus.
-    The correlation g is n/(n−1) times 1 minus the mean of this probability over directions of h.
+    The two positions lie in the same cell with probability P = Π max(0, 1 − s_i |h_i|).
+    If an axis has only one cell, its factor in P is 1, even across the border of the torus.
+    The correlation is g = n/(n−1) · (1 − mean of P over all directions of h).
 
     Examples
     --------

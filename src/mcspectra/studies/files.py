@@ -2,7 +2,7 @@
 
 A study names samplers, estimators and analyses.
 Each analysis has a table under its name (`mcspectra.core.analysis`).
-An estimator may override any of these tables.
+An estimator may have its own table of an analysis, which replaces the table of the study.
 The analysis defines the keys, types, defaults and meanings of its table.
 Unknown keys, wrong types and values out of range are errors that name the place.
 Relative paths in specs are relative to the folder of the file.
@@ -246,7 +246,7 @@ def _names() -> frozenset[str]:
 
 
 def _scene_lists(table: Mapping[str, Any]) -> dict[str, str]:
-    """Return the keys of a study that list scenes, each with the analysis that it stands for.
+    """Return the keys of a study that list scenes, each with the name of the analysis of scenes.
 
     For example, the key ``maps`` stands for the analysis ``map``.
     """
@@ -343,7 +343,7 @@ def study_of(table: Mapping[str, Any], source: str = "study") -> StudyConfig:
     try:
         config = _StudyReader().study(table)
 
-        # Check rules between tables, beyond the types of their keys
+        # Each table has the right types. Check rules that concern several tables
         if not config.entries:
             scenes = [key for key, each in analysis_tables().items() if each.about == "scene"]
             lists = " or ".join(f"[[{key}]]" for key in ("estimators", *scenes))
@@ -387,7 +387,7 @@ def plain_study(config: StudyConfig) -> dict[str, Any]:
 
     Keys of the study and of estimators are left out if they have their default value.
     All options of analyses are kept.
-    The values therefore do not depend on which other analyses are installed.
+    Therefore the returned values are the same if other analyses are installed or removed.
     """
     plain: dict[str, Any] = msgspec.to_builtins(as_study(config))
     for entry in (plain, *plain.get("estimators", ())):
@@ -415,7 +415,7 @@ class Slugs:
         base = re.sub(r"[^a-z0-9.]+", "-", text.lower()).strip("-.")[:60].strip("-.") or "x"
         slug = base
         while slug in self._taken:
-            # Continue at the last used number, because thousands of names may begin alike
+            # Try numbers from the last one on: thousands of texts may give the same name
             number = self._next.get(base, 2)
             slug, self._next[base] = f"{base}-{number}", number + 1
         self._taken.add(slug)
@@ -438,7 +438,7 @@ def planned_groups(study: Mapping[str, Any]) -> dict[str, tuple[Names, Names]]:
     -------
     dict
         A path is estimator/sampler/analysis. The keys are the names of estimators or scenes.
-        Each value has the names of the samplers, and the names of the analyses.
+        Each value is a pair of lists: the names of the samplers and of the analyses.
         Companions, which are analyses that always run with another analysis, are included.
     """
     found, slugs = dict[str, tuple[Names, Names]](), Slugs()
@@ -514,7 +514,7 @@ class _StudyReader:
 
 
 def _entries(key: str, entries: Any) -> Iterator[tuple[Any, str]]:
-    """Return the entries of a list of tables with their places."""
+    """Return the entries of a list of tables, each with a text such as ``maps[0]`` for messages."""
     if not isinstance(entries, list | tuple):
         raise ConfigError(f"{key} is {_shown(entries)}; give a list of tables, [[{key}]].")
     return ((entry, f"{key}[{i}]") for i, entry in enumerate(entries))
@@ -596,7 +596,7 @@ def _complaints(e: EstimatorConfig) -> Iterator[str]:
     if e.sets is not None and (not several or e.one_sample):
         yield "has sets, which belong to several techniques; leave it out."
 
-    # Check the options of estimators that choose one of several techniques for each sample
+    # Check options of one-sample estimators, which choose a technique at random for each sample
     if e.one_sample and e.densities is None:
         yield "has one_sample but no densities to choose from; give densities."
     if not e.one_sample and (e.probabilities is not None or e.selection is not None):
@@ -709,7 +709,7 @@ def expand_grids(table: dict[str, Any], source: str = "study") -> dict[str, Any]
     ------
     ConfigError
         If a grid is not a table of lists, or its values are unused.
-        If a placeholder has no values, or is at a place where a study has a single value.
+        If a placeholder has no values, or stands for a key that has only one value in a study.
         If there would be more than `MOST_ENTRIES` entries or too much text.
         Entries and text are counted before anything is generated.
     """
@@ -735,7 +735,7 @@ def _expanded(table: Mapping[str, Any]) -> dict[str, Any]:
         Placeholders that occur only in a list of samplers do not repeat the whole entry.
         """
         if not isinstance(given, dict):
-            yield given  # The type check reports a wrong type
+            yield given  # a value of a wrong type is reported later
             return
         entry = {**more, **given}
         own = _grid_values(entry.get("grid"), f"{place}.grid")
@@ -766,8 +766,8 @@ def _expanded(table: Mapping[str, Any]) -> dict[str, Any]:
     lists = [key for key in ("estimators", *_scene_lists(made)) if isinstance(made.get(key), list)]
     takers = [key for key in lists if any(isinstance(entry, dict) for entry in made[key])]
 
-    # Copy tables of analyses with placeholders into the estimators without such a table.
-    # Copy a placeholder for the whole list of samplers into all entries
+    # If a table of an analysis contains placeholders, copy it into each estimator that has no
+    # table of this analysis. Copy a placeholder for the whole list of samplers into all entries
     given: dict[str, Any] = {}
     if "estimators" in takers:
         tables = [key for key in made if key in names and isinstance(made[key], dict)]
@@ -796,7 +796,7 @@ def _expanded(table: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _repeated(samplers: list[Any], values: Values, place: str) -> list[Any]:
-    """Repeat each sampler over its own placeholders."""
+    """Repeat the spec of each sampler for all values of the placeholders in this spec."""
     if not any(_placeholders(samplers, values)):
         return samplers
     made: list[Any] = []

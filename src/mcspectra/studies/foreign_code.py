@@ -29,7 +29,7 @@ class TookTooLong(Exception):
 class FunctionFailed(Exception):
     """A study's Python function fails at its first points; the message gives the reason.
 
-    This error is not a `McspectraError`, because it fails only the cells of its estimator.
+    This error is not a `McspectraError`, because a study continues with other estimators.
     """
 
 
@@ -59,7 +59,7 @@ def within(seconds: float, job: Callable[[], Result]) -> Result:
 
 
 def probed(function: Callable[[Any], Any], *, dims: int, limit: float | None = None) -> Integrand:
-    """Call `Integrand.from_function` for a function of a study, with limited time.
+    """Make an integrand from a study's function (`Integrand.from_function`), in limited time.
 
     Parameters
     ----------

@@ -12,7 +12,7 @@ A change that needs a pilot is compared with the given path at an equal total of
 The total number of paths includes the paths of the pilot.
 
 If each path samples one light, the best probabilities p_j are proportional to √(p_j E f_j²).
-Here p_j E f_j² is the second moment of light j's contribution, if light j is always chosen.
+The product p_j E f_j² is the second moment of light j's contribution if only j is chosen.
 """
 
 from __future__ import annotations
@@ -65,8 +65,8 @@ PATH_SAMPLERS = ("random", "latin-hypercube", "rank1-lattice | shift", "sobol | 
 """Samplers that are compared by default; they support any count in any number of dims."""
 
 _EFFORTS = {
-    # Each effort has five values: counts n, number of realizations, realizations for ANOVA,
-    # number of paths for the shares of lights, and whether variances are predicted
+    # Each effort has five values: numbers n of paths per estimate, estimates for each n,
+    # realizations for ANOVA, paths for the shares of lights, and True to predict variances
     "quick": ((16, 64, 256, 1024), 200, 10_000, 2**14, False),
     "full": ((16, 64, 256, 1024, 4096), 1000, 100_000, 2**17, True),
 }
@@ -79,13 +79,13 @@ _AXES = {
 _MOST_GROUPS = 64
 _MOST_SAMPLES = 2**20
 _FEWEST = 100  # Minimum number of realizations to compare two changes
-_LIGHTS = 1  # Label of the random stream
+_LIGHTS = 1  # Label of the random stream for shares of lights
 _MOST_LIGHTS = 64
 _PILOT = 2**10  # Number of pilot paths for the selection of lights
 _LEAST = 0.05  # Fraction of the selection probability that is divided equally among all lights
 _COUNTS = 5  # Maximum number of counts to measure; the largest counts are kept
 _DEPTHS = (1, 2, 3, 5)  # Depths at which roulette may start; "no roulette" is also tried
-_ENDLESS = 2**16  # Largest max_depth without roulette, so that paths end
+_ENDLESS = 2**16  # Limit of max_depth if there is no roulette that ends paths
 _PLUGINS = {
     # Class name of an integrator, and name of its plugin
     "PathIntegrator": "path",
@@ -182,7 +182,7 @@ def analyse_path(
     parts: dict[str, xr.Dataset] = {"convergence": curves}
     report("path: parts", 0.4)
     dimensions = f.dimensions
-    kinds = {  # The group of each coordinate, for four kinds of groups
+    kinds = {  # The names of each coordinate's group, for four ways to group the coordinates
         "bounce": [f"bounce {d.bounce}" if d.bounce else "camera" for d in dimensions],
         "decision": [d.decision for d in dimensions],
         "request": [str(Dimension(d.bounce, d.decision)) for d in dimensions],
@@ -268,7 +268,7 @@ def shares_by_light(f: PathPixel, paths: int, stream: Stream) -> xr.Dataset | No
     Returns
     -------
     xarray.Dataset or None
-        On the dim ``light``, with intervals ``_ci``:
+        The following variables have the dim ``light``; their intervals end in ``_ci``:
         ``light_share``, Cov(f_j, f)/Var(f) of a light's contribution f_j, with sum 1;
         ``light_mean``, the mean of the contribution;
         ``light_probability``, the current selection probability of the light;
@@ -349,7 +349,7 @@ def path_remedies(
         Counts of paths per estimate, ascending, and number of estimates.
         The last count is the budget; at most the five largest counts are measured.
     stream
-        Random numbers that all changes share, the same as in `mcspectra.convergence`.
+        Random numbers for all changes of the path, as in `mcspectra.convergence`.
     samplers, ends
         Other samplers to try, and numbers k of coordinates to try.
         For each k, the first k coordinates keep QMC points, and the others become random.
@@ -409,7 +409,7 @@ def path_remedies(
     attempt("given", "as given", "change nothing")
 
     # Try other samplers, random numbers in the last coordinates, and another order of coordinates:
-    # the best coordinates of the points then go to the largest shares of the variance
+    # The new order gives the best coordinates of the points to the largest shares of the variance
     for spec in dict.fromkeys(samplers):
         if spec != sampler.spec:
             attempt("sampler", spec, f"sample with {spec}", spec=spec)
@@ -450,7 +450,8 @@ def path_remedies(
     reason = f"{find_integrator(f.scene, f.integrator).class_name()} has no such property."
     not_tried.append(f"heuristic of MIS: {reason}")
 
-    # Note the gain of each change without its pilot, and the count n at which the pilot pays off
+    # Note the gain of each change if the cost of its pilot is ignored.
+    # Also note the number of paths above which the gain exceeds the cost of the pilot
     given, z = tried[0].errors, simultaneous_z(2 * (len(tried) - 1))
     for k, candidate in enumerate(tried):
         if candidate.pilot:
@@ -465,9 +466,9 @@ def path_remedies(
                 f"{ratio:.3g} ({bounds})"
             )
             if high < 0.0 and rate < 0.0:
-                # With the change, an estimate takes n paths and P paths for the pilot.
-                # Its error equals the error of n + P unchanged paths if the ratio of variances
-                # is ((n + P)/n)^rate. Solve this equation for n
+                # A changed estimate takes n paths, and P paths for its pilot.
+                # If its error equals that of n + P paths without the change,
+                # the ratio of the variances is ((n + P)/n)^rate. Solve this equation for n
                 pays = candidate.pilot / math.expm1(found.log_ratio / rate)
                 note += f": it pays above about {float(f'{pays:.2g}'):.0f} paths."
             else:

@@ -18,7 +18,7 @@ __all__ = ["best_multiple", "flip_tree", "improve_code", "reflect", "span_mean",
 def best_multiple(m: Array, power: Array, vector: Array, axis: int, n: int, out: Array) -> None:
     # Let z be the generating vector of a lattice of n points.
     # For each z_axis = 0 … n−1, sum the power over frequencies m with m·z ≡ 0 modulo n.
-    # `vector` holds the other components of z. The sums are written to `out` (n,)
+    # `vector` holds the other components of z. The n sums of power are written to `out` (n,)
     out[:] = 0.0
     for i in range(len(m)):
         rest = 0
@@ -36,8 +36,8 @@ def best_multiple(m: Array, power: Array, vector: Array, axis: int, n: int, out:
 
 @kernel
 def span_mean(table: Array, columns: Array, span: Array) -> float:
-    # Return the mean of the table over the xors of all subsets of the columns, int64 (m,).
-    # The array span, int64 (2^m,), is used as work space
+    # Return the mean of the table over all codes that are exclusive ors of some of the columns.
+    # The columns are int64 (m,). The array `span`, int64 (2^m,), is overwritten with these codes
     span[0] = 0
     total, size = 0.0, 1
     total += table[0]
@@ -52,9 +52,9 @@ def span_mean(table: Array, columns: Array, span: Array) -> float:
 
 @kernel
 def improve_code(table: Array, columns: Array, bits: int, span: Array) -> float:
-    # Flip bits of the columns as long as the mean of the table falls
+    # Flip single bits of the columns as long as this lowers the mean that `span_mean` returns
     best = span_mean(table, columns, span)
-    floor = 1e-14 * np.abs(table).max()  # A mean below this is rounding noise
+    floor = 1e-14 * np.abs(table).max()  # A smaller mean is only rounding error
     better = True
     while better:
         better = False
@@ -71,15 +71,15 @@ def improve_code(table: Array, columns: Array, bits: int, span: Array) -> float:
 
 @kernel
 def flip_tree(table: Array, codes: Array, axes: int, bits: int) -> bool:
-    # Flip nodes of the trees of all axes if a flip lowers Σ_ij table[codes_i ^ codes_j].
-    # The array codes (n,) holds the codes of the points
+    # The coordinates on an axis form a binary tree; a flip exchanges the two halves of a node.
+    # Keep a flip if it lowers Σ_ij table[codes_i ^ codes_j], with codes (n,) of the points
     n, changed = len(codes), False
     inside = np.empty(n, np.bool_)
     for axis in range(axes):
         low = (axes - 1 - axis) * bits
         for level in range(bits):
             # All codes in a node of the tree start with the same bits.
-            # Compute the position of the lowest of these bits
+            # Compute the position of the lowest bit that all codes in a node have in common
             node = low + bits - level
             flip = 1 << (node - 1)
             done = np.zeros(n, np.bool_)
@@ -117,10 +117,10 @@ def swap_cells(
     keys: Array,
     trials: int,
 ) -> int:
-    # Exchange pairs of cells between sets if the exchange lowers Σ |sums|².
-    # Unless free is true, each set keeps one cell of each stratum.
+    # Let two sets exchange a pair of cells if this lowers Σ |sums|², the error of all sets.
+    # If `free` is false, cells are exchanged only within a stratum: each set has one per stratum.
     # The features of the cells are float32 (N, r), and their sums over sets float32 (W, r).
-    # The array owner (N,) holds the set of each cell, and place (N,) its stratum
+    # The array owner (N,) holds the number of each cell's set; place (N,) holds its stratum
     cells, r = features.shape
     taken = 0
     for t in range(trials):
@@ -159,13 +159,14 @@ def swap_cells(
 
 @kernel
 def reflect(slopes: Array, sets: Array, signs: Array) -> None:
+    # Reflecting a point in its cell changes the sign of the slopes of its cell's r features.
     # For each set, choose signs ±1 that make |Σ_i sign_i slopes[sets_i]|² small.
-    # There are W sets of n points, and N cells with r features: signs int64 (W, n), slopes (N, r)
+    # Shapes: signs int64 (W, n) for W sets of n points; slopes (N, r) for N cells
     n, r = sets.shape[1], slopes.shape[1]
     total = np.empty(r)
     for w in range(len(sets)):
         total[:] = 0.0
-        for i in range(n):  # Choose the sign that makes the sum of slopes smaller
+        for i in range(n):  # Choose the sign that keeps the sum small
             product = 0.0
             for j in range(r):
                 product += total[j] * slopes[sets[w, i], j]
