@@ -16,7 +16,7 @@ BALL = "formula(expression='where((x0-0.5)**2+(x1-0.5)**2+(x2-0.5)**2+(x3-0.5)**
 
 @pytest.fixture(autouse=True)
 def few_pairs(request, monkeypatch):
-    """Use an eighth of the pairs of points in quick tests; predictions then state wider intervals."""
+    """Use an eighth of the pairs in quick tests; predictions then state wider intervals."""
     if not request.node.get_closest_marker("slow"):
         few = paired.PairedSettings(pairs=(1 << 13, 1 << 10, 1 << 10))
         monkeypatch.setattr(paired, "_SETTINGS", few)
