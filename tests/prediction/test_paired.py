@@ -6,11 +6,20 @@ import math
 import pytest
 
 import mcspectra as mcs
+from mcspectra.prediction import paired
 from mcspectra.prediction.paired import is_array
 
 PRODUCT = "formula(expression='(1+x0)*exp(x1)*(x2<0.37)*(1+abs(x3-0.4))')"
 ROTATED = "formula(expression='exp(-6*(x0+x1-x2-0.3)**2-3*(x1-x3+0.2)**2-2*(x0-0.4)**2)')"
 BALL = "formula(expression='where((x0-0.5)**2+(x1-0.5)**2+(x2-0.5)**2+(x3-0.5)**2<0.2,1,0)')"
+
+
+@pytest.fixture(autouse=True)
+def few_pairs(request, monkeypatch):
+    """Use an eighth of the pairs in quick tests; predictions then state wider intervals."""
+    if not request.node.get_closest_marker("slow"):
+        few = paired.PairedSettings(pairs=(1 << 13, 1 << 10, 1 << 10))
+        monkeypatch.setattr(paired, "_SETTINGS", few)
 
 
 @functools.cache
@@ -71,7 +80,10 @@ def test_products_have_their_exact_variance(n, samplers):
     ("f", "n", "samplers", "answered", "bound"),
     [
         # Sums of products miss jumps across all axes; extrapolated moving strata have ±20 to 60 %
-        (BALL, 49, ["orthogonal-array | shift"], "subsets", 0.06),
+        (BALL, 49, ["orthogonal-array | shift"], "subsets", 0.08),
+        pytest.param(
+            BALL, 49, ["orthogonal-array | shift"], "subsets", 0.06, marks=pytest.mark.slow
+        ),
         pytest.param(
             BALL, 49, ["latin-hypercube | strata-shift"], "subsets", 0.06, marks=pytest.mark.slow
         ),
@@ -100,7 +112,7 @@ def test_predictions_without_products_agree_with_measurements(f, n, samplers, an
 
 def test_scrambles_of_one_law_of_pairs_have_one_prediction():
     """Earlier versions extrapolated linear scrambles: 0.45 of the variance of nested ones."""
-    nested, linear = predictions(BALL, ["sobol | owen", "sobol | lms"], 256)
+    nested, linear = predictions(BALL, ["sobol | owen", "sobol | lms"], 64)
     assert linear[0] == pytest.approx(nested[0], rel=1e-12)
     assert linear[1] == pytest.approx(nested[1], rel=1e-12)
 
@@ -126,7 +138,8 @@ def test_which_laws_are_arrays():
 def test_energies_need_no_symmetry_of_g():
     """A function of two of four axes has energy only in their pairs of strata."""
     f = "formula(expression='cos(2*pi*(x0+x1))+0*x2*x3')"
-    for sampler in ("orthogonal-array(jitter='jittered') | shift", "orthogonal-array | shift"):
-        value, half, _ = predicted(f, sampler, 49, "subsets")
+    samplers = ["orthogonal-array(jitter='jittered') | shift", "orthogonal-array | shift"]
+    found = predictions(f, samplers, 49, "subsets")
+    for sampler, (value, half, _) in zip(samplers, found, strict=True):
         truth, error = measured(f, sampler, 49)
         assert abs(value - truth) <= math.hypot(2.0 * half, 4.0 * error)

@@ -220,6 +220,23 @@ def _of_products(law: PairedAxes, sums: _Sums) -> float:
     return total
 
 
+def _of_fine_cells(p: AnovaModel) -> list[tuple[Array, Array, Array]]:
+    """Return means of the curves, energies of g_i and covariances of the factors, of each axis.
+
+    Fine cells contain the whole energy. Means over parts and strata are exact.
+    """
+    found, own = list[tuple[Array, Array, Array]](), len(p.main[0])
+    for curves, main, factors in zip(p.axes, p.main, p.factors, strict=True):
+        jumps = len(curves.knots) > 2
+        count = SUBSET_SETTINGS.finest if jumps else SUBSET_SETTINGS.fine
+        values = curves.cells(np.concatenate([main, factors]), count)
+        mean = values.mean(axis=-1)
+        values = values - mean[:, None]
+        inner = values[own:] @ values[own:].T / values.shape[-1]
+        found.append((mean, (values[:own] ** 2).mean(axis=-1), inner))
+    return found
+
+
 def _energies(
     p: AnovaModel,
     channel: int,
@@ -236,16 +253,13 @@ def _energies(
     """
     singles, means, covariances = np.zeros((len(p.main[0]), 3)), list[Array](), list[Array]()
     own, centers = len(p.main[0]), list[Array]()
-    for curves, main, factors, places in zip(p.axes, p.main, p.factors, offsets, strict=True):
+    fine_cells = known.once(("arrays: fine cells", channel), lambda: _of_fine_cells(p))
+    for curves, main, factors, places, (mean, whole, inner) in zip(
+        p.axes, p.main, p.factors, offsets, fine_cells, strict=True
+    ):
         both = np.concatenate([main, factors])
-        # Fine cells contain the whole energy. Means over parts and strata are exact
-        jumps = len(curves.knots) > 2
-        values = curves.cells(both, SUBSET_SETTINGS.finest if jumps else SUBSET_SETTINGS.fine)
-        mean = values.mean(axis=-1)
-        values = values - mean[:, None]
-        whole = (values[:own] ** 2).mean(axis=-1)
         products = np.zeros((3, len(factors), len(factors)))
-        products[0] = values[own:] @ values[own:].T / values.shape[-1]
+        products[0] = inner
         for place in places:
             fine = curves.cells(both, s * parts, place) - mean[:, None]
             coarse = fine.reshape(len(fine), s, -1).mean(axis=-1)
@@ -291,7 +305,11 @@ def _energies(
             cell = np.minimum(np.floor(((there - corner) % 1.0) * cells), cells - 1)
             new = np.minimum(((cell + mine) / cells + corner) % 1.0, BELOW_ONE)
             np.put_along_axis(other, which[..., None], new[..., None], -1)
-        one, two = left(x), left(other)
+        # The first points of pairs are the same for all strata
+        one, two = (
+            known.once(("arrays: first", channel, k), functools.partial(left, x)),
+            left(other),
+        )
         middle = 0.5 * (one + two).mean(axis=(1, 2), keepdims=True)
         one, two = one - middle, two - middle
         # Axes are chosen at random for each pair of points, so multiply by the number of choices.

@@ -356,12 +356,19 @@ class Curves:
 
     def cells(self, values: Array, count: int, offset: float = 0.0) -> Array:
         """Return means over equal cells of the torus. The first cell begins at `offset` < 1."""
-        ends = offset + np.arange(count + 1) / count
-        turns, ends = np.divmod(ends, 1.0)
+        turns, ends = np.divmod(offset + np.arange(count + 1) / count, 1.0)
+        wrap = int(np.searchsorted(turns, 1.0))
         total = np.zeros((*values.shape[:-1], count + 1))
         for low, high, line in self._pieces(values):
             sums = line.antiderivative()
-            total += sums(np.clip(ends, low, high)) + turns * (sums(high) - sums(low))[..., None]
+            start, end = sums(low)[..., None], sums(high)[..., None]
+            # Ends ascend within each turn. The integral is constant before and behind the piece
+            for turn, own in ((0.0, slice(0, wrap)), (end - start, slice(wrap, None))):
+                x, out = ends[own], total[..., own]
+                first, stop = np.searchsorted(x, (low, high))
+                out[..., :first] += start + turn
+                out[..., first:stop] += sums(x[first:stop]) + turn
+                out[..., stop:] += end + turn
         return np.diff(total) * count
 
     def _pieces(self, values: Array) -> Iterator[tuple[float, float, Any]]:
