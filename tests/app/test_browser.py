@@ -22,6 +22,7 @@ from mcspectra.plots.text import number
 pytestmark = pytest.mark.browser
 _PATIENCE = 90_000  # Milliseconds; a quiet machine needs less than one second
 _SMALL = "half_width=4&realizations=16&n=16"
+_PAIR = "&".join([_SMALL, *(f"b.{each}" for each in _SMALL.split("&")), "b.sampler=random"])
 
 
 @pytest.fixture(scope="module")
@@ -115,8 +116,8 @@ def test_all_widgets_have_names(page, address):
     expect(page.get_by_role("slider", name="Points n, A", exact=True)).to_be_visible()
     name = "Compare with a second set-up, B"
     expect(page.get_by_role("checkbox", name=name, exact=True)).to_be_visible()
+    lines = page.locator("body").aria_snapshot().splitlines()
     for role in ("slider", "checkbox", "combobox", "textbox", "button", "figure", "progressbar"):
-        lines = page.locator("body").aria_snapshot().splitlines()
         own = [line.strip() for line in lines if line.strip().startswith(f"- {role}")]
         assert all('"' in line for line in own), own
 
@@ -131,6 +132,54 @@ def test_copied_python_gives_the_displayed_figures(page, address):
     assert cells[2] == number(float(found["measured_variance"]))
     shown = float(cells[4].split()[0].replace("−", "-"))
     assert shown == pytest.approx(float(found["rate"]), abs=5e-3)
+
+
+def test_two_set_ups_and_the_address_restores_them(page, address):
+    open_state(page, address, _SMALL)  # shown by the test before
+    page.get_by_role("checkbox", name="Compare with").check()
+    wait_for(page, "b.sampler", "random")
+    done(page, "B")
+    state = state_of(page)
+    for title in ("Points", "Power spectrum", "Terms of the variance"):
+        places = []
+        for side in "AB":
+            card = page.get_by_role("group", name=f"{side}: {title}", exact=True)
+            expect(card.get_by_role("heading", name=f"{side}: {title}")).to_be_visible()
+            places.append(card.bounding_box())
+        # The figures of A and B are side by side, with A on the left
+        assert places[0]["y"] == places[1]["y"]
+        assert places[0]["x"] + places[0]["width"] <= places[1]["x"]
+    # The curves of A and B are in one plot
+    both = page.get_by_role("group", name="A and B: Convergence", exact=True)
+    expect(both.get_by_role("heading", name="A and B: Convergence")).to_be_visible()
+    expect(page.get_by_role("group", name=re.compile("^[AB]: "))).to_have_count(16)
+    page.reload()
+    done(page, "B")
+    assert state_of(page) == state
+    assert state.b is not None
+    expect(both).to_be_visible()
+    expect(page.get_by_role("group", name=re.compile("^[AB]: "))).to_have_count(16)
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_axe_finds_nothing_serious(page, address, scheme):
+    page.emulate_media(color_scheme=scheme)
+    open_state(page, address, _PAIR)
+    done(page, "B")
+    page.evaluate((files("axe_playwright_python") / "axe.min.js").read_text("utf-8"))
+    found = page.evaluate("axe.run(document, {resultTypes: ['violations']})")["violations"]
+    page.emulate_media(color_scheme="light")
+    assert [each["id"] for each in found if each["impact"] in ("serious", "critical")] == []
+
+
+def test_the_plot_of_both_turns_gray_if_one_cannot_be_computed(page, address):
+    open_state(page, address, _PAIR)
+    done(page, "B")
+    field = page.get_by_label("Sampler spec, A", exact=True)
+    field.fill("no-such")
+    field.press("Enter")
+    both = page.get_by_role("group", name="A and B: Convergence", exact=True)
+    expect(both).to_have_css("opacity", "0.35")
 
 
 def test_an_invalid_entry_leaves_gray_figures_and_no_numbers(page, address):
@@ -206,50 +255,6 @@ def test_a_pixel_of_the_scene(page, address):
     page.mouse.wheel(0, 200)
     page.wait_for_function("before => window.scrollY > before", arg=before)
     done(page)
-
-
-def test_two_set_ups_and_the_address_restores_them(page, address):
-    open_state(page, address, _SMALL)
-    page.get_by_role("checkbox", name="Compare with").check()
-    wait_for(page, "b.sampler", "random")
-    done(page, "B")
-    state = state_of(page)
-    for title in ("Points", "Power spectrum", "Terms of the variance"):
-        places = []
-        for side in "AB":
-            card = page.get_by_role("group", name=f"{side}: {title}", exact=True)
-            expect(card.get_by_role("heading", name=f"{side}: {title}")).to_be_visible()
-            places.append(card.bounding_box())
-        # The figures of A and B are side by side, with A on the left
-        assert places[0]["y"] == places[1]["y"]
-        assert places[0]["x"] + places[0]["width"] <= places[1]["x"]
-    # The curves of A and B are in one plot
-    both = page.get_by_role("group", name="A and B: Convergence", exact=True)
-    expect(both.get_by_role("heading", name="A and B: Convergence")).to_be_visible()
-    expect(page.get_by_role("group", name=re.compile("^[AB]: "))).to_have_count(16)
-    page.reload()
-    done(page, "B")
-    assert state_of(page) == state
-    assert state.b is not None
-    expect(both).to_be_visible()
-    expect(page.get_by_role("group", name=re.compile("^[AB]: "))).to_have_count(16)
-    # The plot turns gray if one of the two cannot be computed
-    field = page.get_by_label("Sampler spec, A", exact=True)
-    field.fill("no-such")
-    field.press("Enter")
-    expect(both).to_have_css("opacity", "0.35")
-
-
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_axe_finds_nothing_serious(page, address, scheme):
-    page.emulate_media(color_scheme=scheme)
-    pair = "&".join(f"b.{each}" for each in _SMALL.split("&"))
-    open_state(page, address, f"{_SMALL}&{pair}&b.sampler=random")
-    done(page, "B")
-    page.evaluate((files("axe_playwright_python") / "axe.min.js").read_text("utf-8"))
-    found = page.evaluate("axe.run(document, {resultTypes: ['violations']})")["violations"]
-    page.emulate_media(color_scheme="light")
-    assert [each["id"] for each in found if each["impact"] in ("serious", "critical")] == []
 
 
 def test_odd_addresses_get_a_sentence(page, address):

@@ -3,11 +3,12 @@
 import json
 
 import pytest
+from tests.fonts import fonts_once
 from tests.report.conftest import undrawn
 
 from mcspectra.cli.main import main
 
-__all__ = ["undrawn"]
+__all__ = ["fonts_once", "undrawn"]
 
 
 @pytest.fixture

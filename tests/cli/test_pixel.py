@@ -74,7 +74,7 @@ def small_effort():
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_json_and_files_hold_the_numbers_of_the_library(capsys, tmp_path):
+def test_json_and_files_hold_the_numbers_of_the_library_or_are_refused(capsys, tmp_path):
     code, out, err = run(
         capsys, "figure1", "Q", *SMALL, "--out", tmp_path / "new" / "out", "--json"
     )
@@ -96,6 +96,11 @@ def test_json_and_files_hold_the_numbers_of_the_library(capsys, tmp_path):
     report = Path(printed.pop("report"))
     assert report.is_file()
     assert json.loads((report.parent / "pixel.json").read_text(encoding="utf-8")) == printed
+    # The same analysis, and a folder that cannot be made
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    code, _, err = run(capsys, "figure1", "Q", *SMALL, "--out", tmp_path / "file" / "out")
+    assert code == 2
+    assert "cannot be written" in err.splitlines()[-1]
 
 
 def test_text_has_rows_and_sentences(capsys):
@@ -173,10 +178,3 @@ def test_without_mitsuba_or_llvm(capsys, monkeypatch, missing):
     assert (code, out) == (2, "")
     assert "pip install 'mcspectra[render]'" in err
     assert err.count("\n") == 1
-
-
-def test_a_folder_that_cannot_be_written(capsys, tmp_path):
-    (tmp_path / "file").write_text("", encoding="utf-8")
-    code, _, err = run(capsys, "figure1", "Q", *SMALL, "--out", tmp_path / "file" / "out")
-    assert code == 2
-    assert "cannot be written" in err.splitlines()[-1]

@@ -3,11 +3,14 @@
 import gc
 
 import pytest
+from tests.fonts import fonts_once
 
 from mcspectra.rendering import scenes
 from mcspectra.rendering.paths import dimensions_of
 from mcspectra.rendering.skies import _sky
 from mcspectra.rendering.techniques import hits_of
+
+__all__ = ["fonts_once"]
 
 _CAMERA = """
   <sensor type="perspective">

@@ -98,7 +98,7 @@ def test_maps_without_paths_and_black_maps_are_refused():
 
 
 @pytest.mark.render
-@pytest.mark.parametrize("rfilter", ["box", "gaussian"])
+@pytest.mark.parametrize("rfilter", [pytest.param("box", marks=pytest.mark.slow), "gaussian"])
 def test_an_adaptive_image_has_the_mean_of_an_image(rfilter):
     scene = SCENES["lens"](width=12, height=8, rfilter=rfilter)
     mitsuba = load_mitsuba()

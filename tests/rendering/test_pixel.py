@@ -92,7 +92,7 @@ def test_textures_sky_and_layers_match_the_stock_integrator(scene_files):
 
 
 def check_against_stock(place, dims):
-    count = 2**19
+    count = 2**18
     wanted, wanted_error = mean_and_error(
         stock_values(place["scene"], place["x"], place["y"], count)
     )

@@ -42,7 +42,9 @@ def check_slowest_decides(technique, whole):
     assert whole[2] > technique[BSDF, 0]
 
 
-@pytest.mark.parametrize("shape", PLACES)
+@pytest.mark.parametrize(
+    "shape", ["wall", "plate-3", pytest.param("plate-2", marks=pytest.mark.slow)]
+)
 def test_slowest_technique_determines_mis(shape):
     place = PLACES[shape]
     assert describe_pixel(place["scene"], place["x"], place["y"])["shape"] == shape
@@ -105,7 +107,7 @@ def test_spectrum_predicts_the_variance(place, strategy):
         assert captured == pytest.approx(1.0, abs=0.02)
 
 
-@pytest.mark.parametrize("n", [16, 64])
+@pytest.mark.parametrize("n", [16, pytest.param(64, marks=pytest.mark.slow)])
 def test_quadrature_of_strata_predicts_the_variance(n):
     """Within 4 σ of 1000 measured realizations, with σ from the reported interval."""
     light = Pixel(**WALL)

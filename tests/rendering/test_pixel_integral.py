@@ -14,7 +14,7 @@ pytestmark = pytest.mark.render
 
 FLOOR = {"scene": "veach", "x": 5, "y": 500}
 SIGMAS = 4.5  # Student's t with 15 degrees of freedom exceeds it by chance once in 2400
-SAMPLES = 2**19
+SAMPLES = 2**18
 
 
 def uniforms(dims):

@@ -286,10 +286,19 @@ def test_no_code_of_a_folder_runs(study):
         'title = "t"\nsamplers = ["jittered"]\n[points]\nn = 4\n[[estimators]]\nname = "a"\n'
         "dims = 2\nintegrand = \"pixel(scene='veach(width=8, height=8)', x=3, y=3)\"\n"
     )
-    for verb in (["run", "study.toml", "--dry-run"], ["doctor"], ["pixel", "scene.xml", "1", "1"]):
-        safe = {**os.environ, "MCSPECTRA_CACHE": str(study.parent / "cache")}
-        python("-P", "-m", "mcspectra", *verb, cwd=study, timeout=300, env=safe)
-        assert not mark.exists(), verb
+    # One process starts Mitsuba once. The verb that may load libraries of a scene comes first
+    verbs = (["pixel", "scene.xml", "1", "1"], ["run", "study.toml", "--dry-run"], ["doctor"])
+    program = (
+        "import os; from mcspectra.cli.main import main\n"
+        f"for verb in {verbs}:\n"
+        f"    print(*verb, main(verb), os.path.exists({str(mark)!r}))\n"
+    )
+    safe = {**os.environ, "MCSPECTRA_CACHE": str(study.parent / "cache")}
+    done = python("-P", "-c", program, cwd=study, timeout=300, env=safe)
+    ended = [line for line in done.stdout.splitlines() if line.endswith(("True", "False"))]
+    assert [line.split()[0] for line in ended] == [verb[0] for verb in verbs], done.stderr
+    assert [line for line in ended if line.endswith("True")] == []
+    assert "pixel scene.xml 1 1 2 False" in ended  # exit code 2: the library is refused
 
 
 @pytest.mark.render

@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 import xarray as xr
+from tests.fonts import fonts_once
 
 from mcspectra.core.analysis import ANALYSES
 from mcspectra.core.records import pack
@@ -16,6 +17,8 @@ from mcspectra.core.results import dataset
 from mcspectra.report import page
 from mcspectra.studies.files import Slugs, decode_study, plain_study, study_of
 from mcspectra.studies.ledger import Ledger, StudyNote
+
+__all__ = ["fonts_once"]
 
 Z = 1.959963984540054
 SAMPLERS = ("random", "jittered", "jittered | shift")

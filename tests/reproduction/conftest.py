@@ -7,10 +7,13 @@ from types import ModuleType
 from typing import Any
 
 import pytest
+from tests.fonts import fonts_once
 
 from mcspectra.plots import backend_bokeh, backend_matplotlib
 from mcspectra.reproduction.claims import Exhibit
 from mcspectra.reproduction.gallery import Slide
+
+__all__ = ["fonts_once"]
 
 Disagreeing = Callable[..., list[int]]
 
