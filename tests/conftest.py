@@ -55,6 +55,16 @@ def own_trust():
     external._own.update(own)
 
 
+@pytest.fixture(scope="module")
+def coarse_pixels():
+    """Let integrals of pixels take 2^14 evaluations instead of 2^21, for tests of other things."""
+    from mcspectra.rendering import pixel
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pixel, "_POINTS", 2**10)
+        yield
+
+
 @pytest.fixture
 def hear_interrupts():
     """Let processes of a test receive SIGINT, even if a background shell ignores it."""

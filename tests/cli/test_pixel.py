@@ -19,7 +19,7 @@ from mcspectra.report.pixel_page import STRATEGY_NAMES
 from mcspectra.studies import pixel
 from mcspectra.studies.pixel import EFFORTS, analyse_pixel
 
-pytestmark = pytest.mark.render
+pytestmark = [pytest.mark.render, pytest.mark.usefixtures("coarse_pixels")]
 
 SAMPLERS = ("jittered", "sobol | owen")
 SMALL = (

@@ -65,7 +65,7 @@ def test_errors_of_eigenvalues_equal_their_spread():
     assert 1 - 4 * 0.113 < claimed / values.std(ddof=1) < np.sqrt(10 / 9) * (1 + 4 * 0.113)
 
 
-@pytest.mark.parametrize("realizations", [20, 400])
+@pytest.mark.parametrize("realizations", [20, pytest.param(400, marks=pytest.mark.slow)])
 def test_sampling_noise_steepens_a_flat_spectrum(realizations):
     """Sampling noise alone gives a largest eigenvalue at the Marchenko-Pastur edge.
 

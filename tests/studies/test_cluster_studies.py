@@ -118,7 +118,7 @@ def test_the_command_runs_on_a_cluster(expected, cluster, tmp_path, capsys, stor
 
 
 MANY = STUDY.replace('"random", "jittered | shift"', ", ".join(f'"{s}"' for s in SAMPLERS)).replace(
-    "realizations = 3000", "realizations = 200_000"
+    "realizations = 3000", "realizations = 100_000"
 )
 
 

@@ -90,7 +90,7 @@ def assert_finished(out, straight):
     assert leftover <= {"results.zarr", LEDGER_NAME, "study.lock", "report.html", "figures"}
 
 
-@pytest.mark.parametrize("kills", [3, pytest.param(150, marks=pytest.mark.endurance)])
+@pytest.mark.parametrize("kills", [2, pytest.param(150, marks=pytest.mark.endurance)])
 def test_killed_at_any_moment_and_resumed(study, tmp_path, straight, kills):
     """Uses forks with imported modules: see killed_runs.py."""
     program = ("-m", "tests.studies.killed_runs", study, tmp_path, kills, 1)

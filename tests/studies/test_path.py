@@ -18,7 +18,7 @@ from mcspectra.samplers import as_sampler
 from mcspectra.studies import analyse_path
 from mcspectra.studies.path import path_remedies, shares_by_light
 
-pytestmark = pytest.mark.render
+pytestmark = [pytest.mark.render, pytest.mark.usefixtures("coarse_pixels")]
 
 SCENE, X, Y = "penumbra(width=16, height=12)", 8, 9
 PATH = "path(max_depth=3, rr_depth=2)"

@@ -27,7 +27,7 @@ from mcspectra.report.pixel_page import (
 from mcspectra.studies import pixel as module
 from mcspectra.studies.pixel import EFFORTS, PIXEL_STRATEGIES, PixelEffort, analyse_pixel
 
-pytestmark = pytest.mark.render
+pytestmark = [pytest.mark.render, pytest.mark.usefixtures("coarse_pixels")]
 
 SAMPLERS = ("random", "jittered | shift", "sobol | owen")
 COUNTS = (4, 16, 64)

@@ -16,7 +16,7 @@ def assert_held(found):
     assert not found["broken"]
 
 
-@more(24, 1)
+@more(64, 1)
 def test_each_cell_off_a_zeroed_page_is_recovered(tmp_path, count):
     found = trials.pages(tmp_path, step=count)
     assert_held(found)
@@ -24,7 +24,7 @@ def test_each_cell_off_a_zeroed_page_is_recovered(tmp_path, count):
 
 
 @FAULTS
-@more(5, 300)
+@more(3, 300)
 def test_a_run_survives_a_loss_of_power(tmp_path, count):
     found = trials.power(tmp_path, count)
     assert_held(found)
@@ -32,7 +32,7 @@ def test_a_run_survives_a_loss_of_power(tmp_path, count):
 
 
 @FAULTS
-@more(3, 150)
+@more(2, 150)
 def test_a_run_survives_allocations_that_fail(tmp_path, count):
     assert_held(trials.memory(tmp_path, count))
 
