@@ -21,7 +21,10 @@ def uniforms(dims):
     return Stream.from_rng(3).uniforms(0, 1, SAMPLES * dims).reshape(SAMPLES, dims)
 
 
-@pytest.mark.parametrize(("strategy", "dims"), [("light", 2), ("light", 4), ("mis-bsdf", 4)])
+@pytest.mark.parametrize(
+    ("strategy", "dims"),
+    [pytest.param("light", 2, marks=pytest.mark.slow), ("light", 4), ("mis-bsdf", 4)],
+)
 def test_it_is_the_mean_of_random_points(strategy, dims):
     pixel = Pixel(**FLOOR, dims=dims, strategy=strategy)
     values = pixel(uniforms(dims))

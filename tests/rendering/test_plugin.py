@@ -236,7 +236,7 @@ def smallest_p_value(a, b):
     [
         ("ours", "direct", "llvm_ad_rgb"),
         ("joint", "path", "llvm_ad_rgb"),
-        ("ours", "path", "llvm_ad_rgb"),
+        pytest.param("ours", "path", "llvm_ad_rgb", marks=pytest.mark.slow),
         ("ours", "direct", "scalar_rgb"),
     ],
 )

@@ -12,19 +12,15 @@ ELSEWHERE = {
     "veach-pictures",
 }
 RENDERED = {"light-smoothing", "mis-slowest"}
-# The quick tests of these exhibits exchange one part and list all findings that then disagree
-LISTED = {"dimensionality", "generalised-formula", "importance-terms", "mis-slowest", "phase"}
-
-
-def marks(name):
-    """Return the marks of an exhibit."""
-    rendered = [pytest.mark.render] if name in RENDERED else []
-    return rendered + ([pytest.mark.slow] if name in LISTED else [])
 
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(name, marks=marks(name)) for name in texts() if name not in ELSEWHERE],
+    [
+        pytest.param(name, marks=[pytest.mark.render] if name in RENDERED else [])
+        for name in texts()
+        if name not in ELSEWHERE
+    ],
 )
 def test_all_findings_agree(name, sound):
     sound(*make_exhibit(name, quick=True, seed=1))
