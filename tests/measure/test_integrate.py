@@ -369,7 +369,15 @@ def test_the_answer_of_a_profile_and_its_evaluations_are_used():
     assert abs(float(result["value"]) - 1.0) < 1e-14
 
 
-@pytest.mark.parametrize("f", KNOWN, ids=lambda f: f.__name__)
+@pytest.mark.parametrize(
+    "f",
+    [
+        pytest.param(smooth, marks=pytest.mark.slow),
+        kink,
+        pytest.param(jump, marks=pytest.mark.slow),
+    ],
+    ids=lambda f: f.__name__,
+)
 def test_intervals_with_a_profile_cover(f):
     """At least 190 − 3 σ of 200 intervals cover, and 190 are narrower than those of the profile."""
     seeds = 200
