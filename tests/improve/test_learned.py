@@ -145,7 +145,7 @@ def test_threads_and_blocks_do_not_matter():
     """The number of BLAS threads and the blocks of points do not change any bit."""
     specs = [
         mcs.improve.learned_density(
-            "gaussian(width=0.1, center=0.3)", kind, OWEN, 256, dims=3, evaluations=8192
+            "gaussian(width=0.1, center=0.3)", kind, OWEN, 256, dims=3, evaluations=4096
         ).spec
         for kind in KINDS
     ]
@@ -153,7 +153,7 @@ def test_threads_and_blocks_do_not_matter():
         "import mcspectra as mcs\n"
         f"for kind in {KINDS}: "
         "print(mcs.improve.learned_density('gaussian(width=0.1, center=0.3)', "
-        f"kind, {OWEN!r}, 256, dims=3, evaluations=8192).spec)"
+        f"kind, {OWEN!r}, 256, dims=3, evaluations=4096).spec)"
     )
     threads = "1" if os.environ["OPENBLAS_NUM_THREADS"] != "1" else "2"
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": threads}

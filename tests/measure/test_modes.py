@@ -18,10 +18,10 @@ TWO = mcs.MultipleImportance("gaussian", ["uniform", "linear(slope=1)"])
     ("estimator", "sampler", "changes"),
     [
         (F1, "jittered", {"half_width": 12}),
-        (F1, "random", {"half_width": 12}),
+        pytest.param(F1, "random", {"half_width": 12}, marks=pytest.mark.slow),
         (F1, "jittered", {"half_width": 8, "basis": "cosine"}),
         (F1, "jittered", {"half_width": 16, "basis": "haar"}),
-        (F2, "jittered", {"half_width": 4}),
+        pytest.param(F2, "jittered", {"half_width": 4}, marks=pytest.mark.slow),
         (F2, "latin-hypercube", {"half_width": 4, "basis": "walsh"}),
         (WARPED, "jittered", {"half_width": 3}),
         (TWO, "jittered", {"half_width": 3, "space": "primary"}),

@@ -57,6 +57,7 @@ def test_what_is_neither_a_sum_nor_a_product_is_not_taken_for_one():
 
 
 class TestUnbounded:
+    @pytest.mark.slow  # The closed forms of powers below are a quicker test of the same kind
     def test_latin_hypercubes_of_quantiles(self):
         """The exact variance within n strata at n = 64 is 0.012925."""
 
@@ -75,43 +76,41 @@ class TestUnbounded:
         assert low <= exact <= high
         assert found["predicted_variance"].item() == pytest.approx(exact, rel=1e-5)
 
-    @pytest.mark.parametrize("sampler", ["random", "jittered", "latin-hypercube", "sobol | owen"])
     @pytest.mark.parametrize(
         ("a", "place", "dims", "product"),
         [(0.4, 0.0, 2, True), (0.45, 1.0, 2, False), (0.3, 0.3, 3, True), (0.4, 0.3, 6, False)],
     )
-    def test_powers_in_closed_form(self, sampler, a, place, dims, product):
+    def test_powers_in_closed_form(self, a, place, dims, product):
         """Cells of one axis have closed-form means and mean squares; nets are for sums only."""
-        n = 64
+        n, samplers = 64, ["random", "jittered", "latin-hypercube", "sobol | owen"]
 
         def powers(x):
             each = np.abs(x - place) ** -a
             return each.prod(axis=-1) if product else each.sum(axis=-1)
 
         (mean,), (square,) = means_of_power(a, place, 1)
-        law = as_sampler(sampler, dims).law(n)
 
         def of_cells(s):
             return (means_of_power(a, place, s)[0] ** 2).mean()
 
-        if sampler == "random":
-            exact = square**dims - mean ** (2 * dims) if product else dims * (square - mean**2)
-        elif sampler == "jittered":
-            inside = [of_cells(s) for s in law.sides]
-            exact = square**dims - math.prod(inside) if product else dims * square - sum(inside)
-        else:
-            apart = (n * mean**2 - of_cells(n)) / (n - 1)
-            exact = dims * (square - of_cells(n))
-            if product:
-                exact = square**dims + (n - 1) * apart**dims - n * mean ** (2 * dims)
-        found = predict(powers, sampler, [n], dims=dims)
-        value = found["predicted_variance"].item()
-        low, high = found["predicted_variance_ci"].values[0]
-        assert low <= high
-        if "owen" not in sampler or not product:
-            assert low <= exact / n * (1 + 1e-9)
-            assert exact / n <= high * (1 + 1e-9)
-            assert value == pytest.approx(exact / n, rel=1e-3)
+        found = predict(powers, samplers, [n], dims=dims).isel(n=0)
+        values, ends = found["predicted_variance"].values, found["predicted_variance_ci"].values
+        for sampler, value, (low, high) in zip(samplers, values, ends, strict=True):
+            if sampler == "random":
+                exact = square**dims - mean ** (2 * dims) if product else dims * (square - mean**2)
+            elif sampler == "jittered":
+                inside = [of_cells(s) for s in as_sampler(sampler, dims).law(n).sides]
+                exact = square**dims - math.prod(inside) if product else dims * square - sum(inside)
+            else:
+                apart = (n * mean**2 - of_cells(n)) / (n - 1)
+                exact = dims * (square - of_cells(n))
+                if product:
+                    exact = square**dims + (n - 1) * apart**dims - n * mean ** (2 * dims)
+            assert low <= high, sampler
+            if "owen" not in sampler or not product:
+                assert low <= exact / n * (1 + 1e-9), sampler
+                assert exact / n <= high * (1 + 1e-9), sampler
+                assert value == pytest.approx(exact / n, rel=1e-3), sampler
 
     @pytest.mark.parametrize("method", ["exact", "levels", "subsets", "table", "moves"])
     def test_no_method_gives_a_number_where_the_square_has_no_integral(self, method):
@@ -137,7 +136,7 @@ SAMPLERS = [
 
 
 @pytest.mark.parametrize("sampler", SAMPLERS)
-@pytest.mark.parametrize("dims", [3, 6])
+@pytest.mark.parametrize("dims", [pytest.param(3, marks=pytest.mark.slow), 6])
 def test_functions_of_one_axis_are_never_refused(sampler, dims):
     """Sums have the variances of their terms in any dims; n = 64 has the sides 8², 4³ and 2⁶."""
     source = as_sampler(sampler, dims)
@@ -191,8 +190,21 @@ LAWS = [
 ]
 
 
-@pytest.mark.parametrize(("sampler", "n"), LAWS)
-@pytest.mark.parametrize("product", [False, True])
+# Sums under shifts need one quadrature for each axis, for which the other laws are quicker tests
+SLOW_SUMS = {"halton | shift", "sobol | digital-shift", "rank1-lattice | shift"}
+
+
+@pytest.mark.parametrize(
+    ("sampler", "n", "product"),
+    [
+        pytest.param(
+            sampler, n, product,
+            marks=[pytest.mark.slow] if sampler in SLOW_SUMS and not product else [],
+        )
+        for product in (False, True)
+        for sampler, n in LAWS
+    ],
+)  # fmt: skip
 def test_variances_of_sets_that_are_drawn(sampler, n, product):
     """4,000 sets: 4.5 standard errors of a sample variance, for 18 tests."""
     from mcspectra.prediction.exact import _by_axes

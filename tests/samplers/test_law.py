@@ -279,7 +279,9 @@ class TestGroupedAxes:
         "text",
         [
             "cos(2*pi*(x0-x1+x3))+sin(2*pi*(x2+x4))+cos(2*pi*x4)",
-            "cos(2*pi*x0)*cos(2*pi*x3)+cos(2*pi*x1)+sin(2*pi*(x3-x4))",
+            pytest.param(
+                "cos(2*pi*x0)*cos(2*pi*x3)+cos(2*pi*x1)+sin(2*pi*(x3-x4))", marks=pytest.mark.slow
+            ),
         ],
     )
     def test_variances_of_waves_that_mix_both_groups(self, text):
@@ -292,7 +294,12 @@ class TestGroupedAxes:
         assert abs(found - float(curve["variance"][0])) < 4.5 * error
 
     @pytest.mark.parametrize(
-        "text", ["exp(x0+x1/2+x2/3+x3+x4/2)", "where(x0+x1-x3+0.5*x4<0.6,1,0)", "max(x2+x3-1,0)*x1"]
+        "text",
+        [
+            pytest.param("exp(x0+x1/2+x2/3+x3+x4/2)", marks=pytest.mark.slow),
+            pytest.param("where(x0+x1-x3+0.5*x4<0.6,1,0)", marks=pytest.mark.slow),
+            "max(x2+x3-1,0)*x1",
+        ],
     )
     def test_predictions_of_functions_that_mix_both_groups(self, text):
         """Intervals from pairs of points (with a shift) or from other counts cover the variance."""

@@ -110,6 +110,7 @@ class PiecewiseSettings:
 
 
 _SETTINGS = PiecewiseSettings()
+_BLOCK = 2**11
 
 
 @final
@@ -157,12 +158,20 @@ class PiecewiseCurve:
         return np.searchsorted(self.low, x, side="right") - 1
 
     def _values(self, piece: Array, x: Array) -> Array:
-        """Evaluate the polynomials of given pieces, without the mean, by Clenshaw's algorithm."""
+        """Evaluate the polynomials of pieces, which broadcast with x, without the mean.
+
+        This is Clenshaw's algorithm, with few temporary arrays.
+        """
         y = np.clip(2.0 * (x - self.start[piece]) / self.width[piece] - 1.0, -1.0, 1.0)
         c = self.coefficients
-        one, two = np.zeros(y.shape), np.zeros(y.shape)
+        one, two, new = np.zeros(y.shape), np.zeros(y.shape), np.empty(y.shape)
         for k in range(c.shape[1] - 1, 0, -1):
-            one, two = c[piece, k] + (2 * k + 1) / (k + 1) * y * one - (k + 1) / (k + 2) * two, one
+            np.multiply((2 * k + 1) / (k + 1), y, out=new)
+            new *= one
+            new += c[piece, k]
+            two *= (k + 1) / (k + 2)
+            new -= two
+            one, two, new = new, one, two
         return np.asarray(c[piece, 0] + y * one - 0.5 * two)
 
     @cached_property
@@ -187,7 +196,9 @@ class PiecewiseCurve:
         node, weight = gauss_rule(order)
         size = end - begin
         x = begin[:, None] + size[:, None] * node
-        values = self._values(np.repeat(piece[:, None], order, axis=1), x)
+        # Blocks of cells stay in the cache
+        blocks = [slice(k, k + _BLOCK) for k in range(0, max(len(x), 1), _BLOCK)]
+        values = np.concatenate([self._values(piece[own, None], x[own]) for own in blocks])
 
         def cell_of(middle: Array) -> Array:
             found = np.floor(((middle - offset) % 1.0) * count).astype(np.int64)
