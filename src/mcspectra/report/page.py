@@ -581,6 +581,10 @@ def _drawn(
         return backend_matplotlib.encode(drawn, with_pdf=with_pdf, dpi=look.dpi)
 
     png, pdf = encoded(plot, filed and with_pdf)
+    pngs = {value: encoded(p, False)[0] for value, p in _others(figure).items()}
+    if lecture:
+        png, *rest = _cropped([png, *pngs.values()])
+        pngs = dict(zip(pngs, rest, strict=True))
     if folder is not None and filed:
         for end, content in ((".png", png), (".pdf", pdf)):
             place = folder / f"{figure.name}{end}"
@@ -593,11 +597,8 @@ def _drawn(
         from mcspectra.plots import backend_bokeh
 
         live = backend_bokeh.packed(backend_bokeh.draw(plot).model)
-    frames = {}
-    for value, frame in (figure.slider.plots if figure.slider else {}).items():
-        same = figure.slider is not None and value == figure.slider.start
-        image = png if same else encoded(frame, with_pdf=False)[0]
-        frames[value] = base64.b64encode(image).decode("ascii")
+    slider = figure.slider.plots if figure.slider else {}
+    frames = {v: base64.b64encode(pngs.get(v, png)).decode("ascii") for v in slider}
     return {
         "png": base64.b64encode(png).decode("ascii"),
         "thumbnail": _thumbnail(png) if lecture else "",
@@ -612,6 +613,47 @@ def _drawn(
         "live": live,
         "frames": frames,
     }
+
+
+def _others(figure: Figure) -> Mapping[str, Plot]:
+    """Return the plots of a figure's slider, except for the plot that is shown at first."""
+    slider = figure.slider
+    return {v: p for v, p in slider.plots.items() if v != slider.start} if slider else {}
+
+
+_MARGIN = 14  # pixels around a cropped figure
+
+
+def _cropped(pngs: Sequence[bytes]) -> list[bytes]:
+    """Remove the empty border that all images of equal size have, except for a margin."""
+    import io
+
+    from PIL import Image, ImageChops
+
+    images = [Image.open(io.BytesIO(png)) for png in pngs]
+    boxes = []
+    for each in images:
+        plain = each.convert("RGB")
+        paper = Image.new("RGB", plain.size, plain.getpixel((0, 0)))
+        boxes.append(ImageChops.difference(plain, paper).getbbox() or (0, 0, *plain.size))
+    if len({each.size for each in images}) > 1:
+        return list(pngs)
+    left, top, right, bottom = (
+        f(box[i] for box in boxes) for i, f in enumerate((min, min, max, max))
+    )
+    width, height = images[0].size
+    box = (
+        max(left - _MARGIN, 0),
+        max(top - _MARGIN, 0),
+        min(right + _MARGIN, width),
+        min(bottom + _MARGIN, height),
+    )
+    found = []
+    for each in images:
+        small = io.BytesIO()
+        each.crop(box).save(small, format="PNG")
+        found.append(small.getvalue())
+    return found
 
 
 def _thumbnail(png: bytes) -> str:

@@ -25,7 +25,7 @@ BOXES = f"box-jitter(width={WIDTH})"
 BOUNDED = "poisson-disk(boundary='bounded')"
 _M = np.arange(33)
 _COUNTS = (2, 4, 8, 16)
-_DRAWN = 160_000  # realizations in the figure: the bias is then more than ten standard errors
+_DRAWN = 100_000  # realizations in the figure: the bias is then more than ten standard errors
 _BINS = 4 * N  # the middle half of a stratum is two of four bins
 
 
@@ -56,7 +56,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
     # Draw the way from the points to the bias for unbiased and biased points
     plain = _way_to_the_bias(
-        ("jittered", DENSITY), ("jittered, p = ½ + x", "⟨S_m⟩ = 0, m ≠ 0", "no bias"),
+        ("jittered", DENSITY), ("jittered, by p", "⟨S_m⟩ = 0, m ≠ 0", "no bias"),
         seed, PALETTE[0], below=False,
     )  # fmt: skip
     gaps = _way_to_the_bias(

@@ -316,7 +316,7 @@ def _take_away(last: Mapping[tuple[str, bool], Measured], seed: int) -> Plot:
     names = ["original", "original, shifted", "mirror-random, shifted", "mirror-uniform, shifted"]
     variances = Panel(
         marks=(bars,),
-        x=log_axis("variance", least, float(high.max())),
+        x=log_axis("variance", least, float(high.max()), most=3),
         y=name_axis(names),
         title=f"variance with {_COUNTS[-1]} evaluations",
         grid=True,
