@@ -59,8 +59,9 @@ AXES: tuple[Literal["x", "y"], ...] = ("x", "y")
 
 _TERMS = {"dc_term": "1st", "power_term": "2nd", "cross_term": "3rd"}
 _RESOLUTION = 256
-# Parts of a logarithmic axis: distance of lines that look the same, and room for a slope label
-_COINCIDENT, _ROOM = 0.02, 0.12
+# Parts of a logarithmic axis: distance of lines that look the same, room for a slope label,
+# and distance of the label from its line
+_COINCIDENT, _ROOM, _LIFT = 0.02, 0.12, 0.05
 # A variance term counts as a rounding error if it is smaller than this share of the largest term.
 _ROUNDING = 1e-12
 
@@ -148,18 +149,20 @@ def slope_labels(
     middle = len(n) // 2
     x, found = math.sqrt(n[middle - 1] * n[middle]), list[TextMark]()
     heights = [math.log(y[middle - 1] * y[middle]) / 2 for y, _, _ in lines]
-    for k in np.argsort(heights)[::-1]:
-        others = [(each - heights[k]) / reach for i, each in enumerate(heights) if i != k]
+    order = np.argsort(heights, kind="stable")[::-1].tolist()
+    for place, k in enumerate(order):
         # Distances to the lines above and below, as parts of the axis
-        above = min((d for d in others if d >= 0), default=1.0)
-        below = min((-d for d in others if d < 0), default=1.0)
+        away = [abs(heights[i] - heights[k]) / reach for i in order]
+        above = min(away[:place], default=1.0)
+        below = min((d for d in away[place + 1 :] if d >= _COINCIDENT), default=1.0)
         if above < _COINCIDENT or max(above, below) < _ROOM:
             continue
         _, rate, color = lines[k]
+        raised = _LIFT if above >= _ROOM else -_LIFT
         found.append(
             TextMark(
-                x=x, y=math.exp(heights[k]), text=f"slope {number(rate, 2)}", color=color,
-                side="right" if above >= _ROOM else "left",
+                x=x, y=math.exp(heights[k] + raised * reach), text=f"slope {number(rate, 2)}",
+                color=color, side="right" if raised > 0 else "left",
             )
         )  # fmt: skip
     return found
