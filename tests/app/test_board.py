@@ -8,6 +8,7 @@ from bokeh.document import Document
 from bokeh.models import InlineStyleSheet
 
 from mcspectra.app.board import Board
+from mcspectra.app.compute import UPDATE_KINDS
 from mcspectra.app.figures import FIGURES
 from mcspectra.app.page import Explorer
 from mcspectra.app.state import ExplorerSetup, ExplorerState
@@ -124,3 +125,14 @@ def test_the_curves_of_two_set_ups_share_a_plot():
     assert explorer._grid.children == [joint]
     explorer._choose_comparison("", True, False)
     assert explorer._grid.children == []
+
+
+def test_each_update_has_a_callback_of_its_own(page, board):
+    """The browser gets a figure after the callback, even if all results are there already."""
+    board.run(SMALL)
+    acts = [page.acts.get(timeout=60) for _ in range(len(UPDATE_KINDS) + 1)]
+    for done, act in enumerate(acts[:-1], start=1):
+        act()
+        assert list(board.latest) == list(UPDATE_KINDS[:done])
+    acts[-1]()
+    assert not board.busy

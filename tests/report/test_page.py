@@ -27,6 +27,7 @@ from mcspectra.report.page import (
     TableCell,
     anchors,
     columns_of,
+    maths,
     table_of,
     write_json,
     write_page,
@@ -195,6 +196,33 @@ def test_values_inserted_in_html_are_escaped_once():
     inner = Markup("<b>{}</b>").format(EVIL)
     assert inner == "<b>&lt;/script&gt;&lt;u&gt;&amp;&quot;&#x27;</b>"
     assert Markup("<p>{}{}</p>").format(inner, 2) == f"<p>{inner}2</p>"
+
+
+@pytest.mark.parametrize(
+    ("text", "html"),
+    [
+        ("⟨S_m*⟩ = 0, f_m", "⟨S<sub>m</sub>*⟩ = 0, f<sub>m</sub>"),
+        ("Var(I_N) ~ N^(−3/2), 2^d", "Var(I<sub>N</sub>) ~ N<sup>−3/2</sup>, 2<sup>d</sup>"),
+        ("strata_shift <b>", "strata_shift &lt;b&gt;"),
+    ],
+)
+def test_subscripts_and_exponents_become_html(text, html):
+    assert maths(text) == html
+
+
+def test_figures_of_a_deck_have_larger_texts_and_more_pixels():
+    """Half of the panel's width in inches with the same font size gives texts twice as large."""
+    page, lecture = (
+        backend_matplotlib.draw(plot()),
+        backend_matplotlib.draw(plot(), look=backend_matplotlib.LECTURE),
+    )
+    zoom = backend_matplotlib.LECTURE.zoom
+    assert lecture.get_figwidth() == pytest.approx(page.get_figwidth() / zoom)
+    sizes = [
+        backend_matplotlib.encode(figure, with_pdf=False, dpi=dpi)[0][16:20]
+        for figure, dpi in ((page, 120), (lecture, backend_matplotlib.LECTURE.dpi))
+    ]
+    assert int.from_bytes(sizes[1], "big") > 1.2 * int.from_bytes(sizes[0], "big")
 
 
 def test_symbolic_links_at_output_paths_are_not_followed(tmp_path):

@@ -1,5 +1,7 @@
 """The gallery in Chromium: contents, phones, dark mode, print; no network, scripts or errors."""
 
+from importlib.resources import files
+
 import pytest
 from playwright.sync_api import Page
 
@@ -138,6 +140,38 @@ def test_nothing_overflows_and_every_image_loads(visit, width, scheme):
         page.locator("main :is(h1, h2, p, li, blockquote, figcaption, dd)").evaluate_all(outside)
         == []
     )
+
+
+@pytest.mark.parametrize(("width", "scheme"), [(390, "light"), (1300, "dark")])
+def test_axe_finds_nothing_serious_on_any_screen(visit, width, scheme):
+    page = visit(width, color_scheme=scheme)
+    page.evaluate((files("axe_playwright_python") / "axe.min.js").read_text("utf-8"))
+    wrong = set()
+    for _ in SCREENS:
+        page.evaluate(
+            "document.querySelectorAll('.current details').forEach(d => { d.open = true; })"
+        )
+        found = page.evaluate("axe.run({resultTypes: ['violations']})")["violations"]
+        wrong |= {
+            f"{each['id']}: {each['nodes'][0]['html'][:200]} {each['nodes'][0]['failureSummary']}"
+            for each in found
+            if each["impact"] in ("serious", "critical")
+        }
+        page.locator("nav button").last.click()
+    assert wrong == set()
+
+
+def test_the_figure_of_a_screen_is_large_and_fits(visit):
+    """A figure takes half of the screen's height, and heading to folded parts need no scrolling."""
+    page = visit(1300)
+    page.set_viewport_size({"width": 1300, "height": 900})
+    page.keyboard.press("ArrowRight")
+    for name in SCREENS[1:-2]:
+        box = page.locator(f"#{name} figure .frame").first.bounding_box()
+        assert box["height"] > 450
+        folded = page.locator(f"#{name} > .folded").bounding_box()
+        assert folded["y"] + folded["height"] <= page.locator("nav").bounding_box()["y"] + 1
+        page.keyboard.press("ArrowRight")
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

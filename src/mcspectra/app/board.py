@@ -55,7 +55,7 @@ class Board:
         If nothing can be computed, the text is a sentence with the reason.
     on_shown
         Called in the page's thread after a part was shown, and after the job has ended.
-        The function's argument is True if figures were added or removed.
+        The argument is True if figures were added or removed.
     """
 
     def __init__(
@@ -73,10 +73,11 @@ class Board:
         self._later, self._on_update, self._on_shown = later, on_update, on_shown
         self._job: Job | None = None
         self._inbox: SimpleQueue[tuple[Job, Update | str]] = SimpleQueue()
+        self._newest: dict[tuple[Job, str], Update] = {}  # last update of each kind
         self._fresh: set[str] = set()  # kinds of figures that the current job has already shown
         self._drawn: dict[
             str, tuple[Any, list[str]]
-        ] = {}  # for each part of the results: the value on display, and the kinds of its figures
+        ] = {}  # displayed value and figures of each part
         self._paired = False
         self._fraction = 0.0
         self._status = Div(sizing_mode="stretch_width", stylesheets=[sheet])
@@ -88,6 +89,7 @@ class Board:
         """Compute and show another set-up."""
         self.cancel(quiet=True)
         self.latest.clear()
+        self._newest.clear()
         self._fresh.clear()
         self._setup = setup
         self._cancel.disabled = False
@@ -127,7 +129,7 @@ class Board:
             self._size(kind, card.drawn)
 
     def _size(self, kind: str, drawn: Drawn) -> None:
-        """Resize the panels of the figure of the integrand; two set-ups share the page's width."""
+        """Shrink the panels of the integrand, so that they fit side by side in half of the page."""
         panels: list[Any] = getattr(drawn.model, "children", [])
         if kind != "integrand" or not panels:
             return
@@ -144,41 +146,48 @@ class Board:
         return _heading(kind, self._side if self._paired else "")
 
     def _hear(self, job: Job, update: Update) -> None:
-        if update.kind == UPDATE_KINDS[0]:
-            self._on_update("")
         self._post(job, update)
+        # The texts are written after the first round of figures, which would wait for them
+        if update.kind == UPDATE_KINDS[-1]:
+            self._on_update("")
 
     def _post(self, job: Job, news: Update | str) -> None:
+        if isinstance(news, Update):
+            self._newest[job, news.kind] = news
         self._inbox.put((job, news))
         self._later(self._read)
 
     def _read(self) -> None:
-        """Process updates in order of arrival. The page may run its callbacks in another order."""
-        while not self._inbox.empty():
-            job, news = self._inbox.get()
-            if job is not self._job:  # ignore updates from a job that was replaced by another
-                continue
-            if isinstance(news, Update):
-                # Show a part of the results. If the part has not changed, nothing is sent
-                self.latest[news.kind] = news.value
-                before, kinds = self._drawn.get(news.kind, (None, []))
-                new = False
-                if before is news.value:
-                    for kind in kinds:
-                        self.cards[kind].layout.styles = _FRESH
-                else:
-                    plots = figures_of(news.kind, news.value, self._setup.displaced_sampler)
-                    placed = [self._place(plot) for plot in plots]
-                    new = any(placed)
-                    kinds = [plot.kind for plot in plots]
-                    self._drawn[news.kind] = (news.value, kinds)
-                self._fresh |= set(kinds)
-                self._fraction = news.fraction
-                self._say(f"{news.realizations} realizations, {news.fraction:.0%} done.")
-                self._on_shown(new)
-            else:
-                self._job = None
-                self._end(news or "Done.", alert=bool(news) and not self.latest)
+        """Process one update. The page may run its callbacks in another order than the updates.
+
+        The browser gets changes after the callback, so each update has a callback of its own.
+        """
+        job, news = self._inbox.get()
+        if job is not self._job:  # an earlier job sent this update
+            return
+        if not isinstance(news, Update):
+            self._job = None
+            self._end(news or "Done.", alert=bool(news) and not self.latest)
+            return
+        if news.kind in self.latest and self._newest[job, news.kind] is not news:
+            return  # a later round waits already
+        # Show a part of the results. If the part has not changed, nothing is sent
+        self.latest[news.kind] = news.value
+        before, kinds = self._drawn.get(news.kind, (None, []))
+        new = False
+        if before is news.value:
+            for kind in kinds:
+                self.cards[kind].layout.styles = _FRESH
+        else:
+            plots = figures_of(news.kind, news.value, self._setup.displaced_sampler)
+            placed = [self._place(plot) for plot in plots]
+            new = any(placed)
+            kinds = [plot.kind for plot in plots]
+            self._drawn[news.kind] = (news.value, kinds)
+        self._fresh |= set(kinds)
+        self._fraction = news.fraction
+        self._say(f"{news.realizations} realizations, {news.fraction:.0%} done.")
+        self._on_shown(new)
 
     def _place(self, plot: Plot) -> bool:
         """Show a plot in its card (figure with heading). Return True if the card is new."""
@@ -224,7 +233,7 @@ class Board:
 def card_of(
     plot: Plot, side: str, before: Card | None, sheet: InlineStyleSheet, *, named: bool = True
 ) -> Card:
-    """Show a plot of set-up A or B in the card `before` if it fits, otherwise in a new card.
+    """Show a plot of a side in the card `before` if it fits, otherwise in a new card.
 
     If `named` is true, the heading names the side.
     The label for screen readers always names the side.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import textwrap
+import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -63,6 +64,7 @@ _ABREAST = "repeat(2, minmax(0, 1fr))"
 _NARROW = (
     "@media (max-width: 1000px) { :host { grid-template-columns: minmax(0, 1fr) !important; } }"
 )
+_PAUSE = 0.5  # seconds between two changes of the layout while figures are being computed
 _TELL = (
     "history.replaceState(null, '', location.pathname + (cb_obj.tags[0] && '?' + cb_obj.tags[0]))"
 )
@@ -217,6 +219,7 @@ class Explorer:
 
     def _lay_out(self) -> None:
         """Lay out figures in the order of their kinds. Figures of A and B are put in pairs."""
+        self._moved, self._laid_out = False, time.monotonic()
         boards = list(self._boards.values())
         columns = _ABREAST if len(boards) > 1 else _ALONE
         self._grid.stylesheets = [
@@ -308,7 +311,10 @@ class Explorer:
 
     def _shown(self, moved: bool) -> None:
         """Update the table of results. If figures were added or removed, lay them out again."""
-        if self._draw_both() or moved:
+        self._moved |= self._draw_both() or moved
+        # A browser draws all figures again when the layout changes, so let it draw the first ones
+        rested = time.monotonic() - self._laid_out > _PAUSE
+        if self._moved and (rested or not any(board.busy for board in self._boards.values())):
             self._lay_out()
         rows = [_row(side, setup, self._boards[side]) for side, setup in self.state.setups()]
         head = "".join(

@@ -49,6 +49,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "FORMATS",
+    "LECTURE",
     "GivenAxes",
     "Look",
     "draw",
@@ -108,6 +109,10 @@ class Look:
         Color behind the panels.
     colors
         Color map of the palette ``sequential``. None: viridis.
+    zoom
+        Factor by which texts, lines and marks are larger in relation to panels.
+    dpi
+        Resolution of PNG files in pixels per inch.
     """
 
     width: float | None = None
@@ -116,6 +121,8 @@ class Look:
     title: float = 8.5
     background: str = PAPER
     colors: str | None = None
+    zoom: float = 1.0
+    dpi: float = _DPI
 
     @property
     def ticks(self) -> dict[str, Any]:
@@ -130,6 +137,8 @@ class Look:
 
 
 _PAGE = Look()
+LECTURE = Look(zoom=1.35, dpi=220)
+"""Sizes for a lecture hall: the figure fills a screen, and its texts can be read from afar."""
 
 
 def draw(plot: Plot, axes: GivenAxes = None, *, pyplot: bool = False, look: Look = _PAGE) -> Figure:
@@ -167,7 +176,7 @@ def draw(plot: Plot, axes: GivenAxes = None, *, pyplot: bool = False, look: Look
         for each in panels[1:]:
             _share(each, panels[0], plot.share)
     elif pictures := [m.rgb for panel in plot.panels for m in panel.marks if isinstance(m, Pixels)]:
-        figure, panels = _exact_figure(plot, pictures[0].shape, pyplot)
+        figure, panels = _exact_figure(plot, pictures[0].shape, pyplot, look)
     else:
         figure, panels = _new_figure(plot, pyplot, look)
     bars: dict[Scale, tuple[ScalarMappable, list[Axes]]] = {}
@@ -204,8 +213,8 @@ def panel_axes(figure: Figure) -> list[Axes]:
     return [axes for axes in figure.axes if axes.get_label() != "<colorbar>"]
 
 
-def encode(figure: Figure, *, with_pdf: bool = True) -> tuple[bytes, bytes]:
-    """Return the PNG and the PDF of a figure without time stamps.
+def encode(figure: Figure, *, with_pdf: bool = True, dpi: float = _DPI) -> tuple[bytes, bytes]:
+    """Return the PNG, with `dpi` pixels per inch, and the PDF of a figure without time stamps.
 
     If `with_pdf` is off, the bytes of the PDF are empty. Both files use one computed layout.
 
@@ -220,7 +229,7 @@ def encode(figure: Figure, *, with_pdf: bool = True) -> tuple[bytes, bytes]:
     # Ignore warnings about characters that the font lacks: the text of the page has them
     with warnings.catch_warnings(), mpl.rc_context({"pdf.fonttype": 42}):
         warnings.filterwarnings("ignore", message="Glyph .* missing from", category=UserWarning)
-        figure.set_dpi(_DPI)  # hinted text has other widths at another dpi
+        figure.set_dpi(dpi)  # hinted text has other widths at another dpi
         engine = figure.get_layout_engine()
         if engine is not None:
             engine.execute(figure)
@@ -234,7 +243,7 @@ def encode(figure: Figure, *, with_pdf: bool = True) -> tuple[bytes, bytes]:
             figure.set_dpi(_PDF_DPI)
             metadata = {"CreationDate": None, "Creator": "mcspectra"}
             FigureCanvasPdf(figure).print_pdf(pdf, metadata=metadata)  # type: ignore[no-untyped-call]
-            figure.set_dpi(_DPI)
+            figure.set_dpi(dpi)
             figure.set_canvas(canvas)
     image, png = Picture.fromarray(pixels), io.BytesIO()
     if not any(axes.images for axes in figure.axes):
@@ -410,12 +419,14 @@ def _new_figure(plot: Plot, pyplot: bool, look: Look) -> tuple[Figure, list[Axes
     count, columns = len(plot.panels), min(plot.columns, len(plot.panels))
     rows = math.ceil(count / columns)
     width = max(_WIDE, _LEAST_SIDE * columns) if plot.wide or columns > 2 else _NARROW
-    width = look.width or (_TINY if plot.small else width)
+    width = look.width or (_TINY if plot.small else width) / look.zoom
     bar = any(scale.label and scale.kind != "names" for p in plot.panels for scale in p.scales)
     labelled = 1 if plot.share in ("y", "both") else columns
     side = (width - 0.85 * (bar and not look.width) - 0.5 * labelled) / columns
     side = (
-        min(side, _LARGEST_SQUARE) if columns == 1 and plot.height > 0.8 and not plot.wide else side
+        min(side, _LARGEST_SQUARE / look.zoom)
+        if columns == 1 and plot.height > 0.8 and not plot.wide
+        else side
     )
     if look.width and all(panel.square for panel in plot.panels):
         side -= 0.028 * look.label  # labels of a square panel reduce its width and height
@@ -454,12 +465,16 @@ def _new_figure(plot: Plot, pyplot: bool, look: Look) -> tuple[Figure, list[Axes
     return figure, made
 
 
-def _exact_figure(plot: Plot, shape: tuple[int, ...], pyplot: bool) -> tuple[Figure, list[Axes]]:
+def _exact_figure(
+    plot: Plot, shape: tuple[int, ...], pyplot: bool, look: Look
+) -> tuple[Figure, list[Axes]]:
     """Create a figure whose PNG shows each image pixel as a square of whole pixels."""
-    least, gap, strip = 240, 12, 25  # in pixels: least side, gap between panels, title height
+    # In pixels: least side, gap between panels, title height, and height of a line below
+    fine = look.dpi / _DPI
+    least, gap, strip, line = (round(fine * size) for size in (240, 12, 25, 16))
     height, width, _ = shape
     zoom, columns = max(1, -(-least // width)), min(plot.columns, len(plot.panels))
-    foot = gap + 16 * max(panel.x.label.count("\n") + 1 for panel in plot.panels)
+    foot = gap + line * max(panel.x.label.count("\n") + 1 for panel in plot.panels)
     across, down = gap + width * zoom, strip + height * zoom + foot
     wide, high = gap + columns * across, math.ceil(len(plot.panels) / columns) * down
     if max(wide, high) > _MOST_PIXELS:
@@ -467,8 +482,8 @@ def _exact_figure(plot: Plot, shape: tuple[int, ...], pyplot: bool) -> tuple[Fig
             f"Images of {width} × {height} pixels side by side take {wide} × {high} pixels, more "
             f"than {_MOST_PIXELS} along a side; give a crop."
         )
-    figure = _empty((wide / _DPI, high / _DPI), pyplot, "none")
-    figure.set_dpi(_DPI)
+    figure = _empty((wide / look.dpi, high / look.dpi), pyplot, "none")
+    figure.set_dpi(look.dpi)
     made = []
     for row, column in (divmod(k, columns) for k in range(len(plot.panels))):
         left, top = gap + column * across, row * down + strip
@@ -523,7 +538,7 @@ def _panel(axes: Axes, panel: Panel, look: Look) -> Iterator[tuple[Scale, Scalar
         lines = textwrap.wrap(panel.title, letters, break_long_words=False)
         fits = len(lines) < 3 and max(map(len, lines)) <= letters
         text = escaped("\n".join(lines) if fits else shorten(panel.title, letters))
-        left = room > 0.6 * _NARROW
+        left = room > 0.6 * _NARROW / look.zoom
         axes.set_title(
             text, loc="left" if left else "center", fontsize=look.title, color=INK, pad=4, y=1.0
         )

@@ -19,6 +19,7 @@ import base64
 import html
 import json
 import math
+import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -54,6 +55,7 @@ __all__ = [
     "columns_of",
     "figures_of",
     "markup",
+    "maths",
     "number_cell",
     "page_file",
     "provenance",
@@ -501,8 +503,9 @@ def write_page(
             return text if seen[text] == 1 else f"{text} ({seen[text]})"
 
         environment.globals["label"] = label
+        environment.globals["maths"] = maths
         environment.globals["drawn"] = lambda figure: _drawn(
-            figure, figures, file.parent, thumbnail=isinstance(page, Deck), with_pdf=with_pdf
+            figure, figures, file.parent, lecture=isinstance(page, Deck), with_pdf=with_pdf
         )
         script = ""
         if live:
@@ -536,6 +539,16 @@ def markup(template: str, *texts: object) -> Markup:
     return Markup(template).format(*map(_shown, texts))
 
 
+def maths(text: str) -> Markup:
+    """Return HTML in which subscripts (``S_m``) and exponents (``N^(−3/2)``) are lowered or raised.
+
+    A subscript follows a single letter, so names such as ``strata_shift`` do not change.
+    """
+    found = html.escape(_shown(text))
+    found = re.sub(r"(?<![^\W\d_])([^\W\d_])_([^\W_]+)", r"\1<sub>\2</sub>", found)
+    return Markup(re.sub(r"\^(?:\(([^()]+)\)|([^\W_]+))", r"<sup>\1\2</sup>", found))
+
+
 def _shown(value: Any) -> Any:
     """Remove control characters from text, except word joiners. Return other values unchanged."""
     if not isinstance(value, str) or hasattr(value, "__html__"):
@@ -555,14 +568,23 @@ _THUMBNAIL = (176, 112)  # largest width and height in pixels: twice the size on
 
 
 def _drawn(
-    figure: Figure, folder: Path | None, root: Path, *, thumbnail: bool, with_pdf: bool
+    figure: Figure, folder: Path | None, root: Path, *, lecture: bool, with_pdf: bool
 ) -> Mapping[str, Any]:
     """Return a figure for the template: base64 PNG, its size, and the compressed live plot."""
     from mcspectra.plots import backend_matplotlib
 
     plot, file, filed = figure.plot, "", folder is not None and bool(figure.name)
-    drawn = backend_matplotlib.draw(plot)
-    png, pdf = backend_matplotlib.encode(drawn, with_pdf=filed and with_pdf)
+    look = backend_matplotlib.LECTURE if lecture else backend_matplotlib.Look()
+
+    def encoded(plot: Plot, with_pdf: bool) -> tuple[bytes, bytes]:
+        drawn = backend_matplotlib.draw(plot, look=look)
+        return backend_matplotlib.encode(drawn, with_pdf=with_pdf, dpi=look.dpi)
+
+    png, pdf = encoded(plot, filed and with_pdf)
+    pngs = {value: encoded(p, False)[0] for value, p in _others(figure).items()}
+    if lecture:
+        png, *rest = _cropped([png, *pngs.values()])
+        pngs = dict(zip(pngs, rest, strict=True))
     if folder is not None and filed:
         for end, content in ((".png", png), (".pdf", pdf)):
             place = folder / f"{figure.name}{end}"
@@ -575,18 +597,11 @@ def _drawn(
         from mcspectra.plots import backend_bokeh
 
         live = backend_bokeh.packed(backend_bokeh.draw(plot).model)
-    frames = {}
-    for value, frame in (figure.slider.plots if figure.slider else {}).items():
-        same = figure.slider is not None and value == figure.slider.start
-        image = (
-            png
-            if same
-            else backend_matplotlib.encode(backend_matplotlib.draw(frame), with_pdf=False)[0]
-        )
-        frames[value] = base64.b64encode(image).decode("ascii")
+    slider = figure.slider.plots if figure.slider else {}
+    frames = {v: base64.b64encode(pngs.get(v, png)).decode("ascii") for v in slider}
     return {
         "png": base64.b64encode(png).decode("ascii"),
-        "thumbnail": _thumbnail(png) if thumbnail else "",
+        "thumbnail": _thumbnail(png) if lecture else "",
         # Bytes 16 to 24 of a PNG hold its width and height
         "width": int.from_bytes(png[16:20], "big"),
         "height": int.from_bytes(png[20:24], "big"),
@@ -598,6 +613,47 @@ def _drawn(
         "live": live,
         "frames": frames,
     }
+
+
+def _others(figure: Figure) -> Mapping[str, Plot]:
+    """Return the plots of a figure's slider, except for the plot that is shown at first."""
+    slider = figure.slider
+    return {v: p for v, p in slider.plots.items() if v != slider.start} if slider else {}
+
+
+_MARGIN = 14  # pixels around a cropped figure
+
+
+def _cropped(pngs: Sequence[bytes]) -> list[bytes]:
+    """Remove the empty border that all images of equal size have, except for a margin."""
+    import io
+
+    from PIL import Image, ImageChops
+
+    images = [Image.open(io.BytesIO(png)) for png in pngs]
+    boxes = []
+    for each in images:
+        plain = each.convert("RGB")
+        paper = Image.new("RGB", plain.size, plain.getpixel((0, 0)))
+        boxes.append(ImageChops.difference(plain, paper).getbbox() or (0, 0, *plain.size))
+    if len({each.size for each in images}) > 1:
+        return list(pngs)
+    left, top, right, bottom = (
+        f(box[i] for box in boxes) for i, f in enumerate((min, min, max, max))
+    )
+    width, height = images[0].size
+    box = (
+        max(left - _MARGIN, 0),
+        max(top - _MARGIN, 0),
+        min(right + _MARGIN, width),
+        min(bottom + _MARGIN, height),
+    )
+    found = []
+    for each in images:
+        small = io.BytesIO()
+        each.crop(box).save(small, format="PNG")
+        found.append(small.getvalue())
+    return found
 
 
 def _thumbnail(png: bytes) -> str:

@@ -8,9 +8,9 @@ import numpy as np
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Axis, Dots, Panel, ReferenceLine
-from mcspectra.plots.scales import count_axis
-from mcspectra.plots.style import PALETTE
+from mcspectra.plots.description import Axis, BarChart, Dots, Line, Panel, ReferenceLine
+from mcspectra.plots.scales import count_axis, unit_axis
+from mcspectra.plots.style import INK, PALETTE
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, largest_distance, mean_and_error
 from mcspectra.reproduction.panels import plot_of, whiskers
@@ -25,6 +25,8 @@ BOXES = f"box-jitter(width={WIDTH})"
 BOUNDED = "poisson-disk(boundary='bounded')"
 _M = np.arange(33)
 _COUNTS = (2, 4, 8, 16)
+_DRAWN = 100_000  # realizations in the figure: the bias is then more than ten standard errors
+_BINS = 4 * N  # the middle half of a stratum is two of four bins
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
@@ -52,16 +54,23 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     middles = {n: mcs.sampler("regular", 1).draw(n)[0, :, 0] for n in _COUNTS}
     errors = [(v**2).mean() - 1 / 3 - box_bias(n, 0.0) for n, v in middles.items()]
 
-    # Draw the means of S_m, and the bias times N²
-    zero, panels = ReferenceLine(at=0.0, color=PALETTE[6]), list[Panel]()
-    for title, each in {
-        "jittered, p = ½ + x": weighted["jittered"],
-        "middle halves of strata": boxes,
-        "Poisson disk, bounded": bounded,
-    }.items():
-        marks = (zero, _with_errors(_M[1:], mean_and_error(each.real[:, 1:]), 0, "", 3.0))
-        x, y = Axis(label="frequency m (cycles per unit)"), Axis(label="" if panels else "Re ⟨S_m⟩")
-        panels.append(Panel(marks=marks, x=x, y=y, title=title, grid=True))
+    # Draw the way from the points to the bias for unbiased and biased points
+    plain = _way_to_the_bias(
+        ("jittered", DENSITY), ("jittered, by p", "⟨S_m⟩ = 0, m ≠ 0", "no bias"),
+        seed, PALETTE[0], below=False,
+    )  # fmt: skip
+    gaps = _way_to_the_bias(
+        (BOXES, "uniform"), ("middle halves", f"⟨S_m⟩ ≠ 0 at {N}", "bias"),
+        seed, PALETTE[1], below=True,
+    )  # fmt: skip
+    zero = ReferenceLine(at=0.0, color=PALETTE[6])
+    away = Panel(
+        marks=(zero, _with_errors(_M[1:], mean_and_error(bounded.real[:, 1:]), 0, "", 3.0)),
+        x=Axis(label="frequency m (cycles per unit)"),
+        y=Axis(label="Re ⟨S_m⟩"),
+        title="Poisson disk, bounded",
+        grid=True,
+    )
     n, known = np.array(_COUNTS, float), "−(1 − w²)/12"
     rule = ReferenceLine(at=box_bias(1), color=PALETTE[1], dashes="--", width=1.2, label=known)
     dots = [
@@ -77,7 +86,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             "bias": number(found[0]),
         },
         plots=(
-            plot_of("bias-coefficients", *panels),
+            plot_of("bias-coefficients", *plain, *gaps),
+            plot_of("bias-bounded", away),
             plot_of("bias", scaled),
         ),
         claims=(
@@ -140,10 +150,76 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 def sums(name: str, realizations: int, seed: int, density: str = "uniform") -> Array:
     """Return S_m of 1-D points at m = 0 … 32: complex, (realizations, 33)."""
+    x, weights = _weighted(name, realizations, seed, density)
+    return np.stack([(weights * np.exp(-2j * np.pi * m * x)).mean(axis=1) for m in _M], -1)
+
+
+def _weighted(name: str, realizations: int, seed: int, density: str) -> tuple[Array, Array]:
+    """Return points and their weights 1/p, both (realizations, N)."""
     p = mcs.density(density, 1)
     x = p.sample(mcs.sampler(name, 1).draw(N, realizations=realizations, rng=seed))
-    weights = 1.0 / p.pdf(x)
-    return np.stack([(weights * np.exp(-2j * np.pi * m * x[..., 0])).mean(axis=1) for m in _M], -1)
+    return x[..., 0], 1.0 / p.pdf(x)
+
+
+def _way_to_the_bias(
+    points: tuple[str, str], titles: tuple[str, str, str], seed: int, color: str, *, below: bool
+) -> tuple[Panel, Panel, Panel]:
+    """Plot the mean of the sampling function, the means of S_m, and the sum that is the bias.
+
+    `points` are a sampler and a density. The x axes have labels if `below` is true.
+    """
+    name, density = points
+    x, weights = _weighted(name, _DRAWN, seed, density)
+    edges = np.linspace(0.0, 1.0, _BINS + 1)
+    height = np.histogram(x, edges, weights=weights)[0] * _BINS / x.size
+    middles = edges[:-1] + 0.5 / _BINS
+    bars = BarChart(at=middles, value=height, color=color, thickness=1.0 / _BINS, opacity=0.6)
+    first = Panel(
+        marks=(bars, ReferenceLine(at=1.0, color=INK, dashes="--", width=1.0)),
+        x=unit_axis("x" if below else ""),
+        y=Axis(label="⟨S(x)⟩", low=0.0, high=2.3),
+        title=titles[0],
+    )
+    # Powers of exp(−2πi x) by repeated multiplication, since exponentials are slow
+    step, power, sums_ = np.exp(-2j * np.pi * x), weights.astype(complex), list[Array]()
+    for _ in _M:
+        sums_.append(power.mean(axis=1))
+        power *= step
+    found = np.stack(sums_, axis=-1)
+    mean, se = mean_and_error(found.real)
+    ticks = {float(v): str(v) for v in (0, N, 2 * N)}
+    second = Panel(
+        marks=(
+            ReferenceLine(at=0.0, color=INK, width=0.7),
+            BarChart(at=_M.astype(float), value=mean, color=color, thickness=0.0),
+            Dots(
+                x=_M.astype(float), y=mean, low=mean - 1.96 * se, high=mean + 1.96 * se,
+                color=color, size=4.0,
+            ),
+        ),
+        x=Axis(label="frequency m" if below else "", ticks=ticks),
+        y=Axis(label="⟨S_m⟩", low=-0.8, high=1.15),
+        title=titles[1],
+    )  # fmt: skip
+    # For f = x², f_0 is 1/3 and f_m is 1/(2π²m²) + i/(2πm). Frequencies m and −m are added
+    m = _M[1:]
+    coefficients = np.append(1 / 3, 1 / (np.pi * m) ** 2 + 1j / (np.pi * m))
+    parts = (coefficients.conj() * found).real
+    parts[:, 0] -= 1 / 3
+    total, se = N**2 * np.array(mean_and_error(np.cumsum(parts, axis=1)))
+    bias = N**2 * float((weights * x**2).mean() - 1 / 3)
+    third = Panel(
+        marks=(
+            ReferenceLine(at=0.0, color=INK, width=0.7),
+            Line(x=_M, y=total, low=total - 1.96 * se, high=total + 1.96 * se, color=color,
+                 step=True, width=2.0, label="sum over |m| ≤ M, with its 95 % band"),
+            ReferenceLine(at=bias, color=INK, dashes="--", width=1.4, label="measured bias"),
+        ),
+        x=Axis(label="largest frequency M" if below else "", ticks=ticks),
+        y=Axis(label="N² · bias of ∫x²", low=-0.09, high=0.04),
+        title=titles[2],
+    )  # fmt: skip
+    return first, second, third
 
 
 def _bias(name: str, n: int, realizations: int, seed: int) -> tuple[float, float]:

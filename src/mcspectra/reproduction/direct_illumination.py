@@ -156,9 +156,9 @@ def _sketch(f: Mapping[Case, Any], seed: int) -> Plot:
                 ),
                 x=Axis(low=-0.02, high=1.1, ticks={}),
                 y=Axis(low=-0.04, high=1.0, ticks={}),
-                title="light sampling: x_k on the light"
+                title="light sampling"
                 if strategy == "light"
-                else "BSDF sampling: x_k in the lobe",
+                else "BSDF sampling",
             )
         )  # fmt: skip
     return plot_of(

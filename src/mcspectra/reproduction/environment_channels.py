@@ -212,7 +212,7 @@ def _sky(planes: Mapping[str, xr.Dataset]) -> Plot:
     maps = [
         unit_panel(
             [Heatmap(values=each, x=u, y=u, scale=scale, name="f/p over its mean")],
-            f"f/p of red, p by {_WAYS[way]}",
+            f"p by {_WAYS[way]}",
             "u₀",
             "u₁",
         )

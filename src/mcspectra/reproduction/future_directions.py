@@ -74,7 +74,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 primary_panel(edge(AT), "given: the edge cuts strata"),
                 primary_panel(
                     _aligned(36).primary_integrand(0),
-                    "aligned: the edge is at a border",
+                    "strata aligned with the edge",
                 ),
                 variance_panel(curves, exact=exact, title="variance, jittered points"),
             ),

@@ -83,7 +83,11 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         entries = exact_matrix(mcs.integrand(LINE, 1), "jittered", density, HALF_WIDTH)
         exact_panels += [
             matrix_panel(f"real, {title}", entries.real),
-            matrix_panel(f"imaginary, {title}", entries.imag, y=False),
+            matrix_panel(
+                f"imaginary, {title}{': all 0' if not entries.imag.any() else ''}",
+                entries.imag,
+                y=False,
+            ),
         ]
     shown = {f"f(x) = x: {name}": data for name, data in line.items()}
     shown |= {f"bell, p = ½ + x: {name}": data for name, data in weighted.items()}

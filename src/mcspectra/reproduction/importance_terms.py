@@ -266,7 +266,7 @@ def _scanned(slope: float) -> Plot:
         marks=tuple(marks),
         x=Axis(label="a (p as f: a > 0; p against f: a < 0)", low=-0.92, high=1.0),
         y=Axis(label=f"terms · 10³, {N} random points", low=-170.0, high=270.0),
-        title=f"terms at a = {number(slope, 2)}: variance {number(float(here.sum()) / 1e3)}",
+        title=f"variance {number(float(here.sum()) / 1e3)} at a = {number(slope, 2)}",
         grid=True,
     )
     return plot_of("importance-terms", pair, curves)

@@ -14,7 +14,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -34,7 +33,6 @@ from mcspectra.plots.description import (
     ReferenceLine,
     Scale,
     Segments,
-    TextMark,
 )
 from mcspectra.plots.scales import log_axis, name_axis, unit_panel
 from mcspectra.plots.style import ACCENT, FAINT, INK, PALETTE
@@ -106,9 +104,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             x="number of samples N",
             limits=(1e-9, 1e-3),
         )
-        at, text = float(exact[key][1]), f"slope {number(RATES[key], 2)}"
-        slope = TextMark(x=float(_COUNTS[1]), y=2.0 * at, text=text)
-        curves.append(replace(panel, marks=(*panel.marks, slope)))
+        curves.append(panel)
     together = [
         variance_panel(
             {_TITLES[m]: cells[m, shifted] for m in _TITLES},
@@ -320,7 +316,7 @@ def _take_away(last: Mapping[tuple[str, bool], Measured], seed: int) -> Plot:
     names = ["original", "original, shifted", "mirror-random, shifted", "mirror-uniform, shifted"]
     variances = Panel(
         marks=(bars,),
-        x=log_axis("variance", least, float(high.max())),
+        x=log_axis("variance", least, float(high.max()), most=3),
         y=name_axis(names),
         title=f"variance with {_COUNTS[-1]} evaluations",
         grid=True,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Literal
@@ -47,6 +48,7 @@ __all__ = [
     "plot_of",
     "primary_panel",
     "ring_mean",
+    "slope_labels",
     "strata",
     "term_panel",
     "variance_panel",
@@ -57,6 +59,9 @@ AXES: tuple[Literal["x", "y"], ...] = ("x", "y")
 
 _TERMS = {"dc_term": "1st", "power_term": "2nd", "cross_term": "3rd"}
 _RESOLUTION = 256
+# Parts of a logarithmic axis: distance of lines that look the same, room for a slope label,
+# and distance of the label from its line
+_COINCIDENT, _ROOM, _LIFT = 0.02, 0.12, 0.05
 # A variance term counts as a rounding error if it is smaller than this share of the largest term.
 _ROUNDING = 1e-12
 
@@ -95,6 +100,7 @@ def variance_panel(
     rates
         Theoretical rates, for labels where they are known. They are drawn as dashed lines.
         Each line goes through the last exact variance, or else through the last measured variance.
+        Lines have a label with their slope: the theoretical rate, or else the slope of `exact`.
     relative
         Whether variances are divided by the squared mean at the largest N.
     title, x
@@ -106,6 +112,7 @@ def variance_panel(
     values: list[float] = []
     counts: set[int] = set()
     widths = line_widths(len(curves))
+    lines: list[tuple[Array, float, str]] = []
     for k, (label, curve) in enumerate(curves.items()):
         scale = float(curve["mean"][-1]) ** -2 if relative else 1.0
         n, ends = curve["n"].values.astype(float), scale * curve["variance_ci"].values
@@ -117,13 +124,48 @@ def variance_panel(
             theory = last * (n / n[-1]) ** (rates or {})[label]
             marks.append(Line(x=n, y=theory, color=PALETTE[k], dashes="--", width=1.0))
             values += [*theory]
+            lines.append((theory, (rates or {})[label], PALETTE[k]))
+        elif line is not None:
+            lines.append((line, float(np.polyfit(np.log(n), np.log(line), 1)[0]), PALETTE[k]))
         marks.append(whiskers(n, scale * curve["variance"].values, ends, k, label))
         values += [*ends.ravel(), *([] if line is None else line)]
         counts |= {int(v) for v in n}
     low, high = limits or (min(values), max(values))
+    if lines:
+        marks += slope_labels(n, lines, math.log(high / low))
     y = "variance / mean²" if relative else "variance"
     x_axis, y_axis = count_axis(x, counts, most=5), log_axis(y, low, high, most=5)
     return Panel(marks=tuple(marks), x=x_axis, y=y_axis, title=title, grid=True)
+
+
+def slope_labels(
+    n: Array, lines: Sequence[tuple[Array, float, str]], reach: float
+) -> list[TextMark]:
+    """Label falling lines with their slopes, right above or left below their middles.
+
+    `lines` are variances, a slope and a color. `reach` is the logarithm of the ratio of the limits.
+    A line that almost coincides with a labeled line gets no label.
+    """
+    middle = len(n) // 2
+    x, found = math.sqrt(n[middle - 1] * n[middle]), list[TextMark]()
+    heights = [math.log(y[middle - 1] * y[middle]) / 2 for y, _, _ in lines]
+    order = np.argsort(heights, kind="stable")[::-1].tolist()
+    for place, k in enumerate(order):
+        # Distances to the lines above and below, as parts of the axis
+        away = [abs(heights[i] - heights[k]) / reach for i in order]
+        above = min(away[:place], default=1.0)
+        below = min((d for d in away[place + 1 :] if d >= _COINCIDENT), default=1.0)
+        if above < _COINCIDENT or max(above, below) < _ROOM:
+            continue
+        _, rate, color = lines[k]
+        raised = _LIFT if above >= _ROOM else -_LIFT
+        found.append(
+            TextMark(
+                x=x, y=math.exp(heights[k] + raised * reach), text=f"slope {number(rate, 2)}",
+                color=color, side="right" if raised > 0 else "left",
+            )
+        )  # fmt: skip
+    return found
 
 
 def at_ring(spectrum: xr.Dataset, ring: int, scale: float) -> Measured:

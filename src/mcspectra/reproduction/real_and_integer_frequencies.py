@@ -9,6 +9,7 @@ This limit holds because |⟨S_ν⟩|² is the power spectrum of a box: 1 on [0,
 
 from __future__ import annotations
 
+import math
 from functools import cache
 
 import numpy as np
@@ -22,7 +23,7 @@ from mcspectra.plots.style import ACCENT, INK, PALETTE
 from mcspectra.plots.text import number
 from mcspectra.report.page import Slider
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, about, known_rate, rate_text
-from mcspectra.reproduction.panels import plot_of, whiskers
+from mcspectra.reproduction.panels import plot_of, slope_labels, whiskers
 
 __all__ = ["exhibit"]
 
@@ -57,15 +58,19 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     n = np.array(COUNTS, float)
     for name, title in NAMES.items():
         marks: list[Mark] = []
+        lines: list[tuple[Array, float, str]] = []
         for k, (sampler, spec) in enumerate(SAMPLERS.items()):
             for step, dashes, what in ((0.5, "--", "real"), (1.0, "-", "integer")):
                 y, label = frequency_sums(name, sampler, step), f"{sampler}: {what}"
                 marks.append(Line(x=n, y=y, color=PALETTE[k], dashes=dashes, label=label))  # type: ignore[arg-type]
+                rate = RATES[name] if sampler == "jittered" else -1.0
+                lines.append((y, rate if what == "integer" else 0.0, PALETTE[k]))
             curve = curves[name].sel(sampler=spec)
             ends = curve["variance_ci"].values
             marks.append(whiskers(n, curve["variance"].values, ends, k, f"{sampler}: measured"))
         low = float(exact_variances(name, "jittered").min()) / 2
         high = 2 * float(frequency_sums(name, "random", 0.5).max())
+        marks += slope_labels(n, lines, math.log(high / low))
         x, y_axis = count_axis("number of points N", COUNTS), log_axis("variance", low, high)
         panels.append(Panel(marks=tuple(marks), x=x, y=y_axis, title=title, grid=True))
     # Draw curves over real frequencies ν, which include the integers, and dots at the integers

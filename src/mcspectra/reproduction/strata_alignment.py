@@ -178,7 +178,7 @@ def _cut(s: float) -> Plot:
             *strata(side),
             Line(x=np.array([a, a]), y=np.array([0.0, 1.0]), color=INK, width=2.2),
         ),
-        f"f(x, y) = 1[x < {number(a, 3)}] + y",
+        f"f = 1[x < {number(a, 3)}] + y",
     )
     at = np.linspace(0.0, 1.0, 101)
 
