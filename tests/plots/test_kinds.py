@@ -220,6 +220,14 @@ def test_bands__have_their_names(bands, some):
         assert set(some) <= set(panel.x.ticks.values())
 
 
+def test_bands__shares_add_up_to_one_on_a_linear_axis(make):
+    plot = describe("bands", {"x": make["terms"](dims=1, half_width=6, realizations=20)})
+    assert sum(bars.value.sum() for bars in marks(plot, BarChart)) == pytest.approx(1.0)
+    (panel,) = (p for p in plot.panels if p.y.label == "share of variance")
+    assert panel.y.kind == "linear"
+    assert panel.y.low <= min(b.value.min() for b in marks(plot, BarChart))
+
+
 def test_bands__many_shells_have_whole_ticks_and_one_legend(make):
     data = make["terms"](dims=1, half_width=40, realizations=20)
     plot = describe("bands", {"a": data, "b": data})

@@ -159,7 +159,7 @@ def test_a_page_that_fails_leaves_the_old_one(tmp_path, monkeypatch):
     file = write_page(page(), tmp_path / "x.html")
     before = file.read_bytes()
 
-    def fail(_, **_):
+    def fail(_, **__):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(backend_matplotlib, "draw", fail)

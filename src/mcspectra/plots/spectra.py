@@ -365,7 +365,11 @@ def bands(group: Group, _: Styles) -> Plot:
     matrices = {name: each["band_covariance"].values for name, each in group.items()}
     scale = signed_scale("Cov(I_a, I_b)", list(matrices.values()))
     shares = {name: _band_shares(matrix) for name, matrix in matrices.items()}
-    axis = signed_axis("share of variance", [v for both in shares.values() for v in both], 6)
+    # Shares add up to 1, which can be seen only on a linear axis
+    every = np.concatenate([v[np.isfinite(v)] for both in shares.values() for v in both])
+    low, high = float(every.min(initial=0.0)), float(every.max(initial=0.0)) or 1.0
+    room = 0.06 * (high - low)
+    axis = Axis(label="share of variance", low=low - room * (low < 0), high=high + room)
     panels = []
     for name, matrix in matrices.items():
         attributes = group[name]["band"].attrs if "band" in group[name].coords else {}
@@ -430,8 +434,9 @@ def bands(group: Group, _: Styles) -> Plot:
     return Plot(
         panels=tuple(panels),
         columns=2,
-        caption=f"Covariance between bands of frequencies ({meaning}), and each band's share of "
-        "the predicted variance: alone, and through covariance with other bands.",
+        caption=f"Covariance between bands of frequencies ({meaning}): orange pairs add variance, "
+        "blue pairs remove it. Bars: each band's share of the predicted variance, alone and "
+        "through covariance with other bands. All bars add up to 1.",
         words="Matrix of covariances between frequency bands. " + for_each(group, _band_words),
         height=0.92,
         wide=not all(name.isdigit() for name in names),
