@@ -195,6 +195,7 @@ def test_the_improved_light_selection_pays_from_the_stated_count(lamps):
     assert one["verdict"] == ("worse" if one["error_ratio_ci"][0] > 1 else "undecided")
 
 
+@pytest.mark.usefixtures("undrawn")  # The page that the verb writes above has pictures
 def test_a_page_of_lights_has_their_table(lamps, tree, tmp_path):
     f = path_pixel(lamps, 24, 26, integrator="path(max_depth=3)")
     found = tree.copy()
