@@ -349,7 +349,7 @@ def _flags(given: Option) -> list[str]:
 
 
 def _default(given: Option) -> str:
-    """Format a default for the help. The text is empty without a default."""
+    """Format the default of an option for the help; the text is empty without a default."""
     if given.required or given.default is None or given.is_flag:
         return ""
     values = given.default if isinstance(given.default, tuple) else (given.default,)

@@ -1,4 +1,4 @@
-"""Building blocks of verbs: options that parse their values, output, tables and JSON."""
+"""Building blocks of subcommands (verbs): options, parsers of values, output, tables, JSON."""
 
 from __future__ import annotations
 

@@ -168,7 +168,7 @@ def points_(options: argparse.Namespace) -> VerbOutput:
 
         source: Any = sampler if density is None else points
         count, n, _ = points.shape
-        with one_sentence_warnings(quiet=True):  # drawing has already shown these warnings
+        with one_sentence_warnings(quiet=True):  # the warnings were shown when points were drawn
             figures = summarize(quality_figures(source, n, realizations=count, rng=seed))
         rows: list[list[str]] = []
         missing: list[str] = []

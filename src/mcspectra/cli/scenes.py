@@ -41,7 +41,7 @@ __all__ = ["frames_", "map_", "pixel_", "render_"]
 _WIDTH = 100  # width of wrapped sentences in columns
 _AROUND = 8  # side, in pixels, of the square of pixels for which samplers are compared
 _SPP, _COMPARED_SPP, _REFERENCE_SPP = 16, 4, 1024
-_PAGE_BYTES = 1_000_000  # page and pictures of a map
+_PAGE_BYTES = 1_000_000  # bytes of the page and the pictures of a map
 _PIXEL_BYTES = 12  # bytes of three float32 numbers of a pixel of an image
 _DRY_RUN = option("--dry-run", "only print the size, the time and the storage, from a short run")
 
@@ -260,7 +260,7 @@ def _render_cost(
         images = 1 if options.reference else options.realizations or 1
         spp = spp or (_REFERENCE_SPP if options.reference else _SPP)
         if options.compare:
-            # The reference and MIS take samples of both techniques; all other images of one technique
+            # The reference and MIS take samples of both techniques; other images take one technique
             spp, each = 2 * (options.reference_spp or _REFERENCE_SPP) + 4 * (options.spp or 4), 1
         size = size if options.crop is None else (options.crop[2], options.crop[3])
     loaded = time.perf_counter() - begin

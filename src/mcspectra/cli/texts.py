@@ -320,7 +320,7 @@ def anova(result: xr.Dataset) -> VerbOutput:
     labels, order = list(map(str, result["subset_label"].values)), result.attrs["order"]
 
     def part(values: Sequence[float], floor: float) -> list[str]:
-        # Variance, standard error and share of each subset of axes, which are 0 below rounding level
+        # Variance, standard error and share of a subset of axes, which are 0 below rounding level
         floors = (floor, floor, _ROUNDING)
         return [
             "0" if abs(value) < least else _number(value, missing="undefined")

@@ -95,7 +95,7 @@ class CauseSettings:
     nets: int = 20
     # With a larger budget of evaluations, the number of nets grows as the budget's square root.
     # Nets then have 512 points or more, so a curve of variance covers ten or more counts of points.
-    # If a curve covers ten counts, more nets improve its rate more than larger nets do.
+    # Beyond ten counts, more nets improve the measured rate more than larger nets do.
     more_from: int = 16384
     # Fraction of the budget that is spent on lines through g and on the search for poles.
     # With a fraction from 0.1 to 0.4, all test cases get the right cause.
@@ -210,13 +210,13 @@ class CauseSettings:
     # Many dims are not a problem if nets have less variance than random points by this factor.
     # With a factor from 4 to 16, all test cases get the right cause.
     little_gain: float = 8.0
-    # A random shift of the points costs precision if g differs enough between opposite faces.
-    # The mean squared difference of g, divided by the variance of g, must exceed this limit.
+    # A random shift of the points adds variance if g differs between opposite faces of the cube.
+    # The limit applies to the mean squared difference of g, divided by the variance of g.
     # With a limit from 5e-4 to 2e-3, all test cases get the right cause.
     opposite: float = 1e-3
     # Number of points at which 1/p is averaged if the pdf p does not match its samples.
     # If 1/p is smooth, a net of 4096 points gives four correct digits, as many as are printed.
-    # No decision depends on the number of points.
+    # The number of points has no effect on which causes are reported.
     pdf_points: int = 4096
     # Least number of sets from which a variance is estimated.
     # With 95 % confidence, 8 sets determine the variance within the factors 0.44 and 4.1.
@@ -240,12 +240,12 @@ class CauseSettings:
     coarse: float = 1e-2
     # A technique of MIS can be a cause if its part of the variance is large.
     # Any technique with more than the fraction `dominant` of the variance is reported.
-    # If its rate is slower than all others, the fraction `largest_part` is enough.
+    # The technique with the slowest rate is also reported above the fraction `largest_part`.
     # With `dominant` from 0.4 to 1.6, all test cases get the right cause.
     # With `largest_part` from 0.25 to 1, all test cases get the right cause.
     dominant: float = 0.8
     largest_part: float = 0.5
-    # A technique has a slower rate than another if they differ by this many standard errors.
+    # Rates of two techniques are different if they are this many standard errors apart.
     # Two standard errors give a confidence of 95 %.
     slower: float = 2.0
     # Settings of three measurements: g on lines, the search for poles, and curves of variance
@@ -282,7 +282,7 @@ class Cause:
     sentence
         The cause and its effect in words, with numbers.
     evidence
-        Numbers that support the cause, by name.
+        Numbers that show the cause, each with a name.
     kinds
         Kinds of remedies for this cause (`mcspectra.improve.candidates.KINDS`).
     """
@@ -340,7 +340,7 @@ class Evidence:
     calls
         Number of evaluations of the integrand.
     missed
-        Description of a position at which a density of the user is 0 and f is not; may be empty.
+        Position, as a text, where the user's density is 0 but f is not 0; empty if there is none.
     failed
         Error message if g cannot be evaluated next to the border of the cube; otherwise empty.
     settings
@@ -415,7 +415,7 @@ class Evidence:
                 made += len(u)
                 return np.asarray(scalar(estimator, estimator.primary_values(t, u[None]))[0])
 
-            # Evaluate g again at some of the points
+            # Evaluate g again at some points, to detect whether its values are random
             points, values = sets.points[t].reshape(-1, estimator.dims), sets.values[t].ravel()
             again = max(1, min(settings.again, allowed // settings.again))
             off, before = np.abs(g(points[:again]) - values[:again]), values[:again]

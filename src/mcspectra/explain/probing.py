@@ -125,7 +125,7 @@ class LineSettings:
     # Values from 0.0025 to 0.01 give the same results.
     aside: float = 0.005
     # Number of groups of axes. An oblique line (chord) is displaced along one group at a time.
-    # If an edge is normal to an axis, only a displacement along this axis moves a chord off it.
+    # If an edge is normal to an axis, only a displacement along this axis moves a chord's crossing.
     # An edge that is oblique to two axes seems normal to an axis with probability 1/3.
     # If the edge is oblique to more than two axes, the probability is smaller.
     groups: int = 3
@@ -204,7 +204,7 @@ class PoleSettings:
     rising: float = 0.25
     # Distance from all other faces at which growth toward one face is measured.
     # The unit of this distance is the last step of the climb.
-    # The distance of 2^15 last steps is half the step with which the climb started.
+    # A distance of 2^15 last steps is half the step at the start of the climb.
     # This distance is 2^7 times the largest radius, 2^8, at which growth toward a face is measured.
     # Values from 2^14 to 2^16 give the same results.
     away: float = 2.0**15
@@ -268,7 +268,7 @@ class Lines:
     ends
         Difference of g between both ends of the line: (K,); NaN for chords.
     waves
-        Periods of the cosine with the variance and second derivative of g on the line: (K,).
+        Number of periods of a cosine with the variance and second derivative of g, (K,).
     turns
         Fraction of the places on the line that are higher or lower than both neighbors: (K,).
     spread
@@ -276,7 +276,7 @@ class Lines:
     settings
         Settings with which g was evaluated on lines, and limits of the exponents.
     failed
-        If g could not be evaluated close to some ends of lines: the reason, with a position.
+        Error message, with a position, if g could not be evaluated close to some ends of lines.
         The text is empty if all evaluations succeeded.
         If g has no values close to an end, no growth is reported at this end.
     """
@@ -465,7 +465,7 @@ def lines_of(
     floor = max(settings.negligible * scale, settings.grains * grain(y[:, 1:-1]))
     rough = size[-1] > floor
     # Ignore second differences at rounding level: they are meaningless.
-    # If the last one is at rounding level, use the first second difference above this level
+    # If the last second difference is at rounding level, use the first one above this level
     first = np.argmax(size > floor, axis=0)
     size = np.where(size > floor, size, np.maximum(size[first, rows], 1e-300))
     slope = -np.polyfit(np.arange(settings.late + 1), np.log2(size), 1)[0]

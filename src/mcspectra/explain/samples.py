@@ -9,7 +9,7 @@ The variance within slabs across an axis gives the variance of Latin hypercubes.
 The variance within the whole cube is that of random points.
 Products of values from the same net are omitted, because these values are correlated.
 
-Standard errors come from a jackknife over the nets, because variances at all n are correlated.
+Standard errors come from a jackknife over nets, which includes correlations between all n.
 A rate is fitted to each curve and is assumed to be constant over the last octaves of n.
 In earlier octaves, the rate is assumed to change by a random walk.
 Fits with several step sizes of the random walk are averaged, weighted by their likelihood.
@@ -198,18 +198,18 @@ class _Part:
         return np.asarray(np.mean(products / np.maximum(pairs, 1), axis=1, where=pairs > 0))
 
 
-# Estimates of all nets together, followed by estimates without each single net: (1 + R,)
+# The estimate from all R nets, followed by R estimates that leave out one net each: (1 + R,)
 _Estimate = Callable[[_Part, int], Array]
 
 
 def _sums(x: Array) -> Array:
-    """Return the sums over all nets and over all nets but one: (1 + R, …) from (R, …)."""
+    """Return the sum over all R nets, and R sums that leave out one net each: (1 + R, …)."""
     whole = x.sum(axis=0)
     return np.concatenate([whole[None], whole - x])
 
 
 def _means(x: Array) -> Array:
-    """Return the means over all nets and over all nets but one: (1 + R,) from (R,)."""
+    """Return the mean over all R nets, and R means that leave out one net each: (1 + R,)."""
     return np.asarray(_sums(x) / _sums(np.ones(len(x))))
 
 
@@ -361,7 +361,7 @@ def _fitted(
 ) -> Curve:
     """Return the curve of variances `found`, (N,), with errors from a jackknife.
 
-    `left` contains the variances without each realization, (R, N).
+    `left` contains variances from all realizations but one, for each realization: (R, N).
     If `rate` is None, the rate is fitted.
     If `exact` is true, a variance of zero means that the true variance is zero.
     If `exact` is false, each variance is a difference of two estimates.

@@ -214,7 +214,7 @@ def best_alignment(
         Same as in `mcspectra.improve.strata_shift_scan`.
         A pattern search, which halves its step 8 times, refines the best offset of the scan.
     realizations, rng, workers
-        Same as in `mcspectra.convergence`. The measurement of each candidate has its own stream.
+        Same as in `mcspectra.convergence`. Each candidate is measured with its own random numbers.
 
     Returns
     -------
@@ -223,7 +223,7 @@ def best_alignment(
         The candidate ``"aligned"`` exists only if `edges` are given.
         ``strata_offset(candidate, axis)`` is the offset of each candidate.
         ``predicted_variance`` and ``measured_variance`` are sums over channels.
-        ``variance_ratio`` is the ratio of the measured variance to that of the first candidate.
+        ``variance_ratio`` is the measured variance divided by the variance of ``"unshifted"``.
         ``improvement`` is 1 if the interval ``variance_ratio_ci`` is below 1,
         −1 if the interval is above 1, and 0 if the interval contains 1.
         The attribute ``best`` names the candidate with the least predicted variance.
@@ -402,7 +402,7 @@ class _Offsets:
             if exact:
                 # Raise an error if no closed form is known.
                 # If an edge cuts strata, a closed form of the variance may be missing.
-                # Test offset 0 and about half a side: at least one makes the edges cut strata
+                # Therefore test offset 0 and about half a side: with one of them, edges cut strata
                 for probe, n in itertools.product((0.0, 0.4375), counts):
                     found.at([probe] * estimator.dims, n)
         except NoClosedForm:

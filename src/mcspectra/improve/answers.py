@@ -182,7 +182,7 @@ class Answer:
     best
         The first result that is better than the given set-up. If no result is better, `given`.
     runner_up
-        The second best, or the undecided candidate with the least RMSE, or None.
+        The second best candidate, or the undecided candidate with the least RMSE, or None.
     causes
         Causes of the noise, the most important first.
     results

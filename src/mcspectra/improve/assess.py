@@ -48,8 +48,8 @@ class AssessSettings:
     # In fits of rates, standard errors are moved toward the standard errors of normal estimates.
     # This number of normal realizations is added to the realizations of each estimate.
     # No normal realizations are added in comparisons of two set-ups.
-    # For 100 normal realizations, the addition reduces the scatter of errors from 12 to 10 %.
-    # For additions of 0 to 40, intervals contain the true rate in 93 to 95 % of cases.
+    # For 100 normal realizations, the added ones reduce the scatter of errors from 12 to 10 %.
+    # With 0 to 40 added realizations, intervals contain the true rate in 93 to 95 % of cases.
     prior: int = 20
     # If all estimates of a candidate are equal and near the mean of the given set-up, they count
     # as exact. The limit of the difference is this number of standard errors of the mean.
@@ -145,7 +145,7 @@ class Errors:
         return np.array([_standard_error(psi) for psi in self.influence])
 
     def rate(self) -> tuple[float, Array]:
-        """Fit the slope of log v against log cost without overhead; also return influences (R,).
+        """Return the rate, the slope of log v over log(cost − overhead), and influences (R,).
 
         The fit uses weighted least squares as in `mcspectra.core.fits`.
         The slope is NaN if there are fewer than two errors.
@@ -201,7 +201,7 @@ def compare(errors: Errors, reference: Errors, budget: float, pilot: int = 0) ->
     """Compare two set-ups with the same number of realizations and the same random numbers.
 
     `pilot` is the number of evaluations in a pilot, in addition to the budget.
-    The reference may use the same number of evaluations in addition to its budget.
+    The reference set-up is compared at the budget plus the evaluations of the pilot.
     """
     carry = not errors.overhead and not reference.overhead
     own, own_influence = errors.at(budget, carry=carry)
@@ -281,7 +281,7 @@ class MeasuredCandidate:
 
     @staticmethod
     def of(candidate: Candidate, errors: Errors) -> MeasuredCandidate:
-        """Make a candidate whose estimates have these errors."""
+        """Describe a candidate by texts, and store the measured errors of its estimates."""
         setup = candidate.setup
         warp = candidate.kind == "warp"
         known = warp and not setup.is_black_box

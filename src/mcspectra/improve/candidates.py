@@ -64,7 +64,7 @@ LATTICE = "rank1-lattice | shift"
 """Shifted lattices, the points for a periodic g."""
 # Label of the random numbers of pilots. Searches for widths and offsets have the labels 0 and 1
 _PILOTS = 2
-# Kinds of change that also apply to a mirrored estimator. They change the estimator it mirrors
+# Kinds of change that also apply to mirrored estimators: the estimator inside is changed
 _INSIDE = frozenset(
     {"smoothed", "warp", "heuristic", "techniques", "compensated", "channels", *CHANGES}
 )
@@ -75,7 +75,7 @@ _INSIDE = frozenset(
 class CandidateSettings:
     """Settings that decide which changes of a set-up are tried."""
 
-    # Samplers that the kind ``sampler`` tries: the usual sampler of each family in the package
+    # Samplers that are tried instead of the given one: the usual sampler of each family
     samplers: tuple[str, ...] = (
         "random",
         "jittered",
@@ -93,16 +93,16 @@ class CandidateSettings:
     most_aligned_dims: int = 2
     # Maximum number of dims in which cubic stratification is tried.
     # In 4-D, the order 4 of cubic stratification needs at least 4^4 = 256 cells.
-    # The rate of its variance in d dims is n^(−1 − 8/d) at best, which in 4-D is little better
-    # than the rate of nets.
+    # In d dims, cubic stratification has the rate −1 − 8/d at best.
+    # In 4-D, this rate is little better than the rate of nets.
     most_cubic_dims: int = 3
     # Order of the substitution of variables that makes g periodic.
     # Low orders are better for few points, high orders for many (`benchmarks periodized`).
     order: int = 4
     # Maximum number of dims in which g is made periodic.
     # In d dims, the substitution multiplies ∫g² by up to 1.6^d, so nets are better in many dims.
-    # For a smooth function in 5-D and 1,024 points, the RMSE with the substitution is 12 times
-    # the RMSE of a folded lattice without it (`benchmarks periodized`).
+    # The test `benchmarks periodized` contains a smooth function in 5-D with 1,024 points.
+    # After the substitution, its RMSE is 12 times the RMSE of a folded lattice.
     most_periodized_dims: int = 4
     # Maximum number of dims in which edges are smoothed by means over boxes.
     # In more dims, means over boxes take too many evaluations of f.
@@ -115,13 +115,13 @@ class CandidateSettings:
     # Least number of points of a pilot. Each half of the pilot has 32 points.
     # With 4 points per term (`RegressionSettings.evaluations_per_term`), 32 points fit 8 terms.
     least_pilot: int = 64
-    # Maximum number of points of a pilot. The command `benchmarks improvements` compares numbers.
-    # For an Asian option in 16-D, regressions with 2048, 4096 and 8192 points
-    # leave 1.08, 0.93 and 0.89 % of the variance.
+    # Maximum number of points of a pilot (`benchmarks improvements`).
+    # Regressions of an Asian option in 16-D were fitted with 2048, 4096 and 8192 points.
+    # These regressions leave 1.08, 0.93 and 0.89 % of the variance.
     # Variances of densities that are fitted with 2048 to 8192 points differ by only 3 %.
     most_pilot: int = 4096
     # Widths of smoothed edges that are tried: powers of two from 2^-10 to 1/4 of the domain.
-    # A wider edge covers most of the domain; a narrower edge is a jump at the budgets in use.
+    # Wider edges cover most of the domain; narrower edges act as jumps for usual budgets.
     widths: tuple[float, ...] = tuple(2.0**-k for k in range(10, 1, -1))
     # Maximum number of realizations for each variance in a scan over widths or over offsets.
     # With 300 realizations, the relative standard error of a variance is √(2/300) = 8 %.
@@ -472,7 +472,7 @@ def improve(kind: Kind, given: Setup, budget: Budget) -> _Candidates:
         raise ParameterError(f"{len(seen.points)} evaluations show no gain from it.")
     yield from found
     # Combine the change with the best sampler for the remaining variance.
-    # Skip this if the given sampler is already the best one
+    # If the given sampler is already the best one, nothing is combined
     nets = make_sampler(NETS, given.estimator.dims)
     if nets.spec != given.sampler.spec:
         for alone in found:

@@ -10,7 +10,7 @@ The changes of the following kinds keep the integral, whatever the evaluations o
  Another choice of q is a normal density of z = Φ⁻¹(u) with the moments of |g|.
 * *order*: g(T(u)), where T rotates z by an orthogonal matrix; there is no density q.
   After the rotation, g varies most along the first coordinates of z ([Liu2023]_).
-  This helps because the first coordinates of nets are the best;
+  The rotation helps because nets sample their first coordinates best;
 * *regression*: g minus fitted polynomials of mean 0;
 * *preintegrated*: g is averaged along lines in the first direction.
   It is assumed that g jumps or becomes nonzero at one point of each line.
@@ -118,12 +118,12 @@ class RegressionSettings:
     # The number is relative, because the basis functions have mean square 1.
     # Results are the same to three digits for values from 1e-12 to 1e-4.
     ridge: float = 1e-9
-    # Maximum number of terms of a basis, which limits the cost of an evaluation.
-    # Results are the same for 128 and 512 terms.
+    # Maximum number of polynomials in a regression, which limits the cost of an evaluation.
+    # With 128 and 512 polynomials, results are the same.
     most_terms: int = 256
     # Pairs of largest degrees of the polynomials that are tried as a regression of g.
     # The first number of each pair is the largest degree of polynomials of one coordinate.
-    # The second number is the largest total degree of products over two coordinates.
+    # The second number of each pair is the largest total degree of products of two coordinates.
     # One pair is chosen by evaluations that were not used in the fits.
     degrees: tuple[tuple[int, int], ...] = (
         (1, 0),
@@ -172,7 +172,7 @@ class Evaluations:
         return Evaluations(points, values.reshape(len(points), -1), np.ones(len(points)))
 
     def part(self, which: Array) -> Evaluations:
-        """Return selected evaluations."""
+        """Return the evaluations that a mask selects."""
         return Evaluations(self.points[which], self.values[which], self.pdf[which])
 
     @cached_property
@@ -445,7 +445,7 @@ class Cubic(_Changed):
 
     @staticmethod
     def of(estimator: AbstractEstimator, order: int) -> Cubic:
-        """Return this change for the integrand g of an estimator with a single technique."""
+        """Return cubic stratification for the g of an estimator with a single technique."""
         return Cubic(integrand=_single(estimator), order=order)
 
     @property
@@ -528,7 +528,7 @@ class Periodized(_Changed):
 
     @staticmethod
     def of(estimator: AbstractEstimator, order: int, seen: Evaluations | None = None) -> Periodized:
-        """Return this change for the integrand g of an estimator with a single technique.
+        """Return the periodic integrand for the g of an estimator with a single technique.
 
         The constant c is the mean of evaluations at uniform points.
         If no evaluations are given, c is the value of g at the center of the cube.

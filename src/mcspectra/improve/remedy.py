@@ -275,7 +275,7 @@ def remedies(
         The given set-up.
     budget
         Number of evaluations of the integrand in one estimate.
-        An estimate with n points takes Σ counts · n evaluations.
+        With several techniques, an estimate with n points takes Σ counts · n evaluations.
     dims
         Number of dims; needed if the estimator is a function or a spec without ``dims``.
         The default is the sampler's number of dims, unless the sampler is given as a spec.
@@ -326,7 +326,7 @@ def remedies(
 
     If no count of points costs exactly the budget, the largest count below it is measured.
     The error is then extrapolated to the budget along the fitted rate.
-    The interval includes the uncertainty of the slope.
+    The interval of an extrapolated error includes the uncertainty of the rate.
     Errors are not extrapolated for changes with a pilot.
 
     A user's function is evaluated at most 4/3 · budget · realizations times for each set-up.
@@ -334,7 +334,7 @@ def remedies(
     Searches for offsets of strata and for widths of smooth edges would take more evaluations.
     Therefore a user's function is not evaluated in searches for offsets and widths.
 
-    A change is biased if it smooths, or if its sampler is not randomized.
+    A change is biased if it smooths edges, or if its sampler is not randomized.
     The error of a biased change is taken about the integral of the given estimator.
     If ∫f is unknown, biased changes are not tried.
     A biased change has no rate, because its error converges to the squared bias instead of 0.
@@ -504,5 +504,5 @@ def _affordable(setup: Setup, budget: int) -> dict[int, int]:
 
 
 def _padded(values: Array) -> list[float]:
-    """Put NaN before the values, for budgets that are too small, so that all steps have a value."""
+    """Put NaN in front of the values, one for each budget that is too small to be measured."""
     return [math.nan] * (_SETTINGS.steps - len(values)) + [float(v) for v in values]

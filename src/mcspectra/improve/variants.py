@@ -90,7 +90,7 @@ def smoothing_scan(
         ``mse(width, n)`` with ``mse_ci`` is the mean squared error, bias² + variance.
         ``best_width(n)`` is the width with the least mse.
         ``best_width_range(n, bound)`` is the range of widths that may be best within the intervals.
-        If f has several channels, there is a dim channel, and ``best_width`` minimizes their sum.
+        If f has several channels, there is a dim channel. ``best_width`` minimizes the sum of mse.
 
     Raises
     ------

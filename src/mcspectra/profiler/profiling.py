@@ -92,12 +92,12 @@ class ProfileSettings:
     # In one profile, the RMSE after a fitted change then differed by a factor of 2.4.
     fitted_points: int = 64
     # Dependence between draws is reported as a cause if few of the draws are effective.
-    # The upper end of the interval of effective draws, divided by all draws, is below this limit.
+    # The number of effective draws, divided by all draws, must be below this limit at 95 %.
     # With 70 % effective draws, standard errors are 20 % larger than for independent draws.
     dependent: float = 0.7
     # Least number of points of each net with which a change of the estimator is measured.
-    # If nets needed 8 points, two of 12 profiles could not measure one change,
-    # the preintegration of a jump along an axis.
+    # With a limit of 8 points, two of 12 profiles have too few evaluations for one change.
+    # This change is the preintegration of a jump along an axis.
     least_checked: int = 4
     # Maximum number of counts n of points at which the variance of a sampler is measured.
     # Of B evaluations, about B/2, B/4, …, B/32 are spent on sets of five counts.
@@ -107,11 +107,11 @@ class ProfileSettings:
     # With three sets, the jackknife has two degrees of freedom.
     least_sets: int = 3
     # Standard error of a theoretical rate, which holds only for large numbers of points.
-    # With 0.04 or 0.16 the RMSE of 12 profiles changed by 14 % at most, and by 1 % in the median.
+    # With an error of 0.04 or 0.16, the RMSE of 12 profiles changes by 14 % at most (median 1 %).
     theory_error: float = 0.08
     # Standard error of a rate that is measured over few octaves if g jumps along an axis.
     # The variance is a sawtooth function of n, because the jump's place in its stratum varies.
-    # With 0.25 or 1 the RMSE of 12 profiles changed by 6 % at most.
+    # With an error of 0.25 or 1, the RMSE of 12 profiles changes by 6 % at most.
     teeth_error: float = 0.5
     # The level of the sawtooth is its mean over this number of the largest counts n.
     # The standard deviation of the log variance about its level is `teeth_scatter`.
@@ -121,7 +121,7 @@ class ProfileSettings:
     teeth_scatter: float = 0.84
     # A changed estimator is first assumed to have the same rate as the given estimator.
     # The value is the standard error of the assumed rate.
-    # With 0.2 or 0.8 the RMSE of 12 profiles changed by 8 % at most.
+    # With an error of 0.2 or 0.8, the RMSE of 12 profiles changes by 8 % at most.
     alike_error: float = 0.4
     # A change whose estimates are all equal is dropped if they differ from the mean of all nets
     # by more than this number of standard errors.
@@ -158,8 +158,7 @@ class ProfileSettings:
     # Few sets and counts are used, because only large sets show the steep rate of lattices.
     steep_sets: int = 4
     steep_counts: int = 2
-    # If g is smooth and periodic, lattices get this multiple of the evaluations that each other
-    # sampler gets.
+    # Lattices get this multiple of the usual evaluations if g is smooth and periodic.
     steep_weight: int = 2
     # A substitution that makes g periodic is tried if n points allow this number along each axis.
     # With fewer points, folded lattices have less variance (`benchmarks periodized`).
@@ -253,7 +252,7 @@ class Profile:
         Number of points of an estimate that takes `budget` evaluations.
     reference
         The sampler with which `best` is compared. Usually this is the given sampler.
-        It is random points if the given sampler always draws the same set, or was not measured.
+        If the given sampler was not measured or has one fixed set, random points are the reference.
     answer
         The recommended set-up, its comparison with `reference`, and the causes of the noise.
     samplers
@@ -344,7 +343,7 @@ class Profile:
         return rows
 
     def _rmse(self, curve: Curve) -> float:
-        """Return the RMSE at the budget, from a curve of variance. It is NaN if it is unknown."""
+        """Return the RMSE at the budget, from a curve of variance. An unknown RMSE is NaN."""
         if math.isinf(self.variance):
             return math.inf
         if math.isnan(curve.rate) and max(curve.counts, default=math.inf) < self.points:
@@ -464,7 +463,7 @@ def profile(
         An interrupted profile continues from the cache.
     on_error
         For functions: ``"raise"`` raises an error if f fails or is not finite.
-        ``"skip"`` counts such points, and replaces their values by the mean of all others.
+        ``"skip"`` counts points where f fails, and replaces their values by the mean of all others.
         Skipped points make the interval of the result wider, as in `mcspectra.integrate`.
         With ``"raise"``, f may still fail at the probes that are closest to the border.
 
@@ -1231,7 +1230,7 @@ def _improved(
     left: int,
     stream: Stream,
 ) -> tuple[list[_FoundSampler], list[str], int]:
-    """Measure changes of the estimator. Return results, names of tried changes, evaluations.
+    """Measure changes of the estimator. Return results, names of changes, and evaluations.
 
     A change is measured with nets, whose size depends on the rest of the budget.
     The search ends with the first change that is significantly better.

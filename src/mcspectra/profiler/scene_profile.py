@@ -83,7 +83,7 @@ class SceneSettings:
     """Settings that divide the time of a scene's profile, and limits of its statistics."""
 
     # Number of measured pixels.
-    # With 1000 pixels, the 95 % quantile of errors is a quantile between 93.6 and 96.4 %.
+    # With 1000 pixels, the measured 95 % quantile is a true quantile between 93.6 and 96.4 %.
     pixels: int = 1024
     # Least number of measured pixels, for scenes that are slow to render
     least_pixels: int = 96
@@ -105,7 +105,7 @@ class SceneSettings:
     # and number of renders of each of these pixels
     near: int = 32
     near_renders: int = 16
-    # Fraction of the time that is spent on pixels near a quantile, from an average over five scenes
+    # Fraction of the time that is spent on pixels near a quantile: an average over five scenes
     nearby: float = 0.2
     # Seconds to compile the two kernels of a sampler, as a part of the estimated time
     compilation: float = 2.0
@@ -766,7 +766,7 @@ class _Work:
         from scipy.special import digamma
 
         half = 0.5 * (len(values) - 1)
-        # Logarithms of sample variances of normal values are too small on average, by this bias
+        # The mean logarithm of a sample variance of normal values is too small by this bias
         bias = float(digamma(half)) - math.log(half)
         with np.errstate(divide="ignore", invalid="ignore"):
             floor = (4.0 * np.finfo(np.float32).eps) ** 2
