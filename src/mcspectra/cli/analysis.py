@@ -1,4 +1,4 @@
-"""Verbs of analyses. Their options and help are derived from the analyses.
+"""Subcommands (verbs) that run analyses, with options and help derived from the analyses.
 
 Every analysis in `mcspectra.core.analysis.ANALYSES` that has a verb becomes a verb.
 This includes analyses from other packages.
@@ -8,7 +8,7 @@ The module `mcspectra.cli.texts` writes the result as text.
 
 Several analyses may share a verb. In this case ``--split`` chooses one.
 The parser has the options of the chosen analysis.
-An option of another analysis is an error. The message names the right ``--split``.
+Options of the other analyses with this verb raise an error that names the right ``--split``.
 """
 
 from __future__ import annotations
@@ -87,8 +87,8 @@ def analysis_verb(names: Sequence[str], given: Sequence[str] = ()) -> Verb:
     Parameters
     ----------
     names
-        Names of the analyses in the registry.
-        If there are several, ``--split`` chooses one. The default is the first.
+        Names of the analyses in the registry that share this verb.
+        If there are several analyses, ``--split`` chooses one; by default, the first.
     given
         Arguments on the command line after the verb.
 
@@ -292,7 +292,7 @@ def _estimator_subject(options: argparse.Namespace, default_sampler: str | None)
 
 
 def _of_splits(chosen: str, options: dict[str, tuple[Option, ...]]) -> list[Declaration]:
-    """Declare the options for all values of --split. Only those of the chosen value may be given.
+    """Declare the options of all values of --split. Options of values not chosen raise an error.
 
     Options that apply to all values of --split come first.
     Options that apply to some values of --split follow, one group for each set of values.
@@ -349,7 +349,7 @@ def _flags(given: Option) -> list[str]:
 
 
 def _default(given: Option) -> str:
-    """Format a default for the help. The text is empty without a default."""
+    """Format the default of an option for the help; the text is empty without a default."""
     if given.required or given.default is None or given.is_flag:
         return ""
     values = given.default if isinstance(given.default, tuple) else (given.default,)
@@ -370,7 +370,7 @@ def declared(
     given
         The option to declare, with its name, type, default and description.
     default_note
-        Text that follows the default in the help.
+        Text that follows the option's default in the help.
     flags
         Flags to declare. By default, these are all flags of the option.
     refuse

@@ -1,4 +1,4 @@
-"""Building blocks of verbs: options that parse their values, output, tables and JSON."""
+"""Building blocks of subcommands (verbs): options, parsers of values, output, tables, JSON."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ _PAGES = frozenset({".html", ".md", ".json", ".csv", ".png", ".svg", ".pdf", ".e
 
 
 class VerbOutput(NamedTuple):
-    """Output of a verb: a text, data for --json, and the exit code of the command.
+    """Output of a subcommand (verb): a text, data for --json, and the exit code.
 
     Without data, the text is the result itself (such as a schema) and is printed even with --json.
     """
@@ -187,7 +187,7 @@ def real(**limits: float) -> Callable[[str, str], float]:
 
 
 def folder_name(name: str, text: str) -> str:
-    """Read the name of a folder, and reject extensions of pages and pictures."""
+    """Read the name of a folder, and reject names with extensions of pages and pictures."""
     if Path(text).suffix.lower() in _PAGES and not Path(text).is_dir():
         raise ParameterError(
             f"{name} is {shown(text)}, the name of a file; give a folder for several files."
@@ -196,13 +196,13 @@ def folder_name(name: str, text: str) -> str:
 
 
 def given_of(options: argparse.Namespace, *names: str) -> dict[str, Any]:
-    """Return those of the named options that the user gave."""
+    """Of the named options, return those that the user gave on the command line."""
     found = ((name, getattr(options, name, None)) for name in names)
     return {name: value for name, value in found if value is not None}
 
 
 def index_or_name(name: str, text: str) -> int | str:
-    """Read an integer, which may be negative, or else a name."""
+    """Read a text as an integer, which may be negative, or otherwise as a name."""
     del name
     digits = text.removeprefix("-")
     return int(text) if digits.isdecimal() and len(digits) < 20 else text

@@ -72,7 +72,7 @@ def design_(options: argparse.Namespace) -> VerbOutput:
 
     A sampler is optimized for a class of integrands.
     The table compares its mean variance with usual samplers, over other integrands of the class.
-    If a usual sampler has less variance, that sampler is saved instead.
+    If a usual sampler has less variance, the usual sampler is saved instead.
     Ctrl-C ends the search and keeps the best sampler found.
 
     A density is learned for one integrand and one sampler.
@@ -98,7 +98,7 @@ def design_(options: argparse.Namespace) -> VerbOutput:
 
 
 def _sampler(options: argparse.Namespace, path: str | None) -> tuple[str, dict[str, Any]]:
-    """Search for a sampler and certify it. The file stores the sampler and the certificate."""
+    """Search for a sampler, certify its variance, and store both in the file."""
     seed = options.seed or 0
     sampler = mcs.design(
         options.kind, options.objective, options.n, dims=options.dims, rng=seed, path=path
@@ -147,7 +147,7 @@ def _sampler(options: argparse.Namespace, path: str | None) -> tuple[str, dict[s
     }
     if path is not None:
         sets = str(Path(path).with_suffix(".npz"))
-        # In the file, the path of the point sets is relative to the folder of the file
+        # The file names the file of the point sets by a path relative to its own folder
         stored = spec.replace(repr(sets), repr(Path(sets).name))
         with writing(path):
             Path(path).write_text(json.dumps(data | {"spec": stored}, indent=2) + "\n")

@@ -44,10 +44,10 @@ def gate_(options: argparse.Namespace) -> VerbOutput:
 
     The exit code is 0 for pass, 3 for fail and 4 for undecided.
     The output states how large a bias the test would have detected.
-    It also states the number of samples that would detect a smaller bias.
-    Suppose that both sets have 5 frames or more, all with equal numbers of samples.
-    In this case, a false alarm has at most the probability --level.
-    With fewer frames or unequal samples, t tests are used, and this probability is approximate.
+    The output also states the number of samples that would detect a smaller bias.
+    If both sets have 5 frames or more, all with equal numbers of samples,
+    the probability of a false alarm is at most --level.
+    With fewer frames or unequal samples, t tests are used, and --level holds approximately.
     """
     from mcspectra.rendering.gate import GATE_VERDICTS, gate
     from mcspectra.rendering.gate_frames import write_reference

@@ -161,7 +161,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"mcspectra: {said}.", file=sys.stderr)
         tasks = (each.name == "mcspectra-tasks" for each in threading.enumerate())
         if arguments is None and any(tasks):
-            # Native code that still runs could keep the process alive for a minute, or crash it
+            # Native code in other threads could keep the process alive for a minute, or crash it
             sys.stderr.flush()
             os._exit(130)
         return 130
@@ -194,7 +194,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _dispatch(given: list[str]) -> int:
     """Find the verb, parse its options, run it, and print its output."""
-    # Options may come before the verb: move them behind it
+    # Move options that come before the verb behind the verb
     first = 0
     while first < len(given) and (name := given[first].partition("=")[0]) in _BEFORE:
         first += 1 if "=" in given[first] else 1 + _BEFORE[name]
@@ -330,7 +330,7 @@ def _without_verb(given: list[str]) -> int:
 
 
 def _outside_analyses(word: str) -> list[str]:
-    """Return the analyses from other packages that have this verb.
+    """Return the analyses from other packages that this subcommand (verb) runs.
 
     Raises
     ------

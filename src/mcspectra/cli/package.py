@@ -152,7 +152,7 @@ def doctor_(options: argparse.Namespace) -> VerbOutput:  # noqa: ARG001
     from mcspectra.rendering.backend import describe
     from mcspectra.spectra.transforms import FrequencyGrid, Transform, direct_sum
 
-    # Compare one NUFFT with the direct sum, because every analysis depends on it
+    # Compare one NUFFT with the direct sum, because every analysis depends on the NUFFT
     grid = FrequencyGrid(2, 8)
     points = np.random.default_rng(0).random((2, 256, 2))
     try:

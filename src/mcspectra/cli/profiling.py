@@ -131,7 +131,7 @@ def _of_draws(options: argparse.Namespace, files: list[str]) -> VerbOutput:
     for file in options.out:
         check_result_file(file)
 
-    # Read the draws, one chain per file, and separate the weights
+    # Read the draws of the chains, one chain per file, and separate them from their weights
     found = [_draws(file) for file in files]
     draws, weights, named = found[0], None, options.weights
     if len(found) > 1:

@@ -51,7 +51,7 @@ _REGISTRIES = {
 
 
 def _choice(known: tuple[str, ...]) -> Callable[[str, str], str]:
-    """Return a parser that accepts a few given words."""
+    """Return a parser of option values that accepts only the given words."""
     return lambda name, text: as_choice(name, text, known)
 
 
@@ -141,7 +141,7 @@ def points_(options: argparse.Namespace) -> VerbOutput:
             )
         path_to_write(file, "a file", (extension,))
 
-    # Draw the requested number of sets, or as many as the quality figures need
+    # Draw the requested number of point sets, or as many as the quality figures need
     count = options.realizations
     if count is None and options.quality:
         from mcspectra.core.streams import Stream
@@ -153,7 +153,7 @@ def points_(options: argparse.Namespace) -> VerbOutput:
     if density is not None:
         points, meta["density"] = density.sample(points), density.spec
 
-    # Write the sets to files
+    # Write the point sets to files
     for file in files:
         if Path(file).suffix.lower() in EXTENSIONS:
             write_points(file, list(points), meta=meta)
@@ -162,13 +162,13 @@ def points_(options: argparse.Namespace) -> VerbOutput:
             title += f", density {density.spec}" if density is not None else ""
             write(point_sets(points, title), file, captioned=True)
 
-    # Measure the sets
+    # Measure the quality of the sets
     if options.quality:
         from mcspectra.quality import quality_figures, summarize
 
         source: Any = sampler if density is None else points
         count, n, _ = points.shape
-        with one_sentence_warnings(quiet=True):  # drawing has already shown these warnings
+        with one_sentence_warnings(quiet=True):  # the warnings were shown when points were drawn
             figures = summarize(quality_figures(source, n, realizations=count, rng=seed))
         rows: list[list[str]] = []
         missing: list[str] = []

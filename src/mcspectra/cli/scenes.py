@@ -41,7 +41,7 @@ __all__ = ["frames_", "map_", "pixel_", "render_"]
 _WIDTH = 100  # width of wrapped sentences in columns
 _AROUND = 8  # side, in pixels, of the square of pixels for which samplers are compared
 _SPP, _COMPARED_SPP, _REFERENCE_SPP = 16, 4, 1024
-_PAGE_BYTES = 1_000_000  # page and pictures of a map
+_PAGE_BYTES = 1_000_000  # bytes of the page and the pictures of a map
 _PIXEL_BYTES = 12  # bytes of three float32 numbers of a pixel of an image
 _DRY_RUN = option("--dry-run", "only print the size, the time and the storage, from a short run")
 
@@ -142,7 +142,7 @@ def render_(options: argparse.Namespace) -> VerbOutput:
     the root mean square of the standard errors of all pixels.
     --compare renders a reference, and one image for each strategy with equal samples:
     light sampling, BSDF sampling, and multiple importance sampling.
-    A .png shows these images side by side, and an .exr has one layer each.
+    A .png shows the images of --compare side by side, and an .exr has one layer for each image.
     The verb prints the error of each image.
 
     With --integrator Mitsuba renders whole paths, and --sampler replaces the scene's own sampler.
@@ -260,7 +260,7 @@ def _render_cost(
         images = 1 if options.reference else options.realizations or 1
         spp = spp or (_REFERENCE_SPP if options.reference else _SPP)
         if options.compare:
-            # The reference and MIS take samples of both techniques; two images take one of each
+            # The reference and MIS take samples of both techniques; other images take one technique
             spp, each = 2 * (options.reference_spp or _REFERENCE_SPP) + 4 * (options.spp or 4), 1
         size = size if options.crop is None else (options.crop[2], options.crop[3])
     loaded = time.perf_counter() - begin
@@ -507,7 +507,7 @@ def pixel_(options: argparse.Namespace) -> VerbOutput:
 
     The pixel is X Y, counted from the left and from the top, or its name (figure1 has P and Q).
 
-    Without --integrator this measures direct light. With --integrator it measures whole paths.
+    Without --integrator, direct light is measured. With --integrator, whole paths are measured.
     The results for paths are rates of samplers, and the variance by bounce, decision and light.
     The results for paths include the number of coordinates in which good points help.
     """
@@ -522,7 +522,7 @@ def pixel_(options: argparse.Namespace) -> VerbOutput:
 
         check_page_packages("render,report")
 
-    # Pass only options that were given, because the function has defaults for the others
+    # Pass only options that the user gave, because the function has defaults for all others
     passed = ("light", "channel", "dims", "samplers", "counts", "realizations", "budget")
     asked = {
         "remedies": not options.no_remedies,
@@ -608,7 +608,7 @@ def pixel_(options: argparse.Namespace) -> VerbOutput:
 
 
 def _folder_or_exr(name: str, text: str) -> str:
-    """Read the name of a folder, or of a file .exr."""
+    """Read the name of a folder, or the name of a file with the extension .exr."""
     return text if Path(text).suffix.lower() == ".exr" else folder_name(name, text)
 
 
@@ -658,8 +658,8 @@ def map_(options: argparse.Namespace) -> VerbOutput:
     Writes DIR/report.html, DIR/maps.exr (all layers), DIR/map.json and pictures.
     DIR/study.sqlite keeps finished tiles, so that --resume can continue.
 
-    With --pixels 1% a random pixel of each stratum is measured, and all others are interpolated.
-    With --target and a file -o FILE.exr the map also writes samples per pixel for this error.
+    With --pixels 1%, a random pixel of each stratum is measured; other pixels are interpolated.
+    With --target and -o FILE.exr, the map also writes samples per pixel for the target error.
     """
     from mcspectra.core.analysis import Subject
     from mcspectra.core.options import checked, options_of
@@ -827,7 +827,7 @@ def frames_(options: argparse.Namespace) -> VerbOutput:
     """Measure the noise of independent renders of one view by any renderer.
 
     The results are variance, bias and error spectrum.
-    Frames with different numbers of samples per pixel also give rates.
+    Frames with different numbers of samples per pixel also give rates of the variance.
     --against compares two sets of frames: bias, variance, and variance at equal time.
     Sequences of several seeds also give the correlation of errors over time.
     """

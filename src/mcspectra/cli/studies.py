@@ -264,7 +264,7 @@ def report_(options: argparse.Namespace) -> VerbOutput:
 
     Writes DIR/report.html and DIR/figures/.
     With --compare it writes DIR2/comparison.html.
-    This page has ratios of variances, differences of rates, and the curves of both studies.
+    comparison.html has ratios of variances, differences of rates, and curves of both studies.
     Nothing is measured again.
     """
     from mcspectra.report import write_comparison, write_report

@@ -2,7 +2,7 @@
 
 `VIEWS` contains the analyses that have their own tables.
 For all other analyses, the function `table_of_anything` makes a table.
-It lists scalars with their meanings and intervals, and then has one table per dim.
+The table lists scalars with their meanings and intervals; further tables have one dim each.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def _view(analysis: str, name: str = "") -> Callable[[View], View]:
 
 
 def _shown(*parts: str, **data: Any) -> VerbOutput:
-    """Join the parts that are not empty, each on its own lines."""
+    """Join those parts of a text that are not empty, each on its own lines."""
     return VerbOutput("\n".join(filter(None, parts)), data)
 
 
@@ -193,7 +193,7 @@ def convergence(result: xr.Dataset) -> VerbOutput:
 
 @_view("terms")
 def terms(result: xr.Dataset) -> VerbOutput:
-    """Prints the terms, their sum, the measured variance, and the sum divided by this variance.
+    """Prints the terms of the variance, their sum, the measured variance, and the ratio of both.
 
     Each sampler has a table.
     The energy share is the fraction of ∫f² at frequencies up to the half width.
@@ -320,7 +320,7 @@ def anova(result: xr.Dataset) -> VerbOutput:
     labels, order = list(map(str, result["subset_label"].values)), result.attrs["order"]
 
     def part(values: Sequence[float], floor: float) -> list[str]:
-        # Variance, standard error and share. They are 0 below the level of rounding
+        # Variance, standard error and share of a subset of axes, which are 0 below rounding level
         floors = (floor, floor, _ROUNDING)
         return [
             "0" if abs(value) < least else _number(value, missing="undefined")

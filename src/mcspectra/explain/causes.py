@@ -84,21 +84,20 @@ class CauseSettings:
 
     Comments on settings refer to the 152 test cases of ``python -m benchmarks settings``.
     With the settings below, profiles find the right first cause in all 152 cases.
-    If a comment says that all test cases get the right cause with other values of a setting,
-    or that these values give the same results, only this setting was changed.
+    If a comment gives results for other values of a setting, only this setting was changed.
     A test case gets a wrong cause if the first cause of its profile is not the right one.
     """
 
-    # Least number of scrambled nets.
-    # A variance of 20 normal estimates has a relative standard error of a third.
+    # Least number of scrambled nets at which the integrand is evaluated.
+    # A variance estimated from 20 normal values has a relative standard error of a third.
     # With 40 nets of half the size, one of 152 test cases gets a wrong cause.
     # With 10 nets instead of 20, all test cases get the right cause.
     nets: int = 20
-    # Above this number of evaluations, the number of nets grows as the square root of evaluations.
-    # Nets then have 512 points or more, so a curve has at least ten counts.
-    # A curve with ten counts gains more from additional nets than from additional counts.
+    # With a larger budget of evaluations, the number of nets grows as the budget's square root.
+    # Nets then have 512 points or more, so a curve of variance covers ten or more counts of points.
+    # Beyond ten counts, more nets improve the measured rate more than larger nets do.
     more_from: int = 16384
-    # Fraction of the budget that is spent on lines and poles.
+    # Fraction of the budget that is spent on lines through g and on the search for poles.
     # With a fraction from 0.1 to 0.4, all test cases get the right cause.
     lines_share: float = 0.2
     # Fraction of the budget that is left to check a change of the estimator.
@@ -109,15 +108,15 @@ class CauseSettings:
     # The scrambled nets then get 40 % of the budget.
     # With a fraction from 0.125 to 0.5, all test cases get the right cause.
     given_share: float = 0.25
-    # Largest fraction of the evaluations for lines that is spent on the search for a pole.
+    # Largest fraction of `lines_share` that the search for a pole may spend. Lines get the rest.
     # With a fraction from 0.4 to 0.8, all test cases get the right cause.
     # If the pole search leaves no evaluations for lines, four test cases get a wrong cause.
     pole_share: float = 0.8
-    # Fraction of the evaluations for lines that is spent on the mean dimension.
+    # Fraction of `lines_share` that is spent on an estimate of the mean dimension of g.
     # With a fraction from 0.125 to 0.25, all test cases get the right cause.
     # With 0.5, fewer evaluations are left for lines, and four test cases get a wrong cause.
     dimension_share: float = 0.25
-    # Number of points at which values are computed again to detect noise.
+    # Number of points at which g is evaluated a second time, to detect random values.
     # A function that is random at half of all points is detected with probability 1 − 2^−8 = 0.996.
     again: int = 8
     # Two values at a point are equal if their relative difference is below this number.
@@ -129,11 +128,11 @@ class CauseSettings:
     # With a factor from 150 to 600, all test cases get the right cause.
     climbed: float = 300.0
     # Smallest and largest allowed size of g.
-    # Sums of squares of such numbers stay in the range of float64, 1e-308 to 1e308.
+    # Sums of squares of numbers within these limits stay in the range of float64.
     smallest: float = 1e-120
     largest: float = 1e120
     # Least number of dims in which the mean dimension is estimated.
-    # In 1 to 3 dims, points fill the cube well enough for interactions of all axes.
+    # In 1 to 3 dims, nets resolve the interactions of all axes well enough.
     # With 4 to 8 dims, all test cases get the right cause. With 2 dims, one gets a wrong cause.
     many_dims: int = 4
     # Number of points for which the joint distribution of a sampler's points is examined.
@@ -147,12 +146,12 @@ class CauseSettings:
     # Error of the order of a pole inside the cube if the pole is found by lines only.
     # With an error from 0.04 to 0.16, all test cases get the right cause.
     bend_error: float = 0.08
-    # Tail index above which the integral does not exist. In theory the limit is 1.
-    # For a pole of order 1, the measured index is 0.95 or more.
+    # Tail index of g above which the integral of g does not exist. In theory the limit is 1.
+    # For a pole of order 1, the measured tail index is 0.95 or more.
     # The limit of the tail index affects only the sentence on the cause and the remedies.
     no_integral: float = 0.95
-    # Exponent of growth at the border above which growth is a main cause.
-    # Slower growth is listed after all other causes.
+    # If g grows at the border with an exponent above this value, the growth is a main cause.
+    # Growth of g with a smaller exponent is listed after all other causes.
     # With an exponent of 0.04 as the limit, two test cases get a wrong cause.
     # With a limit from 0.08 to 0.16, all test cases get the right cause.
     grows: float = 0.08
@@ -165,10 +164,11 @@ class CauseSettings:
     # Warnings about unresolved tails use the same fraction (`measure/blindness.py`).
     large_share: float = 0.2
     # The tail is judged by the fraction of the values that hold nine tenths of the variance.
-    # A tail is heavy if this fraction is below the first limit,
-    # and the main cause if the fraction is below the second limit.
-    # All test cases get the right cause with limits from 0.025 to 0.1 and from 0.005 to 0.01.
-    # With 0.02 as the second limit, two test cases get a wrong cause.
+    # A tail is heavy if this fraction is below `few_values`,
+    # and the tail is the main cause of noise if the fraction is below `very_few_values`.
+    # With `few_values` from 0.025 to 0.1, all test cases get the right cause.
+    # With `very_few_values` from 0.005 to 0.01, all test cases get the right cause.
+    # With `very_few_values` = 0.02, two test cases get a wrong cause.
     few_values: float = 0.05
     very_few_values: float = 0.01
     # Largest number of different values of a step function, as a fraction of all evaluations.
@@ -178,26 +178,26 @@ class CauseSettings:
     # 4 lines miss a feature that half of all lines cross with probability 1/16.
     # With 2 to 8 lines, all test cases get the right cause.
     least_lines: int = 4
-    # Fraction of lines with a jump that have a parallel line with a jump at the same coordinate.
-    # Above this limit, jumps count as parallel to axes.
+    # Of the jumps that lines cross, the fraction that seems to lie on planes normal to an axis.
+    # Above this limit, the discontinuity of g is reported as parallel to axes.
     # With a limit from 0.35 to 0.7, all test cases get the right cause.
-    # With a limit above 1, no jump counts as parallel to an axis.
+    # With a limit above 1, no discontinuity is reported as parallel to an axis.
     straight: float = 0.7
     # Least ratio of the number of lines with a jump to the number of lines with a cusp.
-    # With fewer jumps, all lines that seem to jump may cross a cusp instead.
+    # With fewer jumps, all lines that seem to cross a jump may cross a cusp instead.
     # One line in 100 through a cusp of order ½ appears to be a jump by chance.
     jumps_of_cusps: float = 0.05
     # The function oscillates if more than this fraction of places along a line are local extremes.
     # For noise, ⅔ of all places are local extremes.
     # With a fraction from 0.165 to 0.33, all test cases get the right cause.
-    # With ⅔, four test cases get a wrong cause.
+    # With a fraction of ⅔, four test cases get a wrong cause.
     turns: float = 0.33
     # Least number of waves along a line at which g is called oscillating.
     # The 16 steps along a line resolve functions with fewer than 6 waves.
     # With 3 to 12 waves as the limit, all test cases get the right cause.
     waves: float = 6.0
-    # Nets resolve g if their gain over random points is above this value.
-    # With a gain from 2 to 8 as the limit, all test cases get the right cause.
+    # Nets resolve g if their variance is lower than that of random points by this factor.
+    # With a factor from 2 to 8, all test cases get the right cause.
     resolved: float = 4.0
     # Number of points that resolve a smooth function that does not oscillate.
     # The number of points is doubled for each axis along which g oscillates.
@@ -207,16 +207,16 @@ class CauseSettings:
     # The mean dimension is 1 for additive functions, and 2 for functions of pairs of axes.
     # With a mean dimension from 0.9 to 3.6, all test cases get the right cause.
     low_dimension: float = 1.8
-    # If the gain of nets over random points is above this value, many dims are not a problem.
-    # With a gain from 4 to 16 as the limit, all test cases get the right cause.
+    # Many dims are not a problem if nets have less variance than random points by this factor.
+    # With a factor from 4 to 16, all test cases get the right cause.
     little_gain: float = 8.0
-    # A shift around the torus costs precision if opposite faces differ by more than this.
-    # The measure is the mean squared difference of g at the faces, divided by the variance of g.
+    # A random shift of the points adds variance if g differs between opposite faces of the cube.
+    # The limit applies to the mean squared difference of g, divided by the variance of g.
     # With a limit from 5e-4 to 2e-3, all test cases get the right cause.
     opposite: float = 1e-3
-    # Number of points that measure the integral of a wrong density.
+    # Number of points at which 1/p is averaged if the pdf p does not match its samples.
     # If 1/p is smooth, a net of 4096 points gives four correct digits, as many as are printed.
-    # No decision depends on the number of points.
+    # The number of points has no effect on which causes are reported.
     pdf_points: int = 4096
     # Least number of sets from which a variance is estimated.
     # With 95 % confidence, 8 sets determine the variance within the factors 0.44 and 4.1.
@@ -224,7 +224,7 @@ class CauseSettings:
     # Two numbers of standard errors above which a deviation is not due to chance.
     # The correlation between consecutive sets exceeds 4.5 standard errors with probability 3e-6.
     # The mean over sets deviates by more than 6 standard errors with probability 1e-5,
-    # by Student's t with 19 degrees of freedom.
+    # according to Student's t distribution with 19 degrees of freedom.
     serial: float = 4.5
     away: float = 6.0
     # Means over sets count as equal if their standard deviation is below this value.
@@ -232,23 +232,23 @@ class CauseSettings:
     # Means of x along an axis over scrambled nets have the standard deviation 0.29 n^−1.5.
     # The standard deviation 0.29 n^−1.5 is above 1e-9 for up to 400,000 points.
     rounding: float = 1e-9
-    # Rounding matters if floating-point numbers differ by more than this fraction of g's spread.
+    # Rounding of g is a cause of noise if its steps exceed this fraction of the spread of g.
     # Rounding g to steps of 1 % of its spread changes the variance by 1e-5.
     # The same fraction selects the lines on which g may oscillate:
     # the variance along a line must exceed this fraction of the largest variance along any line.
     # With a fraction from 0.005 to 0.02, all test cases get the right cause.
     coarse: float = 1e-2
     # A technique of MIS can be a cause if its part of the variance is large.
-    # A technique whose part exceeds the first limit is reported as a cause.
-    # A technique with a slower rate is reported if its part exceeds the second limit.
-    # With a first limit from 0.4 to 1.6, all test cases get the right cause.
-    # With a second limit from 0.25 to 1, all test cases get the right cause.
+    # Any technique with more than the fraction `dominant` of the variance is reported.
+    # The technique with the slowest rate is also reported above the fraction `largest_part`.
+    # With `dominant` from 0.4 to 1.6, all test cases get the right cause.
+    # With `largest_part` from 0.25 to 1, all test cases get the right cause.
     dominant: float = 0.8
     largest_part: float = 0.5
-    # A technique has a slower rate if the rates differ by this number of standard errors.
+    # Rates of two techniques are different if they are this many standard errors apart.
     # Two standard errors give a confidence of 95 %.
     slower: float = 2.0
-    # Settings of lines, of the search for poles, and of curves of variance
+    # Settings of three measurements: g on lines, the search for poles, and curves of variance
     lines: LineSettings = LINE_SETTINGS
     poles: PoleSettings = POLE_SETTINGS
     curves: CurveSettings = CURVE_SETTINGS
@@ -282,7 +282,7 @@ class Cause:
     sentence
         The cause and its effect in words, with numbers.
     evidence
-        Numbers that support the cause, by name.
+        Numbers that show the cause, each with a name.
     kinds
         Kinds of remedies for this cause (`mcspectra.improve.candidates.KINDS`).
     """
@@ -296,7 +296,7 @@ class Cause:
 @final
 @dataclass(frozen=True)
 class Replicates:
-    """Sets that a sampler drew at one count of points.
+    """Sets of equal numbers of points that a sampler drew.
 
     Attributes
     ----------
@@ -317,7 +317,7 @@ class Replicates:
 @final
 @dataclass(frozen=True)
 class Evidence:
-    """Evaluations that detectors use as evidence.
+    """Values of an estimator from which detectors infer the causes of its noise.
 
     Attributes
     ----------
@@ -326,9 +326,9 @@ class Evidence:
     sets
         Values of g at scrambled nets.
     curves
-        Curves of the variances of samplers.
+        For each sampler by name: its variance as a function of the number of points.
     lines
-        Lines through the integrand g of each technique.
+        For each technique: measurements of its integrand g on lines.
     pole
         The pole of g, or None. A pole is searched for only if there is a single technique.
     mean_dimension
@@ -340,9 +340,9 @@ class Evidence:
     calls
         Number of evaluations of the integrand.
     missed
-        Description of a position at which a density of the user is 0 and f is not; may be empty.
+        Position, as a text, where the user's density is 0 but f is not 0; empty if there is none.
     failed
-        Reason, with a position, why g has no values next to the border; empty if it has values.
+        Error message if g cannot be evaluated next to the border of the cube; otherwise empty.
     settings
         Thresholds of the detectors.
     """
@@ -389,7 +389,7 @@ class Evidence:
                 "powers; divide f by that size."
             )
 
-        # Find a position that a density of the user misses: it is 0 there, and f is not
+        # Find a position at which the user's density is 0 although f is not 0
         missed = ""
         if isinstance(estimator, Estimator) and isinstance(estimator.density, FunctionDensity):
             places = uncovered(estimator.integrand, [estimator.density])
@@ -415,7 +415,7 @@ class Evidence:
                 made += len(u)
                 return np.asarray(scalar(estimator, estimator.primary_values(t, u[None]))[0])
 
-            # Evaluate g again at some of the points
+            # Evaluate g again at some points, to detect whether its values are random
             points, values = sets.points[t].reshape(-1, estimator.dims), sets.values[t].ravel()
             again = max(1, min(settings.again, allowed // settings.again))
             off, before = np.abs(g(points[:again]) - values[:again]), values[:again]
@@ -612,7 +612,7 @@ def _said(pole: Pole) -> str:
 
 
 def _tail(seen: Evidence) -> tuple[float, float, float]:
-    """Return the share of the largest square, the tail index and the kurtosis of the values."""
+    """Return the largest fraction of the variance in one value, the tail index and the kurtosis."""
     values = seen.sets.pooled
     squares = (values - values.mean()) ** 2
     total = float(squares.sum())
@@ -922,7 +922,7 @@ def _limited(seen: Evidence, limit: float) -> str:
 def _cusps_and_kinks(seen: Evidence) -> tuple[Array, Array]:
     """Return which lines cross a cusp, and which lines cross a kink.
 
-    Only the more frequent one of the two kinds is a cause.
+    Of cusps and kinks, only the more frequent kind is reported as a cause of noise.
 
     The exponent of a cusp or a kink has an error of about 0.1 on a single line.
     A jump next to a steep part may look like a cusp or a kink.
@@ -936,7 +936,7 @@ def _cusp(seen: Evidence) -> Cause | None:
     if not cusps.sum() > kinks.sum():
         return None
     order, d = float(np.median(seen.each("exponent")[cusps])), seen.sets.dims
-    # Cells of side h next to the cusp have a variance ∝ h^(2a).
+    # Cells of side h next to a cusp |t|^a have a variance ∝ h^(2a).
     # Of n cells, about n^(1 − 1/d) are next to the cusp
     limit = -1.0 - min(1.0 + 2.0 * order, 2.0) / d
     return Cause(

@@ -23,7 +23,7 @@ __all__ = ["Diagnosis", "diagnose", "jumps_inside"]
 
 @dataclass(frozen=True)
 class DiagnosisSettings:
-    """Number of evaluations for the causes, and limits of the odd part of the variance."""
+    """Number of evaluations in a search for causes, and limits of the odd part of the variance."""
 
     # Number of evaluations of g in the search for causes.
     # With fewer evaluations, `python -m benchmarks battery` does not detect all causes.
@@ -78,7 +78,7 @@ class Diagnosis:
         kind, name, biased
             Attributes of the `mcspectra.improve.answers.Candidate`.
         unbounded, jumps
-            For another warp: whether ∫1/p diverges, and whether g jumps inside the cube;
+            If the change is another warp: whether ∫1/p diverges, and whether g jumps inside.
             `jumps` is None if jumps were not tested.
         """
         # Each kind of change to the set-up removes certain causes of noise

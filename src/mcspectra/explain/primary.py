@@ -1,6 +1,6 @@
 """The primary-space integrand as an image, with jumps that explain slow rates.
 
-Jumps of g make the rate of correlated samplers slower, inside the square or on its border.
+Jumps of g inside the square or on its border make the rates of correlated samplers slower.
 Mirroring removes the jumps between opposite sides, but not the jumps inside.
 """
 
@@ -32,7 +32,7 @@ KINDS = ("interior", "boundary")
 
 @dataclass(frozen=True)
 class PictureSettings:
-    """Settings that detect jumps between opposite faces and densities that reach zero."""
+    """Settings for detecting jumps between opposite faces, and densities that reach zero."""
 
     # Distances from a face at which g is evaluated.
     # 2^−26 is the square root of float64's spacing below 1.
@@ -40,8 +40,8 @@ class PictureSettings:
     # The distance 2^−40 is 2^14 times smaller. The number 1 − 2^−40 is exact in float64.
     near: float = 2.0**-26
     nearer: float = 2.0**-40
-    # Fraction of a difference between opposite faces that remains at the smaller distance.
-    # Above this limit, the difference is a jump.
+    # A difference of g between opposite faces is a jump if more than this fraction of it remains
+    # when g is evaluated at the smaller distance from the faces.
     # The remaining fraction is 1 for a jump, 2^−14 for a smooth g, and 2^−7 for a square root.
     stays: float = 0.5
     # g has a pole at a face if it grows by this factor from the larger to the smaller distance.
@@ -50,9 +50,9 @@ class PictureSettings:
     # A difference between opposite faces below this fraction of the range of g counts as rounding.
     # Between the distances 2^−26 and 2^−40, a smooth g changes by about 1e-8 of its range.
     negligible: float = 1e-7
-    # Number of grid points along each axis for the search of zeros of a density.
-    # The 64 steps include all multiples of 1/64.
-    # Zeros of textures and of piecewise densities are often at such multiples.
+    # Number of grid points along each axis at which zeros of a density are searched for.
+    # Zeros of textures and of piecewise densities are often at multiples of 1/64.
+    # A grid of 65 points contains all multiples of 1/64.
     probes: int = 65
     # A density counts as zero below this fraction of its largest value on the grid.
     # At this limit, 1/p is 1e9 times its least value.
@@ -97,7 +97,7 @@ def primary_picture(
         In 1-D, the length is the number of jumps. ``primary_jump_height`` is their mean height.
         If g is unbounded, the height is infinite and ``primary_pole`` is 1.
         ``reciprocal_unbounded`` is 1 if 1/p is unbounded because p reaches 0 on a grid.
-        Several channels are combined: jumps are Euclidean lengths over channels.
+        With several channels, the size of a jump is its Euclidean length over channels.
 
     Raises
     ------

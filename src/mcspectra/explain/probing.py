@@ -7,26 +7,26 @@ The second difference shrinks with the square of the step where the function is 
 At a kink, the second difference is proportional to the step.
 At a cusp |t|^a, the second difference is proportional to the power a of the step.
 The second difference stays constant at a jump, and it grows at a pole.
-Steps shrink faster toward the ends of lines along the axes.
-There the slope of log |g| is the exponent with which g grows at the border.
+On lines along the axes, g is also evaluated at decreasing distances from both ends.
+The slope of log |g| at these distances is the exponent with which g grows at the border.
 
 Another search, called a climb, moves uphill to poles.
 A climb starts at the largest or the smallest known value of g.
 The climb moves in random directions in which |g| grows.
 If |g| grows in none of the tried directions, the step is halved.
-The ellipsoid of directions adapts to the moves ([Hansen2001]_).
+The random directions follow an ellipsoid that adapts to previous moves ([Hansen2001]_).
 The climb ends early if the function is bounded.
 A function that grows as r^−a toward a set of codimension k leads the climb to that set.
-On rays from the top, the differences g(r) − g(4r) are ∝ r^−a.
-These differences determine a, whatever constant is added to g.
-|g|^(−2/a) is a quadratic form of the distance, and its rank is the codimension k.
-If the top is on faces of the cube, each of these faces adds one to the codimension.
+At distances r from the end of the climb, the differences g(r) − g(4r) are ∝ r^−a.
+These differences determine the exponent a, whatever constant is added to g.
+Near the pole, |g|^(−2/a) is a quadratic form of the position, with the codimension k as rank.
+If the pole is on faces of the cube, each of these faces adds one to the codimension.
 
 The volume in which |g| > λ is ∝ λ^(−k/a).
 Therefore ∫g² is infinite for a/k ≥ ½, and the integral does not exist for a/k ≥ 1.
 Where several faces meet, g may be a product of powers of the distances to these faces.
-The distribution of large |g| depends on the largest power at a single face,
-or on the mean of the powers at all these faces.
+The distribution of large |g| then depends on the larger one of two exponents:
+the largest power at a single face, and the mean of the powers at all these faces.
 """
 
 from __future__ import annotations
@@ -58,79 +58,81 @@ __all__ = [
 @final
 @dataclass(frozen=True)
 class LineSettings:
-    """Settings of lines, and limits of the exponents of a pole, a jump, a cusp and a kink.
+    """Settings of evaluations on lines, and limits that separate poles, jumps, cusps and kinks.
 
-    The counts of wrong cases come from ``python -m benchmarks settings``.
+    Comments refer to the 152 test cases of ``python -m benchmarks settings``.
+    A test case fails if the first cause of its profile is not the right one.
     """
 
-    # Number of equal steps of a line before steps are halved.
+    # Number of equal steps along a line in which g is evaluated, before steps are halved.
     # Values from 8 to 16 give the same results.
-    # With 32 steps, there are half as many lines, and two of 152 causes are wrong.
+    # With 32 steps, the budget allows half as many lines, and two of 152 test cases fail.
     steps: int = 16
-    # Number of halvings of the step around the roughest place.
+    # Number of halvings of the step around the place with the largest second difference of g.
     # After 12 halvings, the step is 1.5e-5 of the length of the line, which is far above rounding.
-    # The step is also much smaller than the distance between features that 16 steps can find.
-    # With 6 halvings, 29 of 152 causes are wrong; values from 12 to 24 give the same results.
+    # This step is also much smaller than the distance between features that 16 steps can find.
+    # With 6 halvings, 29 of 152 test cases fail; values from 12 to 24 give the same results.
     halvings: int = 12
-    # Number of the last halvings. The exponent is computed from their second differences.
-    # Values from 3 to 6 give the same results; with 12, two of 152 causes are wrong.
+    # The exponent is computed from the second differences of this number of last halvings.
+    # Values from 3 to 6 give the same results; with 12, two of 152 test cases fail.
     late: int = 6
-    # Exponent below which the roughest place is a pole.
+    # A line crosses a pole if the exponent of its second differences is below this value.
     # A jump has the exponent 0, and a pole r^−a has the exponent −a.
     # Values from −0.3 to −0.075 give the same results.
     pole: float = -0.15
-    # Exponent below which the roughest place may be a jump. A kink has the exponent 1.
+    # A line may cross a jump if the exponent is below this value. A kink has the exponent 1.
     # A jump has the exponent 0, or up to 0.3 next to a steep part.
     # Values from 0.2 to 0.8 give the same results.
     jump: float = 0.4
     # If a line may cross a jump, its last step is bisected this number of times.
-    # A jump keeps at least this fraction of its height.
+    # After the bisections, a jump keeps at least this fraction of its height.
     # A cusp of order 0.15 keeps 2^(−8 · 0.15) = 0.44 of its height on average.
     # The step after 8 bisections is 6e-8 of the line: a ramp narrower than this looks like a jump.
     bisections: int = 8
     kept: float = 0.75
-    # Exponent below which the roughest place is a cusp, unless it is a jump or a pole.
+    # A line without a jump or pole crosses a cusp if the exponent is below this value.
     # A cusp |t|^a has the exponent a, with an error of about 0.1 on one line.
     # No line through a kink had an exponent below 0.86.
     cusp: float = 0.8
-    # Exponent below which the roughest place is a kink.
+    # A line without a jump, pole or cusp crosses a kink if the exponent is below this value.
     # A kink has the exponent 1, and a smooth function has the exponent 2.
-    # With 0.8, 14 of 152 causes are wrong.
-    # With 3.2, smooth functions count as kinks, and 36 causes are wrong.
+    # With the value 0.8, 14 of 152 test cases fail.
+    # With the value 3.2, smooth functions count as kinks, and 36 test cases fail.
     kink: float = 1.6
     # Smallest height of a jump, as a fraction of the spread of g.
-    # A jump of 1e-4 of the spread has 1e-8 of the variance.
-    # With the points of a profile, the variance of so small a jump is always negligible.
+    # A jump with a height of 1e-4 of the spread of g causes 1e-8 of the variance.
+    # With the numbers of points in a profile, a fraction of 1e-8 is always negligible.
     # Values from 5e-5 to 2e-4 give the same results.
     least_jump: float = 1e-4
     # Second differences below this fraction of the spread of g count as rounding.
     # After 12 halvings, the second difference of a smooth g is about 1e-9 of the spread.
     # Values from 5e-10 to 2e-9 give the same results.
     negligible: float = 1e-9
-    # Second differences also count as rounding below this number of spacings of float numbers.
-    # Spacings are taken at the values of g.
+    # Second differences below this number of float spacings also count as rounding.
+    # The float spacing is taken at the largest value of g.
     # A sum of a thousand terms in random order is off by about √1000 = 32 spacings.
     # Values from 16 to 64 give the same results.
     grains: float = 32.0
-    # g grows up to the end of a line if |g| grows enough between the last two distances.
-    # The last growth, divided by the growth before, must be above this number.
-    # The ratio is 2^−10 for a bounded function, 1 for ln t, and 2^(10a) for t^−a.
+    # Near the end of a line, g is evaluated at decreasing distances from this end.
+    # g grows without bound if the last growth of |g|, divided by the one before, is above this.
+    # The ratio of growths is 2^−10 for a bounded function, 1 for ln t, and 2^(10a) for t^−a.
     # Values from 0.33 to 0.65 give the same results.
-    # With the value 1.3, logarithmic growth is missed, and six of 152 causes are wrong.
+    # With the value 1.3, logarithmic growth is missed, and six of 152 test cases fail.
     goes_on: float = 0.65
-    # Largest distance of the parallel line that tests whether a jump is normal to the axis.
-    # If an edge has a slope of 1, it crosses the parallel line at least 0.0025 farther.
+    # To test whether a jump is normal to an axis, lines are displaced by up to this distance.
+    # An edge with a slope of 1 crosses the displaced line at least 0.0025 farther along the line.
     # After the last halving, the step is only a hundredth of 0.0025.
     # Values from 0.0025 to 0.01 give the same results.
     aside: float = 0.005
     # Number of groups of axes. An oblique line (chord) is displaced along one group at a time.
-    # If an edge is normal to an axis, only the group with this axis moves a chord off the edge.
+    # If an edge is normal to an axis, only a displacement along this axis moves a chord's crossing.
     # An edge that is oblique to two axes seems normal to an axis with probability 1/3.
     # If the edge is oblique to more than two axes, the probability is smaller.
     groups: int = 3
     # Distances from both ends at which g is evaluated on a line along an axis.
-    # Between the last two distances, which have the ratio 2^10, even t^−0.08 grows 1.7 times.
-    # 2^−40 is still exact next to 1. Half and twice these distances give the same results.
+    # From the distance 2^−30 to the distance 2^−40, even the function t^−0.08 grows 1.7 times.
+    # The number 1 − 2^−40 is still exact in float64.
+    # Half and twice these distances give the same results.
     ends: tuple[float, ...] = (2.0**-4, 2.0**-12, 2.0**-20, 2.0**-30, 2.0**-40)
     # Distance from an end of a line at which g must be computable.
     # A sample of a few thousand points also has points at this distance from the border.
@@ -138,12 +140,12 @@ class LineSettings:
 
     @property
     def line(self) -> int:
-        """Number of evaluations of a line along an axis."""
+        """Number of evaluations of g on a line along an axis."""
         return self.steps + 2 * self.halvings + self.bisections + 2 * len(self.ends) + 2
 
     @property
     def chord(self) -> int:
-        """Number of evaluations on a line that is not parallel to an axis."""
+        """Number of evaluations of g on a line that is not parallel to an axis."""
         return self.steps + 2 * self.halvings + self.bisections + 2 * self.groups
 
 
@@ -159,65 +161,69 @@ class PoleSettings:
     The search is called a climb. It takes steps to places with larger values of |g|.
     The last place of a climb is called its top.
 
-    The counts of wrong cases come from ``python -m benchmarks settings``.
+    Comments refer to the 152 test cases of ``python -m benchmarks settings``, 18 with a pole.
+    A test case fails if the first cause of its profile is not the right one.
     """
 
     # Maximum number of halvings of the step of a climb.
-    # The first step is the distance between neighboring points.
-    # After 16 halvings, the largest radius in `radii` is 1/16 of the first step.
-    # With 8 halvings, 30 of 152 causes and 10 of 18 poles are wrong.
+    # A climb starts with a step equal to the distance between neighboring points.
+    # After 16 halvings, the largest radius in `radii` is 1/16 of the step at the start.
+    # With 8 halvings, 30 of 152 test cases fail, and 10 of 18 poles are wrong.
     # Values from 16 to 32 give the same results.
     halvings: int = 16
-    # Largest number of moves with one step before the step is halved.
+    # Largest number of moves with the same step size before the step is halved.
     # Values from 3 to 12 give the same results.
     moves: int = 6
-    # Number of halvings in a group. The climb is judged by the medians of its last three groups.
-    # With 2, one of 18 poles is wrong; values from 3 to 6 give the same results.
+    # Number of halvings of the step in a group of halvings.
+    # Whether a climb goes on depends on the medians of |g| over its last three groups.
+    # With groups of 2, one of 18 poles is wrong; values from 3 to 6 give the same results.
     group: int = 3
-    # A climb ends if the height grows less and less after each group of halvings of the step.
-    # If the last gain in height is below this multiple of the gain before, g counts as bounded.
-    # Near a smooth top, three halvings multiply the gain in height by 4^−3.
-    # Near a pole where g grows like ln r, the height gains the same amount each time.
+    # A climb ends if |g| grows less and less after each group of halvings of the step.
+    # If the last growth of |g| is below this multiple of the growth before, g counts as bounded.
+    # Near a smooth maximum, three halvings multiply the growth of |g| by 4^−3.
+    # Near a pole where g grows like ln r, |g| grows by the same amount after each group.
     # Values from 0.15 to 0.6 give the same results.
     bounded: float = 0.3
-    # Number of rays from the top. The median of their exponents is used.
+    # Number of rays from the top of a climb. The exponent of a pole is the median over the rays.
     # Values from 3 to 12 give the same results.
     rays: int = 6
     # Weight of each new move when it changes the ellipsoid of directions, from 0 to 1.
     # Values from 0.2 to 0.4 give the same results; with 0.8, one of 18 poles is wrong.
     learning_rate: float = 0.4
-    # Radii along the rays, in units of the last step; each is 4 times the previous radius.
-    # The smallest radius is 16: if the top is off by one step, the distance changes by 6 % at most.
+    # Radii along the rays from the top, in units of the climb's last step.
+    # Each radius is 4 times the previous radius. The smallest radius is 16 steps.
+    # If the top is wrong by one step, a distance of 16 steps changes by 6 % at most.
     # Half and twice these radii give the same results.
     radii: tuple[float, ...] = (2.0**4, 2.0**6, 2.0**8, 2.0**10, 2.0**12)
     # Number of the smallest radii at which growth toward one face alone is measured.
     # Three radii determine an exponent, whatever constant is added to g.
-    # With 2 radii, four of 152 causes are wrong; values from 3 to 6 give the same results.
+    # With 2 radii, four of 152 test cases fail; values from 3 to 6 give the same results.
     near: int = 3
     # The top is not a pole if g rises outward on more than this fraction of the rays.
     # Values from 0.125 to 0.5 give the same results.
     rising: float = 0.25
     # Distance from all other faces at which growth toward one face is measured.
     # The unit of this distance is the last step of the climb.
-    # The value is half of the first step, and 2^7 times the third radius in `radii`.
+    # A distance of 2^15 last steps is half the step at the start of the climb.
+    # This distance is 2^7 times the largest radius, 2^8, at which growth toward a face is measured.
     # Values from 2^14 to 2^16 give the same results.
     away: float = 2.0**15
-    # If the exponent is above this value, the function grows toward one face alone.
+    # One face alone makes g grow if the exponent of growth toward this face is above this value.
     # Values from 0.025 to 0.1 give the same results.
     alone: float = 0.05
     # Limit for eigenvalues of the quadratic form |g|^(−2/a), divided by its largest eigenvalue.
     # The codimension is the number of eigenvalues above this limit.
     # Values from 0.002 to 0.008 give the same results.
     rank: float = 0.004
-    # A move is accepted if the height grows by more than this factor.
+    # A move of the climb is accepted if |g| grows by more than this factor.
     # Values down to 0.5 give the same results.
-    # With 2, few moves are accepted, and 15 of 18 poles are missed.
+    # With a factor of 2, few moves are accepted, and 15 of 18 poles are missed.
     better: float = 1.005
-    # Number of the largest heights that are compared before a climb.
-    # The height at a point is the distance of g from the median of its known values.
+    # Number of the largest values of |g| that are compared to decide whether a climb starts.
+    # Before |g| is taken, the median of all known values is subtracted from g.
     # Values from 8 to 32 give the same results.
     compared: int = 16
-    # A climb starts only if the largest and the least compared height differ by this fraction.
+    # A climb starts only if the largest and the least compared |g| differ by this fraction.
     # Values from 0.05 to 0.2 give the same results.
     stands_out: float = 0.1
     # Growth with an exponent below this value counts as logarithmic.
@@ -246,31 +252,31 @@ class Lines:
     axis
         Axis to which each line is parallel, or −1 for chords: (K,).
     exponent
-        Exponent of the second difference at the roughest place, as a power of the step: (K,).
+        Exponent a if the second difference at the roughest place is ∝ step^a: (K,).
     kept
         Fraction of the height of a jump that remains after bisections; 0 without bisections: (K,).
     place
         Position of the roughest place along the line, from 0 to 1: (K,).
     height
-        Size of the change of g at the roughest place: (K,).
+        Size of the change of g over the last step at the roughest place: (K,).
     straight
-        Whether the change of g stays in place if the line is displaced along other axes.
-        A discontinuity whose change stays in place is normal to one axis: (K,).
+        Whether the change of g has the same position on a line displaced along other axes.
+        If the position is the same, the discontinuity is normal to one axis: (K,).
     growth
         Exponents a of g ~ t^−a at both ends of a line, 0 if g does not grow there: (K, 2).
         NaN for chords.
     ends
         Difference of g between both ends of the line: (K,); NaN for chords.
     waves
-        Number of periods of a cosine with the same variance and the same second derivative: (K,).
+        Number of periods of a cosine with the variance and second derivative of g, (K,).
     turns
         Fraction of the places on the line that are higher or lower than both neighbors: (K,).
     spread
-        Variance along the line: (K,).
+        Variance of g along the line: (K,).
     settings
-        Settings of lines, with the limits of the exponents.
+        Settings with which g was evaluated on lines, and limits of the exponents.
     failed
-        If g could not be evaluated close to some ends of lines: the reason, with a position.
+        Error message, with a position, if g could not be evaluated close to some ends of lines.
         The text is empty if all evaluations succeeded.
         If g has no values close to an end, no growth is reported at this end.
     """
@@ -291,7 +297,7 @@ class Lines:
 
     @property
     def _rough(self) -> Array:
-        """Return lines whose roughest place is not smoother than a kink, and is not a jump."""
+        """Return lines whose roughest place is a pole, a cusp or a kink."""
         jump = self.kept > self.settings.kept
         return np.asarray(~jump & (self.exponent < self.settings.kink))
 
@@ -326,7 +332,7 @@ class Lines:
 
 
 def grain(values: Array) -> float:
-    """Return the spacing of floating-point numbers at the largest value.
+    """Return the spacing of floating-point numbers at the largest of the values.
 
     The numbers are float32 if float32 represents all values exactly, otherwise float64.
     """
@@ -343,7 +349,7 @@ def lines_of(
     rng: np.random.Generator,
     settings: LineSettings = LINE_SETTINGS,
 ) -> Lines:
-    """Evaluate lines along each axis in turn. In several dims, evaluate as many chords.
+    """Evaluate g on lines along each axis in turn and, in several dims, on as many oblique lines.
 
     Parameters
     ----------
@@ -387,7 +393,7 @@ def lines_of(
             )
 
     def at(t: Array, which: Any = slice(None)) -> Array:
-        """Return values at places (K, m) on all lines, or on selected lines only."""
+        """Return values of g at places (K, m) on all lines, or on selected lines only."""
         x = start[which, None] + t[..., None] * way[which, None]
         return g(np.clip(x, 0.0, BELOW_ONE).reshape(-1, dims)).reshape(t.shape)
 
@@ -412,7 +418,7 @@ def lines_of(
         outer = at(both, straight)
     except BudgetError:
         raise
-    except ParameterError:  # g raises an error next to the border; omit the ends of these lines
+    except ParameterError:  # Omit the ends of lines on which g raises an error near the border
         outer = np.full(both.shape, np.nan)
         for k, row in enumerate(np.flatnonzero(straight)):
             try:
@@ -459,7 +465,7 @@ def lines_of(
     floor = max(settings.negligible * scale, settings.grains * grain(y[:, 1:-1]))
     rough = size[-1] > floor
     # Ignore second differences at rounding level: they are meaningless.
-    # If the last one is at rounding level, use the first second difference above this level
+    # If the last second difference is at rounding level, use the first one above this level
     first = np.argmax(size > floor, axis=0)
     size = np.where(size > floor, size, np.maximum(size[first, rows], 1e-300))
     slope = -np.polyfit(np.arange(settings.late + 1), np.log2(size), 1)[0]
@@ -559,7 +565,7 @@ class Pole:
     Attributes
     ----------
     place
-        A point of the set, (d,).
+        One point of the set toward which the function grows, (d,).
     exponent
         Exponent a of r^−a, where r is the distance to the pole.
     codimension
@@ -587,7 +593,7 @@ def pole_of(
     rng: np.random.Generator,
     settings: PoleSettings = POLE_SETTINGS,
 ) -> Pole | None:
-    """Climb to a pole from the value furthest from the median, or else from the other extreme.
+    """Search uphill for a pole from the value furthest from the median, then from the other end.
 
     Parameters
     ----------
@@ -664,7 +670,7 @@ def _climbed(
 def _measured(
     g: Function, top: Array, step: float, rng: np.random.Generator, settings: PoleSettings
 ) -> Pole | None:
-    """Measure a pole by rays from its top, and by a quadratic form around the top."""
+    """Measure a pole on rays from the top of a climb, and by a quadratic form around the top."""
     d, radii = len(top), np.array(settings.radii)
     top = np.where(top < 2.0 * step, _EDGE, np.where(top > 1.0 - 2.0 * step, 1.0 - _EDGE, top))
     inward = np.where(top < 0.5, 1.0, -1.0)

@@ -1,6 +1,6 @@
 """Variances of several samplers at all counts, from one array of evaluations.
 
-R scrambled nets of N points are evaluated once.
+The integrand is evaluated once at R scrambled nets of N points.
 Runs of 2^k successive points that start at multiples of 2^k are scrambled nets themselves.
 Therefore means over such runs of 2^k points have the variance of nets of 2^k points.
 Different nets have independent points in each stratum.
@@ -9,10 +9,10 @@ The variance within slabs across an axis gives the variance of Latin hypercubes.
 The variance within the whole cube is that of random points.
 Products of values from the same net are omitted, because these values are correlated.
 
-Errors come from a jackknife over the nets, which includes the correlation between counts.
-In the model of the rate, the rate is constant over the last octaves of n.
-Over the octaves before these, the rate changes by a random walk.
-Several step sizes of this walk are averaged, weighted by the likelihood of the curve.
+Standard errors come from a jackknife over nets, which includes correlations between all n.
+A rate is fitted to each curve and is assumed to be constant over the last octaves of n.
+In earlier octaves, the rate is assumed to change by a random walk.
+Fits with several step sizes of the random walk are averaged, weighted by their likelihood.
 If the curve is straight, all counts contribute to its rate.
 If the curve is bent, its rate depends on the last counts only.
 """
@@ -60,9 +60,10 @@ class CurveSettings:
     This benchmark repeats each of five functions with known rates 50 times.
     """
 
-    # Number of slabs along an axis. A Latin hypercube of more points has finer strata.
+    # Number of slabs along each axis that stand for the strata of a Latin hypercube.
     # Values from 16 to 64 give the same results.
-    # The estimated variance of a Latin hypercube of n > 32 points is an upper bound.
+    # A Latin hypercube of n > 32 points has finer strata than 32 slabs.
+    # The estimate of its variance from slabs is therefore an upper bound.
     # For sums of functions of one axis, this bound is (n/32)² times the true variance.
     slabs: int = 32
     # Largest number of dims in which the variance of jittered points is estimated.
@@ -74,11 +75,11 @@ class CurveSettings:
     # With 2 octaves, intervals of rates are 1.4 times as wide and contain the rate equally often.
     # With 6 octaves, intervals contain the true rate in 63 % instead of 93 % of cases.
     octaves: int = 3
-    # Candidate standard deviations of the drift of the rate in an octave, weighted by likelihood.
+    # Standard deviations of the change of the rate in an octave that are tried in fits.
     # The value 0.05 is for curves that are nearly straight on logarithmic axes.
     # The value 0.4 is for curves with the usual bends: the rate changes by 1 to 3 in a few octaves.
     # If all values are halved, intervals contain the true rate in 94 % of cases.
-    # If they are doubled, or only 0.2 is used, intervals contain the true rate in 92 % of cases.
+    # If all are doubled, or only 0.2 is used, intervals contain the true rate in 92 % of cases.
     drifts: tuple[float, ...] = (0.05, 0.1, 0.2, 0.4)
     # If a rate is not known, −1 is used with this standard error.
     # Rates from −2 to 0 are then within two standard errors of −1.
@@ -88,7 +89,7 @@ class CurveSettings:
     # With the value 0.01 or 0.04, rates change by at most 0.01.
     floor: float = 0.02
     # A measured rate agrees with a theoretical rate if it is within this number of standard errors.
-    # The value corresponds to 95 % of a normal law.
+    # Two standard errors correspond to a confidence of 95 % for normal errors.
     agrees: float = 2.0
 
 
@@ -106,10 +107,10 @@ class Curve:
     counts, variance, relative_se
         Arrays (N,). The standard error belongs to the logarithm of the variance.
     rate, rate_se
-        Slope over the last octaves, and its standard error.
+        Slope of the logarithmic curve over the last octaves, and its standard error.
         Slope and error are NaN if there is no fit, for example because the variance is zero.
     degrees
-        Degrees of freedom of the errors.
+        Degrees of freedom of the standard errors.
     drift
         Estimated standard deviation of the change of the slope in an octave.
         The same drift is assumed at counts beyond the measured counts.
@@ -120,7 +121,7 @@ class Curve:
         `scatter` is the standard deviation of log variances about the fitted line.
         Curves that are not straight lines are extrapolated with `level` and `scatter`.
     bend
-        Expected change of the slope at numbers of points beyond the measured ones, with its error.
+        Expected change of the slope beyond the measured counts, with an error of the same size.
     """
 
     counts: Array
@@ -136,7 +137,7 @@ class Curve:
     bend: float = 0.0
 
     def at(self, n: float) -> tuple[float, float]:
-        """Return the variance at n, and the standard error of its logarithm.
+        """Return the variance at n points, and the standard error of its logarithm.
 
         Beyond the measured counts, the variance is extrapolated with the rate.
         """
@@ -187,7 +188,7 @@ class _Part:
     values: Array
 
     def between(self, cell: Array, cells: int) -> Array:
-        """Return the mean of g(x) g(y) over cells, for x and y in a cell from different nets."""
+        """Average g(x) g(y) over pairs of points x, y of different nets that share a cell."""
         r = len(self.values)
         place = (np.arange(r)[:, None] * cells + cell).ravel()
         sums = np.bincount(place, self.values.ravel(), r * cells).reshape(r, cells)
@@ -197,18 +198,18 @@ class _Part:
         return np.asarray(np.mean(products / np.maximum(pairs, 1), axis=1, where=pairs > 0))
 
 
-# Estimates of all nets together, followed by estimates without each single net: (1 + R,)
+# The estimate from all R nets, followed by R estimates that leave out one net each: (1 + R,)
 _Estimate = Callable[[_Part, int], Array]
 
 
 def _sums(x: Array) -> Array:
-    """Return the sums over all nets and over all nets but one: (1 + R, …) from (R, …)."""
+    """Return the sum over all R nets, and R sums that leave out one net each: (1 + R, …)."""
     whole = x.sum(axis=0)
     return np.concatenate([whole[None], whole - x])
 
 
 def _means(x: Array) -> Array:
-    """Return the means over all nets and over all nets but one: (1 + R,) from (R,)."""
+    """Return the mean over all R nets, and R means that leave out one net each: (1 + R,)."""
     return np.asarray(_sums(x) / _sums(np.ones(len(x))))
 
 
@@ -275,7 +276,7 @@ class Sets:
     def curves(
         self, settings: CurveSettings = CURVE_SETTINGS, names: Collection[str] | None = None
     ) -> dict[str, Curve]:
-        """Return the curves of all samplers, or of `names`, that these values can estimate."""
+        """Return curves of variance for the samplers in `names`, or for all possible samplers."""
         counts = 2 ** np.arange(self.n.bit_length())
         found = {
             NETS: self._curve(_of_strata if self.dims == 1 else _of_nets, counts, settings),
@@ -308,7 +309,7 @@ class Sets:
         settings: CurveSettings,
         rate: float | None = None,
     ) -> Curve:
-        """Return the curve of an estimate, with errors from a jackknife."""
+        """Return the curve of the variances that `estimate` gives, with errors from a jackknife."""
         parts = [_Part(p, v - v.mean()) for p, v in zip(self.points, self.values, strict=True)]
 
         found = np.stack([
@@ -324,7 +325,7 @@ class Sets:
 
 
 def scalar(estimator: AbstractEstimator, values: Array) -> Array:
-    """Return values of one channel: the luminance of three channels, the mean of others."""
+    """Return one value per point: the luminance of three channels, otherwise their mean."""
     if not estimator.channels:
         return np.asarray(values, float)
     weights = (
@@ -338,7 +339,7 @@ def scalar(estimator: AbstractEstimator, values: Array) -> Array:
 def curve_of(
     counts: Sequence[int], estimates: Sequence[Array], settings: CurveSettings = CURVE_SETTINGS
 ) -> Curve:
-    """Return the curve of variances of independent estimates at several counts, each (R,)."""
+    """Return the variances of independent estimates as a curve: R estimates for each count."""
     found = np.array([e.var(ddof=1) for e in estimates])
     left = np.stack([
         [np.delete(e, r).var(ddof=1) for e in estimates] for r in range(len(estimates[0]))
@@ -360,7 +361,7 @@ def _fitted(
 ) -> Curve:
     """Return the curve of variances `found`, (N,), with errors from a jackknife.
 
-    `left` contains the variances without each realization, (R, N).
+    `left` contains variances from all realizations but one, for each realization: (R, N).
     If `rate` is None, the rate is fitted.
     If `exact` is true, a variance of zero means that the true variance is zero.
     If `exact` is false, each variance is a difference of two estimates.

@@ -1,7 +1,7 @@
 """Alignment of strata with edges: variance for each offset of strata, and the best offset.
 
-If an edge with a jump cuts a stratum into shares s and 1 − s, its variance is s(1 − s) · jump².
-A stratum whose border is the edge has no variance.
+If a jump of f cuts a stratum into shares s and 1 − s, the stratum has variance s(1 − s) · jump².
+If the jump lies on the border of strata, it causes no variance.
 A fixed offset moves all strata on the torus (``strata-shift``).
 If the positions of the edges are known, `aligned-strata` bends the strata to the edges.
 """
@@ -43,25 +43,25 @@ METHODS = ("auto", "exact", "measured")
 @final
 @dataclass(frozen=True)
 class AlignmentSettings:
-    """Settings of scans over offsets of strata."""
+    """Settings of the search for the offset of strata with the least variance."""
 
-    # Maximum number of offsets in one scan, counted over all axes.
+    # Maximum number of offsets of the strata that are tried in one scan, over all axes.
     # With 64 points and the default 1000 realizations, 4096 offsets take 2.6e8 evaluations.
     most_offsets: int = 4096
     # Default number of offsets along each axis in 1, 2 and more dims.
     # A scan has 16 offsets in 1-D, 64 in 2-D and 4^d in d dims.
     # Half and twice as many offsets were tested for disks and steps in 1-D and 2-D.
-    # The variance changes by at most 0.1 %, unless the edge can be aligned almost exactly.
+    # The least variance changes by at most 0.1 %, unless strata can be aligned almost exactly.
     usual_offsets: tuple[int, int, int] = (16, 8, 4)
     # Rounding error of an exact variance, as a fraction of I²/n.
     # An exact variance is a difference of two sums: means of g², and squared means of g.
-    # Each term is rounded to 1.1e-16. The factor 100 allows for rounding in the sums.
+    # Each term has a relative rounding error of 1.1e-16; sums are allowed 100 times as much.
     exact_rounding: float = 1e-14
-    # Relative standard error that the fit of a rate assumes for exact variances.
-    # All counts get the same relative error, so they have equal weights in the fit of the rate.
+    # The fit of a rate expects a standard error for each variance, also for exact variances.
+    # The same relative error for all exact variances gives them equal weights in the fit.
     # Rates and their intervals agree to 9 digits for relative errors from 1e-9 to 1e-3.
     exact_se: float = 1e-6
-    # Number of times that the pattern search halves its step.
+    # Number of times that the search for the best offset halves its step.
     # The last step is 1/256 of the spacing of the scan.
     # For 11 points and disks in 1-D, 16 halvings of the step find a variance 0.02 % lower.
     # With only 4 halvings of the step, the variance is 0.3 % higher.
@@ -83,13 +83,13 @@ def strata_shift_scan(
     rng: RngLike = 0,
     workers: int | None = None,
 ) -> xr.Dataset:
-    """Compute variance and rate for fixed offsets of the strata.
+    """Compute the variance and the rate of an estimator for fixed offsets of the strata.
 
     Parameters
     ----------
     estimator, sampler
-        An estimator, and a sampler without a shift.
-        A shifted sampler would average the variance over all offsets.
+        The estimator, and the sampler whose strata are moved.
+        The sampler must not have a shift, which would average the variance over all offsets.
     counts
         One number of points n, or several in ascending order. A rate needs at least two.
     dims
@@ -99,12 +99,12 @@ def strata_shift_scan(
         Offsets along each axis, as fractions of the side n^(-1/d) of a stratum.
         Either a list of ascending numbers in [0, 1), or the number of equally spaced offsets.
         The default is 16 in 1-D, 8 in 2-D and 4 in more dims. A scan has at most 4096 offsets.
-        The side of a stratum depends on n, so the same offset moves strata less if n is larger.
+        Strata are smaller for larger n, so the same fraction moves them by a smaller distance.
     method
         ``"exact"`` computes exact variances (`mcspectra.exact_variance`);
         ``"measured"`` measures variances with the same random numbers for all offsets.
         ``"auto"`` computes exact variances if they are known and f is not a user's function.
-        Exact variances need many calls of f. The attribute ``method`` names the choice.
+        Exact variances need many calls of f. The attribute ``method`` states which were computed.
     realizations, rng, workers
         Options of measured variances; see `mcspectra.convergence`.
 
@@ -115,7 +115,7 @@ def strata_shift_scan(
         ``rate`` and ``rate_ci`` have the dims offset0, offset1, … only.
         If f has several channels, there is a dim channel.
         Intervals of exact variances have width 0.
-        If variances are exact, the interval of a rate shows how well log variance follows a line.
+        With exact variances, the interval of a rate shows how well log variance follows a line.
 
     Raises
     ------
@@ -214,16 +214,16 @@ def best_alignment(
         Same as in `mcspectra.improve.strata_shift_scan`.
         A pattern search, which halves its step 8 times, refines the best offset of the scan.
     realizations, rng, workers
-        Same as in `mcspectra.convergence`. The measurement of each candidate has its own stream.
+        Same as in `mcspectra.convergence`. Each candidate is measured with its own random numbers.
 
     Returns
     -------
     xarray.Dataset
-        A dataset on the dim candidate, which is ``"unshifted"``, ``"offset"`` or ``"aligned"``.
+        A dataset. The dim candidate lists set-ups: ``"unshifted"``, ``"offset"``, ``"aligned"``.
         The candidate ``"aligned"`` exists only if `edges` are given.
         ``strata_offset(candidate, axis)`` is the offset of each candidate.
         ``predicted_variance`` and ``measured_variance`` are sums over channels.
-        ``variance_ratio`` is the ratio of the measured variance to that of the first candidate.
+        ``variance_ratio`` is the measured variance divided by the variance of ``"unshifted"``.
         ``improvement`` is 1 if the interval ``variance_ratio_ci`` is below 1,
         −1 if the interval is above 1, and 0 if the interval contains 1.
         The attribute ``best`` names the candidate with the least predicted variance.
@@ -401,8 +401,8 @@ class _Offsets:
         try:
             if exact:
                 # Raise an error if no closed form is known.
-                # If edges are multiples of the side, an offset of about half a side cuts strata.
-                # For strata that an edge cuts, a closed form of the variance may be missing
+                # If an edge cuts strata, a closed form of the variance may be missing.
+                # Therefore test offset 0 and about half a side: with one of them, edges cut strata
                 for probe, n in itertools.product((0.0, 0.4375), counts):
                     found.at([probe] * estimator.dims, n)
         except NoClosedForm:
@@ -412,11 +412,11 @@ class _Offsets:
         return found
 
     def displaced(self, offset: Sequence[float]) -> Sampler:
-        """Return the sampler with its strata moved by fractions of their side."""
+        """Return the sampler with its strata moved by the given fractions of a stratum's side."""
         return self.sampler.then(StrataShift(offset=tuple(offset)))
 
     def at(self, offset: Sequence[float], n: int) -> tuple[Array, Array, Array, Array]:
-        """Return variances (C,), relative errors, rounding levels, and intervals (C, 2)."""
+        """Return variances of C channels, relative errors, rounding errors and intervals (C, 2)."""
         source = self.displaced(offset)
         if self.exact:
             size = np.abs(np.atleast_1d(self.estimator.integral))

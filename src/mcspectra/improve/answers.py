@@ -37,12 +37,12 @@ __all__ = [
 @final
 @dataclass(frozen=True)
 class AnswerSettings:
-    """Limits of numbers in an answer."""
+    """Limits of the numbers that an answer reports."""
 
     # Largest number of necessary evaluations that an answer reports.
     # 10^15 evaluations take 11 days at 10^9 per second.
     many: float = 1e15
-    # Least gain in variance at which an undecided change is mentioned.
+    # An undecided change is mentioned if it may lower the variance by this factor or more.
     # For a smaller gain, a larger budget is not worthwhile.
     may_gain: float = 2.0
 
@@ -73,11 +73,11 @@ class Candidate:
         Number of evaluations, in addition to the budget, that the search for the change took.
         If the budget includes a pilot, its evaluations are counted in `Setup.overhead` instead.
     effort
-        Cost of an evaluation divided by its cost in the given set-up; paths can differ in length.
+        Cost of an evaluation divided by its cost in the given set-up. Longer paths cost more.
     ratio
-        Expected variance divided by that of the given estimator at equal cost, NaN if unknown.
+        Expected variance divided by the given estimator's variance at equal cost; NaN if unknown.
     finite_below
-        Limit of the exponent a if g grows as t^−a at the border. Below it, the variance is finite.
+        If g grows as t^−a at the border, the variance is finite for exponents a below this limit.
     note
         A sentence that is appended to the reason in the report.
     """
@@ -123,11 +123,11 @@ class CandidateResult:
     rate, rate_ci
         Slope of log variance against log n.
     needed, needed_ci
-        Number of evaluations that the given set-up needs for this RMSE, with its interval.
+        Number of evaluations that the given set-up needs for the same RMSE, with its interval.
     verdict
         Whether the interval of the gain lies above 1 (better), below 1 (worse) or contains 1.
     setup
-        The estimator and the sampler; None for comparisons of draws and for stored results.
+        The estimator and the sampler after the change. None for stored results and drawn sets.
     """
 
     name: str
@@ -182,7 +182,7 @@ class Answer:
     best
         The first result that is better than the given set-up. If no result is better, `given`.
     runner_up
-        The second best, or the undecided candidate with the least RMSE, or None.
+        The second best candidate, or the undecided candidate with the least RMSE, or None.
     causes
         Causes of the noise, the most important first.
     results

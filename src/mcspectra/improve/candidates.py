@@ -1,8 +1,9 @@
 """Candidates: set-ups of an estimator and a sampler that differ from the given one in one respect.
 
 A *kind* of change is a function that takes the given set-up and yields candidates.
-Each candidate has an imperative that describes the change.
-A kind without candidates raises an error with the reason. `candidates_of` runs the kinds.
+Each candidate has a text that describes the change in the imperative.
+A kind of change without candidates raises an error with the reason.
+`candidates_of` yields the candidates of several kinds.
 """
 
 from __future__ import annotations
@@ -61,9 +62,9 @@ __all__ = [
 
 LATTICE = "rank1-lattice | shift"
 """Shifted lattices, the points for a periodic g."""
-# Label of the random stream of pilots. Searches for widths and offsets use the labels 0 and 1
+# Label of the random numbers of pilots. Searches for widths and offsets have the labels 0 and 1
 _PILOTS = 2
-# Kinds of change that also apply to a mirrored estimator: its inner estimator is changed
+# Kinds of change that also apply to mirrored estimators: the estimator inside is changed
 _INSIDE = frozenset(
     {"smoothed", "warp", "heuristic", "techniques", "compensated", "channels", *CHANGES}
 )
@@ -74,7 +75,7 @@ _INSIDE = frozenset(
 class CandidateSettings:
     """Settings that decide which changes of a set-up are tried."""
 
-    # Samplers that the kind ``sampler`` tries: the usual sampler of each family in the package
+    # Samplers that are tried instead of the given one: the usual sampler of each family
     samplers: tuple[str, ...] = (
         "random",
         "jittered",
@@ -88,47 +89,48 @@ class CandidateSettings:
     )
     # Maximum number of dims in which strata are aligned with edges.
     # An offset search computes 96 variances in 2-D, 112 in 3-D and 320 in 4-D.
-    # In 3-D, 64 points have four strata along each axis.
+    # In 3-D, 64 points have only four strata along each axis.
     most_aligned_dims: int = 2
     # Maximum number of dims in which cubic stratification is tried.
-    # In 4-D, order 4 needs at least 4^4 = 256 cells.
-    # In 4-D, cubic stratification has at best the rate n^(−1 − 8/d), and gains little over nets.
+    # In 4-D, the order 4 of cubic stratification needs at least 4^4 = 256 cells.
+    # In d dims, cubic stratification has the rate −1 − 8/d at best.
+    # In 4-D, this rate is little better than the rate of nets.
     most_cubic_dims: int = 3
-    # Order of the substitution that makes g periodic. With few points, low orders are better;
-    # with many points, high orders are better (`benchmarks periodized`).
+    # Order of the substitution of variables that makes g periodic.
+    # Low orders are better for few points, high orders for many (`benchmarks periodized`).
     order: int = 4
     # Maximum number of dims in which g is made periodic.
-    # The substitution multiplies ∫g² by up to 1.6^d, so it loses to nets in many dims.
-    # In 5-D with 1,024 points, a smooth function that is made periodic has 12 times the RMSE
-    # that a folded lattice gives without this change (`benchmarks periodized`).
+    # In d dims, the substitution multiplies ∫g² by up to 1.6^d, so nets are better in many dims.
+    # The test `benchmarks periodized` contains a smooth function in 5-D with 1,024 points.
+    # After the substitution, its RMSE is 12 times the RMSE of a folded lattice.
     most_periodized_dims: int = 4
     # Maximum number of dims in which edges are smoothed by means over boxes.
-    # In more dims, means take too many evaluations; smoothing by the distance takes only one.
+    # In more dims, means over boxes take too many evaluations of f.
+    # Smoothing by the distance to the edge takes one evaluation per point.
     most_boxed_dims: int = 2
     # A pilot takes the budget B divided by this number.
-    # Two budgets of `mcspectra.remedies` are larger than a pilot of B/8 evaluations: B/4 and B.
+    # With a pilot of B/8, the budgets B/4 and B of `mcspectra.remedies` are larger than the pilot.
     # Two budgets are enough to measure a rate.
     pilot_divisor: int = 8
     # Least number of points of a pilot. Each half of the pilot has 32 points.
-    # A regression takes 4 points for each of 8 terms (`RegressionSettings.evaluations_per_term`).
+    # With 4 points per term (`RegressionSettings.evaluations_per_term`), 32 points fit 8 terms.
     least_pilot: int = 64
-    # Maximum number of points of a pilot.
-    # Regressions of an Asian option in 16-D with 2048, 4096 and 8192 points
-    # leave 1.08, 0.93 and 0.89 % of the variance.
-    # The variances of densities that are fitted with 2048 to 8192 points differ by 3 %
-    # (`benchmarks improvements`).
+    # Maximum number of points of a pilot (`benchmarks improvements`).
+    # Regressions of an Asian option in 16-D were fitted with 2048, 4096 and 8192 points.
+    # These regressions leave 1.08, 0.93 and 0.89 % of the variance.
+    # Variances of densities that are fitted with 2048 to 8192 points differ by only 3 %.
     most_pilot: int = 4096
-    # Widths of smoothed edges that are scanned, in units of the domain: octaves from 2^-10 to 1/4.
-    # A wider edge covers most of the domain; a narrower edge is a jump at the budgets in use.
+    # Widths of smoothed edges that are tried: powers of two from 2^-10 to 1/4 of the domain.
+    # Wider edges cover most of the domain; narrower edges act as jumps for usual budgets.
     widths: tuple[float, ...] = tuple(2.0**-k for k in range(10, 1, -1))
     # Maximum number of realizations for each variance in a scan over widths or over offsets.
     # With 300 realizations, the relative standard error of a variance is √(2/300) = 8 %.
-    # An error of 8 % is small enough, because neighboring widths differ by a factor of two.
+    # An error of 8 % is small enough to choose between widths that differ by a factor of two.
     scan_realizations: int = 300
 
 
 CANDIDATE_SETTINGS = CandidateSettings()
-"""Default settings of candidates."""
+"""Default settings that decide which changes of a set-up are tried."""
 
 
 @dataclass(frozen=True)
@@ -144,7 +146,7 @@ class Budget:
 
 
 _Candidates: TypeAlias = Iterator[Candidate | str]
-"""Candidates, and sentences that explain why other changes were not tried."""
+"""Yielded candidates, and texts that explain why other changes were not tried."""
 
 Kind: TypeAlias = Literal[
     "unshifted",
@@ -168,9 +170,9 @@ Kind: TypeAlias = Literal[
 
 
 def candidates_of(given: Setup, kinds: Sequence[Kind], budget: Budget) -> _Candidates:
-    """Yield each candidate of the given kinds once. For other changes, yield ``name: reason``.
+    """Yield each candidate of the given kinds once, and ``name: reason`` for untried changes.
 
-    If candidates of a kind raise an error, the reason is the message of this error.
+    If a kind of change raises an error, the reason is the message of this error.
     If the estimator is mirrored, its inner estimator is changed, and the result is mirrored again.
     """
     seen = {Candidate("given", "given", "", given).key}
@@ -209,7 +211,7 @@ def _candidate(
     *,
     biased: bool = False,
 ) -> Candidate | str:
-    """Return a candidate with the result of `make`, or the reason why there is no candidate."""
+    """Return a candidate whose set-up `make` returns, or the reason why `make` failed."""
     try:
         made = make()
     except McspectraError as error:
@@ -292,7 +294,7 @@ def align_strata(given: Setup, budget: Budget) -> _Candidates:
 
 
 def mirror(given: Setup, budget: Budget) -> _Candidates:  # noqa: ARG001
-    """Yield the estimator with each way of mirroring."""
+    """Yield the mirrored estimator, once for each way of mirroring."""
     if isinstance(given.estimator, Mirrored):
         raise ParameterError(f"{given.estimator.spec} is mirrored already.")
     changes = {
@@ -332,7 +334,7 @@ def change_heuristic(given: Setup, budget: Budget) -> _Candidates:
 
 
 def single_techniques(given: Setup, budget: Budget) -> _Candidates:  # noqa: ARG001
-    """Yield estimators with a single technique each."""
+    """For each technique of the estimator, yield an estimator that uses only this technique."""
     estimator = given.estimator
     if not isinstance(estimator, Weighted) or len(estimator.counts) < 2:
         raise ParameterError(f"{estimator.spec} has one technique only.")
@@ -380,7 +382,7 @@ def change_warp(given: Setup, budget: Budget) -> _Candidates:  # noqa: ARG001
     if not isinstance(estimator, Estimator) or density is None:
         raise ParameterError(f"{estimator.spec} has no single density to replace.")
 
-    # List the same pdf with other warps, a pdf without jumps, and a pdf that is bounded below
+    # List three changes: other warps of the same pdf, a pdf without jumps, a pdf bounded below
     plain: Any = density  # Only some densities have the parameters that are read below
     others = [dataclasses.replace(plain, warp=w) for w in density.warps if w != plain.warp]
     if isinstance(density, EnvironmentDensity) and density.interpolation == "constant":
@@ -452,7 +454,7 @@ def separate_channels(given: Setup, budget: Budget) -> _Candidates:  # noqa: ARG
 
 
 def improve(kind: Kind, given: Setup, budget: Budget) -> _Candidates:
-    """Yield the changes of g that existing evaluations or a pilot suggest."""
+    """Yield changes of g that are fitted to existing evaluations or to a pilot."""
     seen, charged = budget.seen, 0
     if seen is None:
         settings, each = budget.settings, given.estimator.evaluations_per_point
@@ -470,7 +472,7 @@ def improve(kind: Kind, given: Setup, budget: Budget) -> _Candidates:
         raise ParameterError(f"{len(seen.points)} evaluations show no gain from it.")
     yield from found
     # Combine the change with the best sampler for the remaining variance.
-    # Skip this if the given sampler is already the best one
+    # If the given sampler is already the best one, nothing is combined
     nets = make_sampler(NETS, given.estimator.dims)
     if nets.spec != given.sampler.spec:
         for alone in found:

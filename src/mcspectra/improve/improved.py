@@ -1,28 +1,28 @@
-"""Changes of estimators, fitted to evaluations of g.
+"""Changes of an estimator that are fitted to evaluations of its integrand g.
 
-The changes are densities, control variates, rotations and smoothing.
+The changes are new densities, control variates, rotations and means along an axis.
 
 All changes apply to the primary-space integrand g on the unit cube.
 Therefore every change can be used with any estimator of one technique.
-The changes of these kinds keep the integral, whatever the evaluations of g are:
+The changes of the following kinds keep the integral, whatever the evaluations of g are:
 
 * *fitted*: g(T(u))/q(T(u)) with uniform u. The density q consists of splines (`learned`).
- Another choice of q is a normal density of z = Φ⁻¹(u) with the moments of |g|;
+ Another choice of q is a normal density of z = Φ⁻¹(u) with the moments of |g|.
 * *order*: g(T(u)), where T rotates z by an orthogonal matrix; there is no density q.
   After the rotation, g varies most along the first coordinates of z ([Liu2023]_).
-  This helps because the first coordinates of nets are the best;
+  The rotation helps because nets sample their first coordinates best;
 * *regression*: g minus fitted polynomials of mean 0;
 * *preintegrated*: g is averaged along lines in the first direction.
-  At one point of each line, g jumps or becomes nonzero.
-  The mean has three parts: one on each side of this point, and one over a bracket around it.
-    Each part of the mean is sampled at one or two points.
+  It is assumed that g jumps or becomes nonzero at one point of each line.
+  A bracket, which is a short interval around this point, divides the line into three intervals.
+    Each of the three intervals is sampled at one or two points.
   The position of the bracket on a line depends on the other coordinates only.
-  Therefore the expectation of the sum over the three parts is the expectation of g.
+  Therefore the expectation of the sum over the three intervals is the expectation of g.
 
 `Cubic` needs no pilot: it subtracts polynomials from g.
 These polynomials go through the values of g at the centers of cells.
 `Periodized` substitutes the variables, so that g is constant at the border and periodic.
-For this substitution, only a constant near the integral has to be known.
+For the substitution, only a constant close to the integral has to be known.
 
 The expected gain of a change is computed from evaluations that were not used in its fit.
 """
@@ -69,34 +69,35 @@ class ChangeSettings:
     # With two rounds, the variance of a narrow peak in 3-D is several times as large.
     # Eight rounds are no better than four (`benchmarks improvements`).
     rounds: int = 4
-    # Settings with which `fit_splines` fits joint densities, and products of 1-D densities.
-    # In each triple, the first number is the number of cells along each axis.
-    # The second number of a triple is the number of densities in a mixture; 0 means a flow.
-    # The third number of a triple is the weight of the penalty on roughness.
+    # Triples of settings with which `fit_splines` fits joint densities and products of 1-D ones.
+    # The first number of each triple is the number of cells along each axis.
+    # The second number of each triple is the number of densities in a mixture; 0 means a flow.
+    # The third number of each triple is the weight of the penalty on roughness.
     # After each round, the first joint density is fitted, to place the points of the next round.
     # Without the flow, the variance of a ridge across two axes is 17 times as large.
-    # Without the product with 24 cells per axis, the density fits a narrow peak less well.
-    # Results do not change without the joint mixture of 4 densities.
+    # Without the product of densities with 24 cells per axis, the fit of a narrow peak is worse.
+    # If the joint mixture of 4 densities is left out, results do not change.
     joint: tuple[tuple[int, int, float], ...] = ((16, 0, 1e-4), (12, 4, 1e-3))
     products: tuple[tuple[int, int, float], ...] = ((12, 1, 1e-3), (24, 1, 1e-4))
     # Maximum number of dims in which joint densities are tried.
     # A flow (a learned map) with 16 cells per axis has about 36 d² weights in d dims.
     # In 5-D the number of weights is a fifth of the number of evaluations in the largest pilot.
     most_joint_dims: int = 5
-    # Share of the uniform density in a fitted density. It limits g/q to 20 |g|, but adds variance.
+    # Share of the uniform density in a fitted density q. It limits |g|/q to 20 |g|.
+    # A larger share of the uniform density adds variance:
     # With shares of 0.025, 0.05 and 0.1, a ridge keeps 0.6, 1.1 and 2.2 % of its variance.
     defensive: float = 0.05
     # Least variance of a fitted normal density along any direction.
     # The normal numbers z of uniform points u have variance 1.
-    # With a smaller variance, the density of u would be 0 at the border of the cube.
-    # Toward the border, g/q would then grow without bound.
+    # With a variance below 1, the density q of u would be 0 at the border of the cube,
+    # and g/q would grow without bound toward the border.
     least_spread: float = 1.0
-    # Settings of the fits of splines
+    # Settings of the fits of spline densities to |g|
     splines: LearnSettings = field(default_factory=LearnSettings)
-    # A change is offered if it leaves less than this share of the variance. Its cost is ignored.
-    # A pilot estimates which share of the variance a change leaves.
-    # In the smallest pilot, this estimate has a relative standard error of √(2/64) = 18 %.
-    # A change with an estimate above this limit may therefore be worse than no change.
+    # A change is yielded if less than this fraction of the variance remains after the change.
+    # The remaining fraction is estimated from a pilot, and the cost of the change is ignored.
+    # In the smallest pilot, the estimated fraction has a standard error of √(2/64) = 18 %.
+    # A change with an estimate above the limit may therefore be worse than no change.
     most_left: float = 0.8
     # Number of points that are evaluated at once. A table of 256 polynomials then takes 32 MB.
     # Results do not depend on this number.
@@ -111,19 +112,19 @@ class RegressionSettings:
     # Least number of evaluations for each coefficient.
     # With k evaluations, a fit of p coefficients multiplies the remaining variance by 1 + p/k.
     # With 4 evaluations for each coefficient, the factor 1 + p/k is at most 1.25.
-    # With 2 or 8, the results of four problems of `benchmarks improvements` are the same.
+    # With 2 or 8 evaluations, results for four problems of `benchmarks improvements` are the same.
     evaluations_per_term: int = 4
-    # Regularization: a number that is added to the diagonal of the normal equations.
-    # The basis functions have mean square 1, so this number is a relative one.
+    # Regularization: this number is added to the diagonal of the normal equations.
+    # The number is relative, because the basis functions have mean square 1.
     # Results are the same to three digits for values from 1e-12 to 1e-4.
     ridge: float = 1e-9
-    # Maximum number of terms of a basis, which limits the cost of an evaluation.
-    # Results are the same for 128 and 512.
+    # Maximum number of polynomials in a regression, which limits the cost of an evaluation.
+    # With 128 and 512 polynomials, results are the same.
     most_terms: int = 256
-    # Pairs of degrees that are tried. The first degree is the largest one in a single coordinate.
-    # The second degree is the largest total degree of products of two coordinates.
-    # Candidates range from linear functions to products of degree 8.
-    # One candidate is chosen by evaluations that were not used in the fit.
+    # Pairs of largest degrees of the polynomials that are tried as a regression of g.
+    # The first number of each pair is the largest degree of polynomials of one coordinate.
+    # The second number of each pair is the largest total degree of products of two coordinates.
+    # One pair is chosen by evaluations that were not used in the fits.
     degrees: tuple[tuple[int, int], ...] = (
         (1, 0),
         (2, 2),
@@ -171,24 +172,24 @@ class Evaluations:
         return Evaluations(points, values.reshape(len(points), -1), np.ones(len(points)))
 
     def part(self, which: Array) -> Evaluations:
-        """Return selected evaluations."""
+        """Return the evaluations that a mask selects."""
         return Evaluations(self.points[which], self.values[which], self.pdf[which])
 
     @cached_property
     def halves(self) -> tuple[Evaluations, Evaluations]:
-        """Evaluations with odd index, and with even index. Neighbors are in different halves."""
+        """Two halves of the evaluations: those with odd index, and those with even index."""
         odd = np.arange(len(self.points)) % 2 == 1
         return self.part(odd), self.part(~odd)
 
     @cached_property
     def normal(self) -> Array:
-        """Points transformed by Φ⁻¹, coordinate by coordinate."""
+        """Points z = Φ⁻¹(u), the inverse normal cdf of each coordinate of the points u."""
         return _quantiles(self.points)
 
     def turned(self, matrix: Array) -> Evaluations:
-        """Return these evaluations for the rotated integrand: the values stay, the points change.
+        """Return the same values as evaluations of a rotated integrand, at other points.
 
-        The rotation maps the new points to the points of this object.
+        The rotation maps these other points to the points of this object.
         """
         return replace(self, points=_Normal(matrix.T).sample(self.points))
 
@@ -224,11 +225,11 @@ class Evaluations:
         return np.asarray(found)
 
     def variance(self, pdf: Array | None = None) -> float:
-        """Return the variance of g/q at points of density q, by default the uniform density.
+        """Estimate the variance of g/q at points with density q, which is uniform by default.
 
         The mean of g/q is estimated by a ratio of weighted sums.
         The variance is the mean square deviation from the estimated mean.
-        This avoids cancellation if g/q is almost constant.
+        Deviations from the mean avoid cancellation if g/q is almost constant.
         """
         q = np.ones(len(self.pdf)) if pdf is None else pdf
         weight, values = q / self.pdf, self.values / q[:, None]
@@ -328,9 +329,9 @@ class _Basis:
     ----------
     normal
         Whether polynomials are Hermite polynomials of z = Φ⁻¹(u).
-        Otherwise they are Legendre polynomials of u, or of Φ applied to directions of z.
+        Otherwise, polynomials are Legendre polynomials of u, or of Φ applied to directions of z.
     axes, degrees
-        Two coordinates and two degrees for each term, (terms, 2).
+        The two coordinates and the two degrees of each product, (terms, 2).
     turn
         Directions of z that replace the coordinates, one direction per column, (d, ·).
     """
@@ -342,7 +343,7 @@ class _Basis:
 
     @staticmethod
     def of(dims: int, normal: bool, alone: int, together: int) -> _Basis:
-        """Make terms up to degree `alone` in one coordinate, and up to `together` in two."""
+        """Make products up to degree `alone` in one coordinate, and `together` in two."""
         terms = [(i, i, a, 0) for i in range(dims) for a in range(1, alone + 1)]
         terms += [
             (i, j, a, b)
@@ -355,7 +356,7 @@ class _Basis:
         return _Basis(normal, found[:, :2], found[:, 2:])
 
     def cut(self, count: int) -> _Basis:
-        """Return the basis, or only its linear terms if `count` evaluations are too few."""
+        """Return the basis, or only its linear terms if `count` evaluations are too few for all."""
         if len(self.axes) * _REGRESSION.evaluations_per_term <= count:
             return self
         linear = self.degrees.sum(axis=1) == 1
@@ -394,7 +395,7 @@ class _Basis:
         return np.asarray(np.linalg.solve(square, columns.T @ seen.values)[1:])
 
     def left(self, fitted: Evaluations, other: Evaluations) -> float:
-        """Return the fraction of variance that remains after the fit, on other evaluations."""
+        """Return the fraction of the variance that a fit leaves, measured by other evaluations."""
         rest = other.values - self(other.points) @ self.fit(fitted)
         return float(rest.var(axis=0).sum() / max(other.values.var(axis=0).sum(), 1e-300))
 
@@ -421,15 +422,15 @@ class Cubic(_Changed):
 
     The polynomial has degree r − 1 along each axis, and equals g at the centers of r^d cells.
     The r^d cells are the r nearest cells along each axis.
-    The mean of the polynomial over the cell is added again, so the integral does not change.
+    The mean of the polynomial over each cell is added again, so the integral does not change.
     If r is even, each point is averaged with its image about the center of the cell.
-    The average with the image contains no odd powers. Therefore r = 2 needs no polynomial.
+    Averages with the image contain no odd powers of the position, so r = 2 needs no polynomial.
     Jittered points in the same cells have a variance ∝ n^(−1 − 2r/d) if g has r derivatives.
 
     Attributes
     ----------
     order
-        The order r.
+        The order r of cubic stratification.
     side
         Number of cells along each axis; 0 until `in_cells` sets it.
     centers
@@ -444,7 +445,7 @@ class Cubic(_Changed):
 
     @staticmethod
     def of(estimator: AbstractEstimator, order: int) -> Cubic:
-        """Return this change for the integrand g of an estimator with a single technique."""
+        """Return cubic stratification for the g of an estimator with a single technique."""
         return Cubic(integrand=_single(estimator), order=order)
 
     @property
@@ -471,8 +472,8 @@ class Cubic(_Changed):
         if self.centers is None:
             return np.asarray(values)
 
-        # At the points, evaluate Lagrange polynomials through nodes 0 … r − 1 of each axis: (…, r).
-        # Also compute the means of these polynomials over cells
+        # Evaluate Lagrange polynomials with the nodes 0 … r − 1 of each axis at the points: (…, r).
+        # Also compute the means of the Lagrange polynomials over cells
         nodes = np.arange(self.order)
         first = np.clip(cell - (self.order - 1) // 2, 0, self.side - self.order)
 
@@ -483,8 +484,8 @@ class Cubic(_Changed):
         at, weights = np.polynomial.legendre.leggauss(self.order)
         means = lagrange((cell - first)[..., None] + 0.5 * at).swapaxes(-1, -2) @ (0.5 * weights)
 
-        # Compute the weight of each value of g: products of the polynomials of all axes,
-        # minus products of their means, (k, r^d)
+        # Compute the weight of the value of g at each node, (k, r^d):
+        # the product of the polynomials of all axes minus the product of their means
         stencil = np.indices((self.order,) * self.dims).reshape(self.dims, -1)
         axes = np.arange(self.dims)
         found = [lagrange(x * self.side - 0.5 - first) for x in places]
@@ -502,9 +503,9 @@ class Cubic(_Changed):
 class Periodized(_Changed):
     """Integrand c + (g(φ(u)) − c) Π φ'(u_i), which is periodic ([Sidi2006]_).
 
-    At the border, this integrand equals the constant c.
-    The substitution φ is the cdf of the beta distribution with both parameters k,
-    so φ' ∝ (u(1 − u))^(k − 1).
+    At the border of the cube, this integrand equals the constant c.
+    The substitution φ is the cdf of the beta distribution with both parameters equal to k.
+    Therefore φ' is proportional to (u(1 − u))^(k − 1).
     If g is smooth, the first k − 2 derivatives of the new integrand agree on opposite faces.
     With shifted lattices the variance is then ∝ n^(−2k), up to powers of log n.
     If g grows as t^−a toward the border, the new integrand is c plus a term ∝ t^(k(1 − a) − 1).
@@ -512,11 +513,12 @@ class Periodized(_Changed):
     Attributes
     ----------
     order
-        The number k. In d dims, a constant g has the variance (∫φ'²)^d − 1 at random points.
-        In one dim, ∫φ'² is 1.43 for k = 3, 1.63 for k = 4 and 2.01 for k = 6.
+        The parameter k of the beta distribution.
+        Without c, a constant g = 1 in d dims would get the variance (∫φ'²)^d − 1 at random points.
+        The integral ∫φ'² is 1.43 for k = 3, 1.63 for k = 4 and 2.01 for k = 6.
     about
-        The constant c, (channels or 1,). It is close to the integral,
-        so that a constant added to g hardly changes the variance.
+        The constant c, (channels or 1,).
+        If c is close to the integral of g, a constant added to g hardly changes the variance.
     """
 
     name: ClassVar[str] = "periodized"
@@ -526,10 +528,10 @@ class Periodized(_Changed):
 
     @staticmethod
     def of(estimator: AbstractEstimator, order: int, seen: Evaluations | None = None) -> Periodized:
-        """Return this change for the integrand g of an estimator with a single technique.
+        """Return the periodic integrand for the g of an estimator with a single technique.
 
         The constant c is the mean of evaluations at uniform points.
-        Without evaluations, it is the value of g at the center of the cube.
+        If no evaluations are given, c is the value of g at the center of the cube.
         """
         g = _single(estimator)
         if seen is not None:
@@ -558,16 +560,17 @@ class Periodized(_Changed):
 class _Preintegrated(_Changed):
     """Integrand that replaces g by its mean along one axis.
 
-    The mean is sampled separately on both sides of the point where g jumps or leaves 0.
+    On each line along the axis, the mean has separate samples on both sides of a point.
+    At this point of the line, g jumps or becomes nonzero.
 
     Attributes
     ----------
     axis
-        The number of the axis.
+        The index of the axis along which means are taken.
     halvings
-        Number of times that the bracket around the place of the jump is halved.
+        Number of times that the interval in which g jumps (the bracket) is halved.
         After 7 halvings the bracket is 2^-7 of the axis, and it is sampled by one point.
-        The variance of the part over the bracket is at most 2^-16 of the squared jump.
+        The sample in the bracket has a variance of at most 2^-16 of the squared jump.
     """
 
     name: ClassVar[str] = "preintegrated"
@@ -585,7 +588,7 @@ class _Preintegrated(_Changed):
             x[:, self.axis] = np.clip(t, 0.0, BELOW_ONE)
             return self.integrand(x).reshape(len(u), -1)
 
-        # Keep the half in which g leaves 0, or else the half with the larger difference
+        # Keep the half in which g becomes nonzero, or else the half with the larger difference of g
         low = np.full(len(u), 2.0**-12)
         high = 1.0 - low
         at_low, at_high = g(low), g(high)
@@ -608,15 +611,15 @@ class _Preintegrated(_Changed):
 
 
 _Found: TypeAlias = Iterator[tuple[str, str, _Changed, float]]
-"""Each change: its name, its description, the new integrand, and the variance that remains."""
+"""Changes: for each one its name, description, new integrand and remaining variance."""
 
 
 def _fitted(
     g: Integrand, seen: Evaluations, settings: ChangeSettings, *, roughly: bool = False
 ) -> _Found:
-    """Fit the best density of each family.
+    """Fit densities of two families, splines and normal densities, and yield the best of each.
 
-    If `roughly` is true, only the first candidate of splines is fitted.
+    If `roughly` is true, only one density of splines is fitted.
     """
     joint = settings.joint if 1 < g.dims <= settings.most_joint_dims else ()
     splines = (*joint, *settings.products)[: 1 if roughly else None]
@@ -648,7 +651,7 @@ def _fitted(
 
 
 def _splines(seen: Evaluations, setting: tuple[int, int, float], settings: ChangeSettings) -> _Map:
-    """Fit splines to |g|, or to a power of |g| if the points cannot determine |g|."""
+    """Fit a density of splines to |g|, or to a lower power of |g| if few points dominate it."""
     size = (seen.weights * seen.pdf)[:, None]
     return fit_splines(
         seen.points,
@@ -662,7 +665,7 @@ def _splines(seen: Evaluations, setting: tuple[int, int, float], settings: Chang
 
 
 def _normal(seen: Evaluations, stretch: str, least_spread: float) -> _Map:
-    """Fit a normal density to |g| in z: the mean, and either the variances or the covariance."""
+    """Fit a normal density of z to |g|: its mean, and its variances or covariance if wanted."""
     z, weights = seen.normal, seen.weights
     d, effective = z.shape[1], 1.0 / float((weights**2).sum())
     mean = weights @ z
@@ -682,7 +685,7 @@ def _normal(seen: Evaluations, stretch: str, least_spread: float) -> _Map:
 
 
 def _regression(g: Integrand, seen: Evaluations, settings: ChangeSettings) -> _Found:  # noqa: ARG001
-    """Fit all bases, and return the one that leaves the least variance."""
+    """Fit regressions on several bases, and yield the one that leaves the least variance."""
     first, second = seen.halves
     d, own = seen.points.shape[1], _REGRESSION
     few = min(d, own.turned)
@@ -709,7 +712,7 @@ def _regression(g: Integrand, seen: Evaluations, settings: ChangeSettings) -> _F
 
 
 def _order(g: Integrand, seen: Evaluations, settings: ChangeSettings) -> _Found:  # noqa: ARG001
-    """Sort directions, with the largest variation of g first."""
+    """Rotate the coordinates, so that g varies most along the first ones."""
     d = g.dims
     if d == 1:
         raise ParameterError("One dim has no order.")
@@ -726,13 +729,13 @@ def _order(g: Integrand, seen: Evaluations, settings: ChangeSettings) -> _Found:
 
 
 def _preintegrated(g: Integrand, seen: Evaluations, settings: ChangeSettings) -> _Found:  # noqa: ARG001
-    """Take means along the axis that leaves the least variance, or along the first direction.
+    """Take means along the best axis, and along the direction in which g varies most.
 
     The variance that remains after taking means along an axis lies between two bounds.
     The lower bound comes from the terms of a regression that do not depend on the axis.
     The upper bound is the variance without the main effect of the axis.
     The expected variance is the geometric mean of the two bounds.
-    Squared coefficients are estimated by products of coefficients from two halves.
+    Squared coefficients are estimated by products of coefficients from two halves of the pilot.
     """
     d = g.dims
     if d == 1:
@@ -773,7 +776,7 @@ CHANGES: dict[str, Callable[[Integrand, Evaluations, ChangeSettings], _Found]] =
     "order": _order,
     "preintegrated": _preintegrated,
 }
-"""Kinds of change, each with the function that makes its changes."""
+"""Kinds of change by name, each with the function that makes changes of this kind."""
 
 
 def improvements(
@@ -786,7 +789,7 @@ def improvements(
 ) -> Iterator[Candidate]:
     """Yield changed estimators with the same integral, without new evaluations of g.
 
-    The expected ratios of variances are those with random points.
+    The yielded ratios of variances are ratios expected with random points.
     For *order*, main effects are excluded from the compared variances, because nets remove them.
     All ratios are computed from evaluations that were not used in the fit.
 
@@ -800,9 +803,9 @@ def improvements(
         Kinds of change to make. The names of all kinds are the keys of `CHANGES`.
     charged
         Number of pilot evaluations that are added to the cost of each change.
-        Give 0 if the pilot evaluations were made for another purpose anyway.
+        Give 0 if the evaluations of the pilot were made for another purpose anyway.
     settings
-        Settings of the changes.
+        Settings of the fits.
 
     Raises
     ------
@@ -844,7 +847,7 @@ def evaluated(
     def follow(points: Array, values: Array, pdf: Array) -> _Map | None:
         """Fit a density, or return None if all values of one half of the evaluations are zero.
 
-        None means that the next points are uniform.
+        If the result is None, the next points are uniform.
         """
         seen = Evaluations(points, values, pdf)
         if not all(half.values.any() for half in seen.halves):

@@ -1,20 +1,20 @@
 """Importance densities learned from evaluations of an integrand, for a given sampler.
 
-A density p of `mcspectra.densities.learned` is fitted to values f(x_k).
-The points x_k have the density π. The fit minimizes this sum:
+A density p of `mcspectra.densities.learned` is fitted to values f(x_k) of the integrand.
+The points x_k are random with the density π. The fit minimizes the following sum over points:
 
     log Σ_k ρ_k p(x_k) − Σ_k w_k log p(x_k) + smoothness,   ρ_k = 1/π(x_k),   w_k ∝ ρ_k |f(x_k)|.
 
 Without the smoothness term, the sum is the relative entropy of |f| and p, up to a constant.
 Both integrals of the relative entropy are estimated from the *same* points.
-If |f| belongs to the family, the minimum is |f| itself for any number of points.
+If |f| belongs to the family of densities p, the minimum is |f| for any number of points.
 A fit by the mean of log p alone would follow the random density of the points.
-The smoothness penalty uses second differences of log spline weights, as in P-splines
-[Eilers1996]_.
+The smoothness term is a penalty on second differences of the logarithms of spline weights,
+as in P-splines [Eilers1996]_.
 
-A candidate is a density with given numbers of cells and mixture parts and a given smoothness.
+A candidate is a density with a given number of cells, number of mixture parts and smoothness.
 Candidates are compared by the variance of f/p with points of the sampler itself.
-Only evaluations that were not used in the fit are compared.
+The variances are computed from evaluations that were not used in the fit.
 The integral ∫f²/p alone does not measure the roughness of f/p.
 The roughness of f/p causes the variance that nets and strata do not remove.
 The best candidate is checked on fresh points.
@@ -62,12 +62,12 @@ __all__ = ["LEARNED", "LearnSettings", "fit_splines", "in_rounds", "learned_dens
 class LearnSettings:
     """Settings of fits of splines, and of the choice between fitted densities."""
 
-    # Candidates of the two kinds, from smooth to fine.
-    # The first number of each candidate is the number of cells along each axis.
+    # Settings of the candidates of two kinds: mixtures of splines and spline flows.
+    # The first number of a candidate is the number of cells along each axis.
     # The second number of a candidate is the number of parts of a mixture, or 0 for a flow.
     # The third number of a candidate is the weight of the smoothness penalty.
     # The first candidate is also fitted in each round, to place the points of the next round.
-    # Evaluations that were not used in any fit choose one candidate.
+    # One candidate is chosen by evaluations that were not used in any fit.
     # If one candidate is left out, the variances of two test functions change by −30 to +6 %.
     # The test functions have a peak in 2-D and two bells in 3-D.
     mixture: tuple[tuple[int, int, float], ...] = (
@@ -82,64 +82,65 @@ class LearnSettings:
         (8, 0, 1e-2),
         (16, 0, 1e-4),
     )
-    # Maximum number of dims of a learned density. The fit of a flow in 24-D takes 9 s.
+    # Maximum number of dims of a learned density. In 24-D, the fit of a flow takes 9 s.
     most_dims: int = 24
-    # Least allowed number of evaluations. Half of these 256 evaluations are for the fit.
-    # A quarter of the 256 chooses one of five candidates, with six sets of two points for each.
-    # Another quarter of the 256 checks the result on fresh points.
+    # Least allowed number of evaluations. Half of the 256 evaluations are for the fit.
+    # A quarter of the 256 evaluations chooses a candidate, with six sets of two points for each.
+    # Another quarter of the 256 evaluations checks the result on fresh points.
     least_evaluations: int = 256
     # Least number of evaluations by default.
     # The fit, the choice of a candidate and the check take `most_fitted` evaluations each.
     usual_evaluations: int = 3 * 2**13
-    # Default number of evaluations for each of the n points, in addition to `most_fitted`.
+    # By default, 16 n evaluations are made in addition to `most_fitted`, for n points.
     # Half of the 16 n evaluations choose one of five candidates, with six sets of n/4 points each.
-    # The other half of the 16 n check the result: 16 sets of its points, and 16 uniform sets.
+    # The other half check the result: 16 sets with the chosen density, and 16 uniform sets.
     evaluations_per_point: int = 16
-    # n divided by the smallest number of points with which candidates are compared.
+    # Candidates are compared with sets of at least n points divided by this number.
     # With n/16 points, nets give nearly the same ratios of variances as with n points.
     # With fewer points, nets do not resolve the splines.
     fewest_divisor: int = 16
     # Maximum number of evaluations in a fit.
     # With 2048 instead of 4096 evaluations, variances of two test functions change by −21 to +12 %.
     most_fitted: int = 2**13
-    # Number of points in a block of the sums of a fit. All machines then compute the same bits:
-    # BLAS does not use threads for products of blocks of 128 points.
+    # Number of points in each block into which the sums of a fit are divided.
+    # BLAS does not use threads for blocks of 128 points, so all machines compute the same bits.
     block: int = 128
-    # Number of bins of the marginal distributions of |f|, by which the knots are placed.
-    # Half or twice as many bins change the variances by 1 % at most.
+    # Number of bins of the marginal distributions of |f|, which decide where spline knots lie.
+    # Half or twice as many bins change the variances of fitted densities by 1 % at most.
     bins: int = 512
     # Number of rounds of Lloyd's method, which groups points to start the parts of a mixture.
-    # Half or twice as many rounds change the variances by 5 % at most.
+    # Half or twice as many rounds change the variances of fitted densities by 5 % at most.
     lloyd_rounds: int = 8
     # Maximum number of steps of L-BFGS in a fit.
-    # Half or twice as many steps change the variances by 5 % at most.
+    # Half or twice as many steps change the variances of fitted densities by 5 % at most.
     steps: int = 120
-    # Largest change of the logarithm of a weight in one step of L-BFGS.
-    # If this is 1, a weight changes by a factor of at most e in a step.
+    # Largest change of the logarithm of a spline weight in one step of L-BFGS.
+    # With the limit 1, a weight changes by a factor of at most e in a step.
     # With 0.5 or 2, the variances of fitted densities change by 1 %, and one falls by 18 %.
     longest: float = 1.0
     # L-BFGS ends if the entropy decreases by less than this number.
-    # For values from 2e-10 to 2e-8, the variances are the same to three digits.
+    # With values from 2e-10 to 2e-8, variances of fitted densities are the same to three digits.
     gain: float = 2e-9
     # Maximum number of dims in which a flow is fitted with all `steps`.
     # For d dims above this limit, the number of steps is multiplied by 4/d.
     # Longer fits cost more and do not improve the densities.
     most_dims_of_all_steps: int = 4
-    # Least number of sets for the variance of each candidate.
-    # With 6 sets each, the log of a ratio of two variances has a standard error of √(4/5) = 0.9.
+    # Least number of sets from which the variance of each candidate is estimated.
+    # With 6 sets, the logarithm of a ratio of two variances has a standard error of √(4/5) = 0.9.
     least_replicates: int = 6
     # Least number of fresh sets for each of the two variances in the check of the result.
-    # If a ratio measured with 16 sets is below 1/2.4, the true ratio is below 1 at 95 %.
+    # If a ratio of variances of 16 sets is below 1/2.4, the true ratio is below 1 at 95 %.
     least_checks: int = 16
     # Least effective number (Σ|f|)²/Σf² of uniform points, in the fit and in the check.
-    # With 16, all points miss a peak with a third of ∫|f| with probability e^(−16/3) = 0.5 %.
+    # With 16 effective points, all points miss a peak that holds a third of ∫|f|
+    # with probability e^(−16/3) = 0.5 %.
     # With the limit 4, a fit missed one of three equal peaks, and had 2.3 times the variance.
     least_effective: float = 16.0
     # Weight that is added to every spline at the start of a fit, so that logarithms are finite.
-    # For values from 1e-8 to 1e-4, the variances differ by 0.3 % at most.
+    # With values from 1e-8 to 1e-4, variances of fitted densities differ by 0.3 % at most.
     least_weight: float = 1e-6
     # A density is kept only if its variance is at most this fraction of that with uniform points.
-    # Smaller gains are within the errors of six sets, and uniform points are always safe.
+    # Smaller gains are within the error of variances from six sets; uniform points are safe.
     most_ratio: float = 0.5
     # Least number of evaluations for each weight of a flow.
     # With fewer evaluations, weights would follow the noise of the points.
@@ -166,7 +167,7 @@ def fit_splines(
     *,
     settings: LearnSettings = _SETTINGS,
 ) -> SplineDensity:
-    """Fit a density of splines to values at points.
+    """Fit a density of splines to the absolute values of an integrand at points.
 
     Parameters
     ----------
@@ -174,7 +175,7 @@ def fit_splines(
         Points (N, d); values (N, channels), not all 0; and the density of the points, (N,).
     setting
         Number of cells along each axis, number of parts, and weight of the smoothness penalty.
-        A mixture has at least one part. The number 0 stands for a flow.
+        A mixture has at least one part. If the number of parts is 0, a flow is fitted.
     defensive
         Share δ of the uniform density.
     generator
@@ -183,7 +184,7 @@ def fit_splines(
         Settings of the fit.
     """
     cells, parts, smooth = setting
-    # Fill the last block with points of weight 0
+    # Fill the last block of points with points of weight 0
     points, values, pdf = (
         _padded(given, by, settings.block)
         for given, by in ((points, 0.5), (values, 0.0), (pdf, np.inf))
@@ -192,7 +193,7 @@ def fit_splines(
     w = rho * np.abs(values / np.abs(values).max()).sum(axis=1)
     w, rho = w / w.sum(), rho / rho.sum()
 
-    # Place half of the knots at equal masses of |f|, and the other half at equal distances
+    # Place the knots by two rules with equal weights: equal masses of |f|, and equal distances
     bins = settings.bins
     at, knots = np.linspace(0.0, 1.0, bins + 1), np.empty((points.shape[1], cells + 1))
     for line, x in zip(knots, points.T, strict=True):
@@ -237,7 +238,7 @@ def fit_splines(
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Seen:
-    """The function that a fit minimizes; points are processed in blocks."""
+    """The function that a fit of splines minimizes; its points are processed in blocks."""
 
     basis: list[Array]  # values of the splines of each axis at the points, (blocks, M, size)
     rho: Array  # weights ρ and w of the points, (blocks, size); the sum of each is 1
@@ -290,7 +291,7 @@ class _Seen:
         shape, before = (*start.shape, features.shape[1]), np.tri(len(start), k=-1, dtype=bool)
 
         def loss_of(followed: Array) -> tuple[Array, Callable[[Array], tuple[float, Array]]]:
-            """Return a mask of the coefficients in use, and the loss.
+            """Return a mask of the coefficients that are fitted, and the function to minimize.
 
             `followed` (d, d) states for each axis on which other axes its density depends.
             """
@@ -327,8 +328,8 @@ class _Seen:
 
             return used, loss
 
-        # Let each axis depend on the axes that change the density most.
-        # A gate is the weight of such a dependence. The slope of the loss shows which gates matter.
+        # Let the splines of each axis depend on the earlier axes that change the density most.
+        # These axes are those with the largest slopes of the loss.
         # The number of points limits how many dependences between axes are fitted
         each = self.settings.evaluations_per_gate
         gates, most = np.zeros(shape), self.rho.size // (each * shape[1] * DEGREE)
@@ -347,7 +348,7 @@ class _Seen:
     def _least(
         self, loss: Callable[[Array], tuple[float, Array]], start: Array, steps: int
     ) -> Array:
-        """Minimize by the package's L-BFGS.
+        """Minimize the loss by the package's own L-BFGS.
 
         SciPy's L-BFGS uses threads of BLAS in each step and takes 15 times as long as the rest.
         """
@@ -355,7 +356,7 @@ class _Seen:
         return minimize(loss, start, iterations=steps, longest=longest, gain=gain)
 
     def _entropy(self, logarithm: Array) -> tuple[float, Array]:
-        """Return the entropy, and its derivatives with respect to log q at each point."""
+        """Return the relative entropy of f and p, and its derivatives by log q at each point."""
         q = np.exp(logarithm)
         p = (1.0 - self.defensive) * q + self.defensive
         mass = float((self.rho * p).sum())
@@ -400,13 +401,13 @@ def learned_density(
     evaluations
         Maximum number of evaluations of f, at least 256.
         Half of the evaluations are for the fit, but at most 8192.
-        Half of the evaluations after the fit are for the choice between candidates.
-        The other half are for the check of the chosen density.
+        Half of the remaining evaluations are for the choice between candidates.
+        The other half of the remaining evaluations are for the check of the chosen density.
         The default is 16 n + 8192, and at least 24576.
     defensive
-        Lower bound δ of the density, between 0 and 1. Then |f|/p is at most |f|/δ.
+        Lower bound δ of the density p, between 0 and 1. It limits |f|/p to |f|/δ.
     rng
-        Seed. The same seed gives the same density.
+        Seed (SPEC 7). The same seed gives the same density.
     path
         File for the density, with the suffix .json. The default is a file in the cache folder.
 
@@ -435,7 +436,7 @@ def learned_density(
     Candidate densities (`mcspectra.improve.learned.LEARNED`) range from smooth to fine.
     The variance of f/p is compared for at least six realizations of the sampler.
     Each realization has n points if the evaluations allow it.
-    With fewer evaluations, a realization has at least n/16 points, and by default usually n/4.
+    Otherwise, each realization has at least n/16 points, and by default usually n/4.
     The best candidate is checked on fresh points, with at least 16 realizations.
     The check must show with 95 % confidence that the variance is less than for uniform points.
     In addition, ∫f²/p must be smaller than ∫f².
@@ -489,7 +490,7 @@ def learned_density(
         """Return f at points (k, d), as an array (k, channels or 1)."""
         return integrand(x).reshape(len(x), -1)
 
-    # Divide the evaluations between the fit, the choice and the check
+    # Divide the evaluations between the fit, the choice of a candidate, and its check
     half, candidates = min(evaluations // 2, settings.most_fitted), 1 + len(LEARNED[kind])
     checked = (evaluations - half) // 2
     least = (settings.least_replicates * candidates, 2 * settings.least_checks)
@@ -542,7 +543,7 @@ def learned_density(
         scale = np.abs(means).max() or 1.0  # Prevents overflow of squares
         return np.asarray((means / scale).var(axis=1, ddof=1).sum(axis=-1))
 
-    # Choose a candidate by the evaluations that follow those of the fit
+    # Choose a candidate by its variance, from evaluations that were not used in the fit
     uniform, count = Uniform(dims=d), counts[0]
     replicates = (evaluations - half - checked) // (count * candidates)
     left = [uniform, *made]
@@ -554,7 +555,7 @@ def learned_density(
     )
 
     # Check the chosen density on fresh points, by variances of sets and by means of f²/p.
-    # If the fit has missed a peak, the sets of p may miss it as well, but ∫f²/p is large.
+    # If the fit has missed a peak, sets with density p may also miss the peak, but ∫f²/p is large.
     # If only few uniform points have nonzero f, all points may miss other peaks
     if best is not uniform:
         from scipy.special import fdtri
@@ -618,11 +619,11 @@ def in_rounds(
     follow: Callable[[Array, Array, Array], Any],
     stream: Stream,
 ) -> tuple[Array, Array, Array]:
-    """Return points (N, d) that follow a function better in each round, with values and densities.
+    """Return points (N, d) that follow a function better in each round, values and densities.
 
     Before each round except the first, `follow` fits a density to all evaluations.
     `follow` returns an object with `sample` and `pdf`, or None for uniform points.
-    All points together are one sample of the mixture of all densities.
+    The returned density of all points is the mixture of the densities of all rounds.
     """
     points, values = np.empty((0, dims)), np.empty((0, 1))
     pdf = np.empty(0)
@@ -646,5 +647,5 @@ def _padded(given: Array, by: float, block: int) -> Array:
 
 
 def _columns(given: Array, block: int) -> Array:
-    """Return the values of functions at points (N, M), in blocks: (blocks, M, size)."""
+    """Divide the values of M functions at N points, (N, M), into blocks: (blocks, M, size)."""
     return np.ascontiguousarray(given.reshape(-1, block, given.shape[1]).swapaxes(1, 2))

@@ -1,14 +1,14 @@
-"""Planning: the least number of points that reaches an error.
+"""Planning: the least number n of points whose estimate reaches a target error.
 
 For known integrands, the variance is predicted at powers of two.
-Between two powers, the variance is predicted at the counts of a bisection.
+Between two powers, a bisection finds the least n, and predicts the variance at its counts.
 For a user's function the variance is measured.
 Scrambled nets give the variance of several samplers at once (`mcspectra.explain.samples`).
-Other samplers draw their own sets.
-A measurement has stages. Each stage doubles the evaluations, and none is repeated.
+The variance of other samplers is measured with sets that they draw.
+A measurement has stages. Each stage doubles the number of evaluations and keeps earlier ones.
 The measurement ends at the first stage whose interval of n is narrow enough.
 A smaller target error never gives fewer points.
-The simulations do not depend on the target error, which is only compared with their errors.
+Evaluations do not depend on the target error, which is only compared with measured errors.
 No stage returns an n that an earlier stage excluded.
 """
 
@@ -53,59 +53,61 @@ _TINY = float(np.finfo(float).tiny)
 @final
 @dataclass(frozen=True)
 class PlanSettings:
-    """Settings of plans that predict the variance, to find the least sufficient n."""
+    """Settings of plans for known integrands, whose variance is predicted."""
 
     # Largest power of two at which variances are predicted.
-    # For larger n the curve is extrapolated by its rate.
-    # `predict` also searches for the asymptotic rate up to this count.
+    # For larger n, the curve of the variance is extrapolated by its rate.
+    # `predict` also searches for the asymptotic rate up to 2^16 points.
     octaves: int = 16
-    # The predicted curve extends below the target variance by this factor.
-    # Because of this margin, the upper ends of intervals reach the target as well.
+    # The variance is predicted for larger n until it is below the target by this factor.
+    # Because of this margin, the upper ends of intervals of the variance reach the target as well.
     margin: float = 4.0
     # Largest planned number of points. Larger numbers do not fit into a 64-bit integer.
     most: int = 2**62
-    # Resolution of the search for n: the next power of two is divided by this number.
-    # Up to n = 256 the least count is found. For larger n, eight predictions find n within 0.4 %.
+    # The search for n ends when its step is the next power of two divided by this number.
+    # Up to n = 256, the search finds the least count.
+    # For larger n, eight predictions find n within 0.4 %.
     steps: int = 256
-    # The answer contains the interval of n if the ratio of its ends is larger than this.
+    # The answer shows the interval of n if the ratio of its ends is larger than this number.
     wide: float = 1.25
-    # If an estimator has several techniques, the sampler must have sets for all of them.
-    # Number of consecutive counts that are tried until such sets exist.
+    # Number of consecutive counts that are tried to find a count that the sampler allows.
+    # If an estimator has several techniques, the sampler must have sets for all techniques.
     tries: int = 256
 
 
 @final
 @dataclass(frozen=True)
 class MeasuredPlanSettings:
-    """Settings of plans that evaluate a function."""
+    """Settings of plans that measure the variance of a user's function."""
 
     # Limit on evaluations, even if the user allows more.
     # In 1-D the points of the last stage take 128 MB.
     most: int = 2**24
-    # Number of evaluations of the first stage, equal to the default of `profile`.
+    # Number of evaluations of the first stage. The default of `profile` is the same number.
     first: int = 2**12
-    # Number of sets of the first stage.
+    # Number of sets of points that the first stage evaluates.
     # A variance from 32 sets has a relative standard error of 25 %.
     nets: int = 32
-    # The number of sets is doubled once in this many stages.
-    # In all other stages, the number of points per set is doubled.
-    # With doubling = 3, there are 128 sets at 2^18 evaluations.
-    # The standard error of the variance is then 12 %.
-    # If the number of sets were doubled in every second stage, sets would be half as large.
-    # Rates of functions with jumps would then become uncertain.
+    # Every third stage doubles the number of sets.
+    # All other stages double the number of points in each set.
+    # A measurement of 2^18 evaluations then has 128 sets.
+    # The standard error of the variance from 128 sets is 12 %.
+    # If the number of sets were doubled in every second stage, sets would be half as large,
+    # and rates of functions with jumps would become uncertain.
     doubling: int = 3
     # Least number of points in each set of the first stage.
-    # With 8 points, parts of a set give variances at smaller counts, and these give a rate.
+    # Parts of a set of 8 points give variances at smaller counts, from which a rate is fitted.
     least: int = 8
-    # Least number of sets for a variance, as in `profile`. Samplers with few stored sets need it.
+    # Least number of sets from which a variance is estimated, as in `profile`.
+    # The limit is low for the sake of samplers with few stored sets.
     least_sets: int = 3
     # The measurement stops if the ratio of the ends of the interval of n is below this value.
     narrow: float = 1.5
-    # Number of sets for which a measurement of the variance is precise enough.
+    # With this number of sets of n points, the variance at n counts as precise enough.
     # A variance from 256 sets has a relative standard error of √(2/256) = 9 %.
     enough: int = 256
     # The target error is compared with a piecewise linear curve of the variance.
-    # The curve has this number of points per octave of n.
+    # The curve of the variance has this number of nodes per octave of n.
     parts: int = 16
 
 
@@ -117,7 +119,7 @@ _OF_NETS = {NETS, "random", "jittered"}
 @final
 @dataclass(frozen=True)
 class _Found:
-    """Answer for one sampler: n with its interval, and the variance at n for each channel.
+    """Answer for one sampler: n, the interval of n, and the variance at n for each channel.
 
     `curve` contains the variance and its interval at the counts `_CURVE`, (N, channels, 3).
     """
@@ -195,7 +197,7 @@ class Plan(Counted, frozen=True, kw_only=True):
         return estimator.integral
 
     def _parts(self, subject: Subject) -> list[str]:
-        """Return the samplers that are drawn for a measurement; they share its evaluations."""
+        """Return the samplers that a measurement draws, and among which evaluations are divided."""
         estimator = subject.estimator
         apart = [s.spec for s in subject.samplers if not _of_nets(estimator, s)]
         nets = len(apart) < len(subject.samplers)
@@ -315,7 +317,7 @@ class Plan(Counted, frozen=True, kw_only=True):
 
 
 def _between(low: float, high: float) -> str:
-    """Format an interval in parentheses if the interval is wide."""
+    """Format an interval in parentheses if it is wide, otherwise return an empty text."""
     if math.isinf(high):
         return f" ({low:.0f} or more)"
     return f" ({between(f'{low:.0f}', f'{high:.0f}')})" if high > _SETTINGS.wide * low else ""
@@ -331,7 +333,7 @@ def _by_prediction(predictor: Predictor, sampler: Sampler, target: Array) -> _Fo
     curve = np.full((len(_CURVE), len(target), 3), np.nan)
 
     def at(n: int) -> Array:
-        """Return the cached predicted variance at a count."""
+        """Predict the variance at a count of points, and store the prediction."""
         cells = predictor.at(sampler, n)
         if cells.notes[0] == VANISHES:  # Rounding noise counts as 0
             cells = replace(cells, variance=np.nan_to_num(cells.variance))
@@ -390,9 +392,9 @@ def _least(
 
     # Bisect between the last count that misses the target and the first count that reaches it.
     # The two counts can differ by several octaves, because the curve need not be monotone.
-    # A smaller target never gives a smaller n: its search bisects at the same counts,
-    # or continues at larger n where only the larger target is reached.
-    # Nets are balanced only at powers of their base
+    # A smaller target variance never gives a smaller n: the search bisects at the same counts,
+    # or it continues at larger n where only a larger target is reached.
+    # For nets there is no bisection, because nets are balanced only at powers of their base
     if not before or _base(estimator.law(sampler, counts[first])):
         return best
     low, high = counts[before[-1]], counts[first]
@@ -423,8 +425,8 @@ def _ends(
 ) -> tuple[float, float]:
     """Return the least counts at which the two ends of the predicted interval reach the target.
 
-    Beyond the last count, the ends are extrapolated by their last slopes.
-    If an end never reaches the target, its count is infinite.
+    Beyond the last predicted count, both ends are extrapolated by their last slopes.
+    If an end of the interval never reaches the target, its count is infinite.
     """
     order = [k for k in np.argsort(counts) if np.isfinite(found[k].variance[0]).all()]
     if not np.isfinite(n) or not order:
@@ -451,12 +453,12 @@ def _ends(
 @final
 @dataclass(frozen=True)
 class _Stage:
-    """Curves of variance for each sampler and channel, and the data from which they come.
+    """Curves of variance after one stage of a measurement, and the evaluations of the stage.
 
     Attributes
     ----------
     curves
-        A list of curves for each spec of a sampler, with one curve for each channel.
+        For each sampler by its spec: a list of curves of variance, one for each channel.
     means
         Estimates from the largest sets, (R, channels).
     points, values
@@ -477,7 +479,7 @@ class _Stage:
 
 
 def _sizes(stage: int, share: int, each: int) -> tuple[int, int] | None:
-    """Return how many sets a stage has and how many points a set has; None beyond the budget."""
+    """Return the number of sets and of points of a stage; None if they exceed the evaluations."""
     first = max(_MEASURED.first // each, _MEASURED.nets * _MEASURED.least)
     points = first << stage
     if points > share:
@@ -498,7 +500,7 @@ def _pooled(
 
 @dataclass
 class _Nets:
-    """Stages of scrambled nets, which include the points of the previous stage."""
+    """Stages of a measurement with scrambled nets, which contain the nets of earlier stages."""
 
     estimator: AbstractEstimator
     share: int
@@ -526,7 +528,7 @@ class _Nets:
         assert sizes is not None
         nets, n = sizes[0], 1 << (sizes[1] // sizes[0]).bit_length() - 1
         points = estimator.draw(as_sampler(NETS, estimator.dims), n, self.stream, 0, nets)
-        # Values at the first points of the first nets are known from the previous stage
+        # The previous stage has evaluated the first points of the first nets
         values = []
         for t, u in enumerate(points):
             all_values = np.empty((*u.shape[:2], channels))
@@ -559,9 +561,9 @@ class _Nets:
 
 @dataclass
 class _Own:
-    """Stages of the sets of a sampler, with counts that are powers of a base.
+    """Stages of a measurement with sets of the sampler, with powers of a base as counts of points.
 
-    Each stage adds larger counts, or further sets at the same counts.
+    Each stage adds larger counts of points, or further sets of the same counts.
     """
 
     estimator: AbstractEstimator
@@ -621,11 +623,11 @@ class _Own:
 
 
 def _in_stages(source: _Nets | _Own, sampler: Sampler, target: Array) -> _Found:
-    """Return the answer of the first stage whose n is accurate enough, or of the last stage."""
+    """Return the answer of the first stage that determines n well enough, or of the last stage."""
     estimator, least, best = source.estimator, 0.0, None
     for stage in source.stages():
         curves = stage.curves.get(sampler.spec)
-        if curves is None:  # The variance is not known, because its error is too large
+        if curves is None:  # This stage has no variance for this sampler: its error is too large
             continue
         curve = _Ladder.of(curves)
         note, _ = doubt(stage.points, stage.values) or ("", False)
@@ -678,14 +680,14 @@ def _in_stages(source: _Nets | _Own, sampler: Sampler, target: Array) -> _Found:
 @final
 @dataclass(frozen=True)
 class _Ladder:
-    """Curves of the variance of all channels, at counts that do not depend on the target.
+    """Curves of the variance of all channels, at counts that do not depend on the target error.
 
     Attributes
     ----------
     curves
-        One curve for each channel.
+        One curve of the variance for each channel.
     n
-        Counts of points, with `MeasuredPlanSettings.parts` counts per octave, (N,).
+        Numbers of points at which the curves are evaluated, equally spaced in log n, (N,).
     logs, half
         Logarithms of variances, and half widths of their 95 % intervals, (N, channels).
     """
@@ -707,14 +709,14 @@ class _Ladder:
     def reaches(self, target: Array, side: int) -> float:
         """Return the logarithm of the least n at which a curve reaches the target.
 
-        Side 0 is the curve of the variance.
-        Sides −1 and 1 are the curves of the lower and the upper end of its interval.
+        `side` 0 selects the curve of the variance.
+        `side` −1 or 1 selects the curve of the lower or upper end of the interval of the variance.
         """
         off = (self.logs + side * self.half - np.log(target)).max(axis=1)
         return _crossing(np.log(self.n), off)
 
     def at(self, n: float) -> Array:
-        """Return the variance with the ends of its interval, (channels, 3)."""
+        """Return the variance at n, and the ends of its interval, (channels, 3)."""
         found = np.array([curve.at(n) for curve in self.curves])
         t = student_t(1 + min(curve.degrees for curve in self.curves))
         variance, half = found[:, 0], t * found[:, 1]
@@ -723,7 +725,7 @@ class _Ladder:
 
     @property
     def trusted(self) -> float:
-        """Largest n up to which all intervals are narrow."""
+        """Largest n up to which the intervals of n are narrow enough for all channels."""
         rates = [c.rate if math.isfinite(c.rate) else -1.0 for c in self.curves]
         width = (2.0 * self.half / np.maximum(-np.array(rates), 0.5)).max(axis=1)
         wide = np.flatnonzero(width > math.log(_MEASURED.narrow))
@@ -736,7 +738,7 @@ class _Ladder:
 
 
 def _crossing(x: Array, off: Array) -> float:
-    """Return the first x at which the piecewise linear curve of `off` reaches 0, or infinity."""
+    """Return the first x at which the piecewise linear curve `off` reaches 0, or infinity."""
     reached = np.flatnonzero(off <= 0.0)
     if not len(reached):
         return math.inf
@@ -748,9 +750,9 @@ def _crossing(x: Array, off: Array) -> float:
 
 
 def _count_from(estimator: AbstractEstimator, sampler: Sampler, n: float) -> float:
-    """Return the least allowed count of at least n; nets allow only powers of their base.
+    """Return the least count ≥ n that the sampler allows; for nets, a power of their base.
 
-    The result is infinite if the sampler has no such count.
+    The result is infinite if the sampler allows no count ≥ n.
     Rounding is ignored: the count may be smaller than n by up to a millionth of n.
     """
     if not n * (1.0 - 1e-6) <= min(_SETTINGS.most, sampler.max_count):
@@ -769,7 +771,7 @@ def _count_from(estimator: AbstractEstimator, sampler: Sampler, n: float) -> flo
 
 
 def _measured_count_from(estimator: AbstractEstimator, sampler: Sampler, n: float) -> float:
-    """Apply `_count_from`. For lattices, take powers of two: other counts vary in quality."""
+    """Same as `_count_from`, but only powers of two for lattices: other counts vary in quality."""
     leaf = leaf_of(estimator.law(sampler, sampler.nearest_count(1)))
     if not (isinstance(leaf, Fixed) and leaf.even):
         return _count_from(estimator, sampler, n)
@@ -781,7 +783,7 @@ def _measured_count_from(estimator: AbstractEstimator, sampler: Sampler, n: floa
 
 
 def _base(law: Law) -> int:
-    """Return the base of a net, whose powers are its balanced counts; 0 for other points."""
+    """Return the base of a net, or 0 for other points. Nets are balanced at powers of the base."""
     leaf = leaf_of(law)
     bases = set(leaf.bases or ()) if isinstance(leaf, Fixed) else set()
     return bases.pop() if len(bases) == 1 else 0
@@ -797,7 +799,7 @@ def _can(estimator: AbstractEstimator, sampler: Sampler, n: int) -> bool:
 
 
 def _is_measured(estimator: AbstractEstimator) -> bool:
-    """Return whether evaluations are too slow for predictions, which need millions of them."""
+    """Return whether the integrand is too slow for predictions, which need millions of values."""
     techniques = range(len(estimator.counts))
     return estimator.is_black_box or any(estimator.primary_integrand(t).costly for t in techniques)
 
@@ -854,7 +856,7 @@ def plan(
         A dataset. ``planned_n`` is the least count whose RMSE is at most the target.
         If this count is not known, ``planned_n`` is NaN.
         For nets (such as sobol and pmj02) ``planned_n`` is a power of the net's base.
-        Nets with other numbers of points are unbalanced.
+        Nets are unbalanced if their number of points is not a power of the base.
         For other samplers and known integrands, ``planned_n`` is accurate to 0.4 %.
         With the same seed, a smaller target never has a smaller ``planned_n``.
         ``planned_n_ci(bound)`` is the count for the ends of the 95 % interval of the variance.
@@ -865,12 +867,12 @@ def plan(
         ``predicted_variance(n)`` with ``predicted_variance_ci(n, bound)`` is the curve of variance.
         The predicted curve has values at the powers of two that the sampler allows.
         The curve ends at a quarter of the target variance or at 2^16 points.
-        For larger n it is extrapolated by the last slope, which ``how`` reports.
+        For larger n the curve is extrapolated by its last slope, which ``how`` reports.
         The coordinates ``method`` and ``how`` are the same as in `predict`.
         For measurements, ``method`` is ``"measured"`` and ``how`` is the number of evaluations.
         If there is a single sampler, ``method`` and ``how`` are attributes of the dataset.
         A list of samplers adds the dim sampler.
-        The attribute ``answer`` is a sentence.
+        The attribute ``answer`` is a sentence with n for each sampler.
 
     Raises
     ------

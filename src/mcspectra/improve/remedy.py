@@ -43,27 +43,27 @@ __all__ = ["Remedies", "RemedySettings", "ranked", "remedies"]
 @final
 @dataclass(frozen=True)
 class RemedySettings:
-    """Settings of the comparison of remedies."""
+    """Settings of the comparison of remedies with the given set-up."""
 
     # Number of budgets at which each set-up is measured: B/256, B/64, B/16, B/4 and B.
     # A rate is the slope of a line through the errors at five budgets.
-    # The deviations from the line have three degrees of freedom.
+    # The deviations of five errors from a line have three degrees of freedom.
     steps: int = 5
-    # Ratio of successive budgets. A smaller ratio costs more.
-    # The sum of all budgets is 1/(1 − 1/ratio) = 4/3 times the largest budget.
+    # Ratio of successive budgets. With a smaller ratio, the sum of all budgets is larger:
+    # the sum is 1/(1 − 1/ratio) = 4/3 times the largest budget.
     # With a larger ratio, the smallest budgets would not be enough for two points.
     ratio: int = 4
     # Expected number of changes of each kind, for estimates of cost and memory before a run.
     # For functions in 2-D, all 16 kinds together make 18 to 25 changes; ``sampler`` makes eight.
     tries: int = 3
-    # If all estimates of a set-up are equal, they must agree with the exact integral.
-    # Largest allowed relative difference between the estimates and the exact integral.
-    # Means are rounded to about 1e-15.
+    # If all estimates of a set-up are equal, they must agree with the integral.
+    # The value is the largest allowed relative difference from an exact integral.
+    # Means are rounded to about 1e-15 of the size of their terms.
     # The limit is far above rounding, because a sum can cancel to 1e-6 of the size of its terms.
     exact_tolerance: float = 1e-9
     # Largest allowed difference from an integral that was computed by quadrature or by many points.
     # The limit for computed integrals is larger, because their estimated error can be too small.
-    # Equal estimates that miss a rare event differ from the integral by far more than this.
+    # Equal estimates that miss a rare event differ from the integral by far more than 1e-3.
     quadrature_tolerance: float = 1e-3
     # If the integral is an estimate, a difference of this many standard errors is also allowed.
     # A normal error exceeds 4 standard errors with probability 6e-5.
@@ -71,7 +71,7 @@ class RemedySettings:
 
 
 _SETTINGS = RemedySettings()
-# Label of the random stream of searches. The streams of the budgets have smaller labels
+# Label of the random numbers of searches for changes. Budgets have smaller labels
 _SEARCH = _SETTINGS.steps
 
 _DIMS: dict[str, tuple[str, ...]] = {
@@ -143,7 +143,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
         )
 
     def _evaluations(self, given: Setup) -> int:
-        """Return the evaluations of the given set-up, and of its diagnosis if f is a user's."""
+        """Return the evaluations for the given set-up, and for its diagnosis if f is a user's."""
         measured = given.cost * sum(_affordable(given, self.budget).values())
         diagnosed = self.budget if given.is_black_box else 0
         return self.realizations * (measured + diagnosed)
@@ -154,7 +154,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
         start = Candidate("given", "as given", "leave everything as it is", given)
         unknown = np.isnan(given.estimator.known_integral()[0]).any()
         search = Budget(self.budget, self.realizations, stream.child(_SEARCH))
-        # All kinds of changes have equal shares of the evaluations that the given set-up leaves
+        # The evaluations that remain after the given set-up are shared equally by kinds of changes
         limit = self.max_evaluations
         first = self._evaluations(given)
         share = None if limit is None else max(1, (limit - first) // len(self._kinds))
@@ -197,7 +197,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
             return _Trials(tried, [], found)
 
         def result(found: _Trials) -> xr.Dataset:
-            """Rank all set-ups by their variances; a set-up made by two kinds counts once."""
+            """Rank all set-ups by variance. A set-up that two kinds of change make counts once."""
             assert found.diagnosis is not None
             first: dict[str, MeasuredCandidate] = {}
             for each in found.tried:
@@ -214,7 +214,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
     def _measured(
         self, change: Candidate, given: Setup, stream: Stream
     ) -> MeasuredCandidate | None:
-        """Measure errors at counts that fit into the budgets; None for fewer than two counts."""
+        """Measure errors at counts within the budgets; None if there are fewer than two counts."""
         setup = change.setup
         cost: list[int] = []
         estimates: list[Array] = []
@@ -229,7 +229,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
         if len(cost) < 2:
             return None
 
-        # Choose the relative tolerance for the comparison with the integral
+        # Choose the relative tolerance for the comparison of equal estimates with the integral
         value, error, source = given.estimator.known_integral()
         integral, tolerance = np.atleast_1d(np.asarray(value, float)), _SETTINGS.exact_tolerance
         if source != "exact":
@@ -264,7 +264,7 @@ def remedies(
     max_evaluations: int | None = None,
     workers: int | None = None,
 ) -> xr.Dataset:
-    """Try changes of an estimator and its sampler at equal cost, rank and explain the results.
+    """Try changes of an estimator and its sampler at equal cost, and rank and explain the results.
 
     All changes together take 10 to 25 · budget · realizations evaluations of a user's function.
     With a budget of 1,000 and the default realizations, this is about 20 million evaluations.
@@ -275,7 +275,7 @@ def remedies(
         The given set-up.
     budget
         Number of evaluations of the integrand in one estimate.
-        An estimate with n points takes Σ counts · n evaluations.
+        With several techniques, an estimate with n points takes Σ counts · n evaluations.
     dims
         Number of dims; needed if the estimator is a function or a spec without ``dims``.
         The default is the sampler's number of dims, unless the sampler is given as a spec.
@@ -307,8 +307,8 @@ def remedies(
         ``rank_by_rate`` is the rank of the rate.
         The coordinates of a remedy are its ``kind``, ``change`` (an imperative) and ``reason``.
         Two further coordinates are ``verdict`` for the error, and ``rate_verdict`` for the rate.
-        A verdict is better, worse, undecided or given.
-        ``cost`` and ``error_at_cost`` have the dims remedy and step.
+        A verdict is one of the words better, worse, undecided and given.
+        ``cost`` and ``error_at_cost`` have the dims remedy and step (one of five budgets).
         Four attributes describe the result. ``diagnosis`` and ``answer`` are sentences.
         ``best`` contains the numbers of the answer as JSON.
         ``not_tried`` lists changes that could not be tried, with reasons.
@@ -326,15 +326,15 @@ def remedies(
 
     If no count of points costs exactly the budget, the largest count below it is measured.
     The error is then extrapolated to the budget along the fitted rate.
-    The interval includes the uncertainty of the slope.
+    The interval of an extrapolated error includes the uncertainty of the rate.
     Errors are not extrapolated for changes with a pilot.
 
     A user's function is evaluated at most 4/3 · budget · realizations times for each set-up.
     The given set-up and its diagnosis take at most 7/3 · budget · realizations evaluations.
-    Searches for offsets of strata and for widths of smooth edges take more evaluations.
-    Searches for offsets and widths are therefore not made for a user's function.
+    Searches for offsets of strata and for widths of smooth edges would take more evaluations.
+    Therefore a user's function is not evaluated in searches for offsets and widths.
 
-    A change is biased if it smooths, or if its sampler is not randomized.
+    A change is biased if it smooths edges, or if its sampler is not randomized.
     The error of a biased change is taken about the integral of the given estimator.
     If ∫f is unknown, biased changes are not tried.
     A biased change has no rate, because its error converges to the squared bias instead of 0.
@@ -449,7 +449,7 @@ def _answer(
     diagnosis: Diagnosis,
     not_tried: Sequence[str],
 ) -> Answer:
-    """Make the answer, with a change only if its interval supports it."""
+    """Make the answer. It recommends a change only if the interval of its gain supports it."""
     results = [given.result, *(each.result for each in found if each is not given)]
     said: dict[str, Any] = {"causes": tuple(diagnosis.causes), "not_tried": tuple(not_tried)}
     if given.blind:
@@ -494,7 +494,7 @@ class _Trials:
 
 
 def _affordable(setup: Setup, budget: int) -> dict[int, int]:
-    """Return the counts of points that fit into the budgets, ascending, for each step."""
+    """Return for each budget, by its step, the largest count of points that the budget allows."""
     found: dict[int, int] = {}
     for step in range(_SETTINGS.steps):
         n = affordable_count(setup, budget // _SETTINGS.ratio ** (_SETTINGS.steps - 1 - step))
@@ -504,5 +504,5 @@ def _affordable(setup: Setup, budget: int) -> dict[int, int]:
 
 
 def _padded(values: Array) -> list[float]:
-    """Return the values of all steps; if a budget was too small for a step, the value is NaN."""
+    """Put NaN in front of the values, one for each budget that is too small to be measured."""
     return [math.nan] * (_SETTINGS.steps - len(values)) + [float(v) for v in values]

@@ -1,7 +1,8 @@
-"""Convergence of variants of a set-up on the same random numbers: smoothed edges and mirroring.
+"""Convergence of set-ups with smoothed edges or mirroring, all with the same random numbers.
 
-See docs/theory.md, "Mirroring and smoothing". The bias of smoothing does not fall with n.
-Therefore the width with the least mean squared error depends on n.
+Smoothing and mirroring are explained in docs/theory.md, "Mirroring and smoothing".
+The bias of smoothing does not fall with n.
+Therefore the width of smoothed edges with the least mean squared error depends on n.
 The talk on [Singh2019]_ shows six convergence plots, with and without a shift of the samples.
 The three variants in these plots are original, mirror-random and mirror-uniform.
 """
@@ -89,7 +90,7 @@ def smoothing_scan(
         ``mse(width, n)`` with ``mse_ci`` is the mean squared error, bias² + variance.
         ``best_width(n)`` is the width with the least mse.
         ``best_width_range(n, bound)`` is the range of widths that may be best within the intervals.
-        Several channels add a dim channel; the best width minimizes the sum over channels.
+        If f has several channels, there is a dim channel. ``best_width`` minimizes the sum of mse.
 
     Raises
     ------
@@ -125,8 +126,8 @@ def smoothing_scan(
         workers=workers,
     ).rename(estimator="width")
 
-    # Compute the bias ∫ f_δ − ∫ f, (W[, channels]).
-    # The errors of the two integrals give an interval of the squared bias
+    # Compute the bias ∫ f_δ − ∫ f of each width δ, (W[, channels]).
+    # The errors of the two integrals give an interval of the squared bias.
     # Smoothing by means over boxes does not change the integral of f
     kept = [g is f or isinstance(g, BoxSmoothed) for g in functions]
     pairs = list(zip(functions, kept, strict=True))
@@ -139,7 +140,7 @@ def smoothing_scan(
     square_ci = np.stack([low, high], axis=-1) ** 2
 
     # For each n, find the width with the least error.
-    # Also find the widths whose error may be as small as the least error
+    # Also find the widths whose error may be as small, within the intervals
     mse = measured["variance"].values + np.expand_dims(bias**2, 1)
     mse_ci = measured["variance_ci"].values + np.expand_dims(square_ci, 1)
     total, ci = (mse.sum(axis=2), mse_ci.sum(axis=2)) if f.channels else (mse, mse_ci)
@@ -212,7 +213,7 @@ def mirror_study(
         A dataset with ``variance``, ``variance_ci``, ``mean`` and ``mean_se``.
         If `exact` is true, it also has ``exact_variance``, with NaN for unknown values.
         The dims are mirroring, homogenized (True with ``shift``) and n.
-        ``rate`` and ``rate_ci`` have the first two dims only.
+        ``rate`` and ``rate_ci`` have the dims mirroring and homogenized only.
         A dim channel is added if f has several channels.
 
     Raises

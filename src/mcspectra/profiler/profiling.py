@@ -5,7 +5,7 @@ The number of evaluations of the function is at most the given budget.
 Most of the budget goes to scrambled nets (`samples`).
 These nets give the variances of several samplers at once.
 A fifth of the budget goes to lines that detect discontinuities and kinks (`probing`).
-If the nets do not give the variance of the given sampler, a part is spent on this sampler.
+If nets do not give the variance of the given sampler, a quarter of the budget is spent on it.
 `causes` finds the causes of the noise in the evaluations at nets and along lines.
 With the rest of the budget, changes that remove the causes are measured.
 One more sampler is also measured: a lattice, or antithetic pairs for smooth functions of one dim.
@@ -79,89 +79,88 @@ __all__ = ["Profile", "ProfileSettings", "Profiling", "profile"]
 @final
 @dataclass(frozen=True)
 class ProfileSettings:
-    """Settings of a profile."""
+    """Settings that divide the budget of a profile, and thresholds of its advice."""
 
     # Least budget, in evaluations. Twenty nets of four points take 80 evaluations.
     # The nets get only 40 % of the budget if the given sampler is also measured.
     least_budget: int = 256
-    # Width of the text of a cause in columns. One line of a usual terminal or page is as wide.
+    # Width in columns to which the text of a cause is wrapped, as in a usual terminal or page.
     width: int = 100
-    # Points of each net to which changes are fitted; 20 nets take 1280 evaluations.
-    # Half and twice this number were tested in 12 profiles of 8192 evaluations.
-    # The profiles were of six functions, with two seeds. The advice was the same.
-    # In one profile, the RMSE after a fitted change depended on the number, by a factor of 2.4.
+    # Number of points of each net to which changes are fitted. 20 nets have 1280 such points.
+    # The comments below refer to 12 profiles of 8192 evaluations: six functions, with two seeds.
+    # With half or twice as many points, the advice of the 12 profiles was the same.
+    # In one profile, the RMSE after a fitted change then differed by a factor of 2.4.
     fitted_points: int = 64
-    # Dependence of draws is reported as a cause if few of the draws are effective.
-    # The ratio of effective draws to all draws must be below this limit.
-    # The upper end of the interval of the ratio must be below this limit as well.
-    # At this ratio, standard errors are 20 % larger than for independent draws.
+    # Dependence between draws is reported as a cause if few of the draws are effective.
+    # The number of effective draws, divided by all draws, must be below this limit at 95 %.
+    # With 70 % effective draws, standard errors are 20 % larger than for independent draws.
     dependent: float = 0.7
     # Least number of points of each net with which a change of the estimator is measured.
-    # With nets of at least 8 points, two of 12 profiles had too few evaluations for one change.
-    # This change was the preintegration of a jump along an axis.
+    # With a limit of 8 points, two of 12 profiles have too few evaluations for one change.
+    # This change is the preintegration of a jump along an axis.
     least_checked: int = 4
-    # Maximum number of counts at which a sampler is measured.
-    # With B evaluations, the counts take B/2, B/4, …, B/32 of them.
-    # Three or eight counts gave the same results in 12 profiles.
+    # Maximum number of counts n of points at which the variance of a sampler is measured.
+    # Of B evaluations, about B/2, B/4, …, B/32 are spent on sets of five counts.
+    # With three or eight counts, the results of 12 profiles were the same.
     counts: int = 5
-    # Least number of sets for a variance. With three, the jackknife has two degrees of freedom.
+    # Least number of sets from which a variance is estimated.
+    # With three sets, the jackknife has two degrees of freedom.
     least_sets: int = 3
-    # Standard error of a theoretical rate, which holds for large counts only.
-    # With 0.04 or 0.16 the RMSE of 12 profiles changed by 14 % at most, and by 1 % in the median.
+    # Standard error of a theoretical rate, which holds only for large numbers of points.
+    # With an error of 0.04 or 0.16, the RMSE of 12 profiles changes by 14 % at most (median 1 %).
     theory_error: float = 0.08
-    # Standard error of a slope over few octaves at a jump along an axis.
+    # Standard error of a rate that is measured over few octaves if g jumps along an axis.
     # The variance is a sawtooth function of n, because the jump's place in its stratum varies.
-    # With 0.25 or 1 the RMSE of 12 profiles changed by 6 % at most.
+    # With an error of 0.25 or 1, the RMSE of 12 profiles changes by 6 % at most.
     teeth_error: float = 0.5
     # The level of the sawtooth is its mean over this number of the largest counts n.
     # The standard deviation of the log variance about its level is `teeth_scatter`.
     # If a share p of the stratum is on one side of the jump, the variance is ∝ p(1 − p).
-    # For a uniform p, its logarithm has the standard deviation √(4 − π²/3) = 0.84.
+    # If p is uniform, the logarithm of p(1 − p) has the standard deviation √(4 − π²/3) = 0.84.
     teeth: int = 4
     teeth_scatter: float = 0.84
-    # A change of the estimator is first assumed to have the same rate as the estimator.
-    # This number is the standard error of the assumed rate.
-    # With 0.2 or 0.8 the RMSE of 12 profiles changed by 8 % at most.
+    # A changed estimator is first assumed to have the same rate as the given estimator.
+    # The value is the standard error of the assumed rate.
+    # With an error of 0.2 or 0.8, the RMSE of 12 profiles changes by 8 % at most.
     alike_error: float = 0.4
-    # Largest allowed deviation from the mean of the nets, in standard errors.
-    # A change whose estimates are all equal is dropped if their mean deviates by more than this.
+    # A change whose estimates are all equal is dropped if they differ from the mean of all nets
+    # by more than this number of standard errors.
     # A normal error exceeds 4 standard errors with probability 6e-5.
     off_sigmas: float = 4.0
-    # With fewer points per net than `few_points`, no rate of a change is steeper
-    # than `steepest_rate`.
-    # Few points do not show whether a steep rate continues.
+    # If nets have fewer points than `few_points`, rates of changes are limited to `steepest_rate`.
+    # Few points do not show whether a steep rate continues at larger numbers of points.
     # Without the limit, an extrapolation to the whole budget would exaggerate the gain of a change.
     # The advice of 12 profiles was the same for 8 or 32 points, and for rates of −1.5 or −3.
     # For one of the changes, the RMSE depended on these settings, by a factor of up to 1.9.
     few_points: int = 16
     steepest_rate: float = -2.0
     # A change must lower the log variance by at least this number of standard errors.
-    # The variance is that of an estimate that takes the whole budget.
-    # This requirement applies only if g grows at the border or has a heavy tail.
-    # The number was tested in 112 profiles with 4096 evaluations each.
-    # The profiles were of seven such functions, with two samplers and eight seeds.
+    # The log variance is extrapolated to an estimate that takes the whole budget.
+    # Changes must fulfill this condition only if g grows at the border or has a heavy tail.
+    # The condition was tested in 112 profiles with 4096 evaluations each:
+    # seven functions with growth or heavy tails, two samplers and eight seeds.
     # With 1 standard error, none of 88 recommended changes had a larger variance than before.
     # With 0.5 standard errors, one of 99 recommended changes had a larger variance.
-    # Without the requirement, five of 109 recommended changes had a larger variance.
+    # Without the condition, five of 109 recommended changes had a larger variance than before.
     tail_errors: float = 1.0
     # Number of sets of a lattice at each count.
-    # The number of sets is small because little budget is left, and rates require several counts.
+    # Few sets are drawn, because few evaluations are left and rates require several counts.
     lattice_sets: int = 10
     # Standard deviation of the log variance of lattices about a line through all counts.
     # Lattices deviate much from the line, because each count has another generating vector.
-    # For smooth functions the standard deviation is 1.3 in 4 to 6 dims, and 0.6 in 2 and 3 dims.
+    # For smooth functions, this deviation is 1.3 in 4 to 6 dims, and 0.6 in 2 and 3 dims.
     lattice_scatter: float = 1.3
     # Largest number of dims in which antithetic pairs in strata are measured.
-    # In more dims, folded lattices are measured, which have the rate −4.
-    # Pairs have the rate −5 in 1-D and −3 in 2-D.
+    # In more dims, folded lattices are measured instead, because their rate is −4.
+    # Antithetic pairs in strata have the rate −5 in 1-D and −3 in 2-D.
     paired_dims: int = 1
     # Number of sets, and of counts, with which lattices are measured if g is smooth and periodic.
-    # There are few sets and counts, because only large sets show the steep rate.
+    # Few sets and counts are used, because only large sets show the steep rate of lattices.
     steep_sets: int = 4
     steep_counts: int = 2
-    # Lattices for smooth periodic g get this many times the evaluations of another rival.
+    # Lattices get this multiple of the usual evaluations if g is smooth and periodic.
     steep_weight: int = 2
-    # Least number of points along each axis with which a substitution makes g periodic.
+    # A substitution that makes g periodic is tried if n points allow this number along each axis.
     # With fewer points, folded lattices have less variance (`benchmarks periodized`).
     resolving_points: int = 10
     # Number of points that are drawn from a density to test whether they lie in the unit cube.
@@ -182,7 +181,7 @@ _GAINED = {
     "axis-parallel-jump",
 }
 _JUMPS = {"interior-jump", "axis-parallel-jump"}
-# Exponents e for each cause of noise.
+# Exponents e of theoretical rates for some causes of noise.
 # In theory, variances fall as n^(−1 − e/d) with strata, and as n^(−1 − e) with nets
 _EXPONENTS = {"interior-jump": 1.0, "axis-parallel-jump": 1.0, "none": 2.0}
 
@@ -253,13 +252,11 @@ class Profile:
         Number of points of an estimate that takes `budget` evaluations.
     reference
         The sampler with which `best` is compared. Usually this is the given sampler.
-        It is random points if the given sampler always draws the same set, or was not measured.
+        If the given sampler was not measured or has one fixed set, random points are the reference.
     answer
-        The recommended set-up and the causes. The set-up is compared with the given sampler.
-        The set-up is compared with random points if that sampler always draws the same set,
-        or was not measured.
+        The recommended set-up, its comparison with `reference`, and the causes of the noise.
     samplers
-        Curves of variance by sampler.
+        For each sampler by name: its variance as a function of the number of points.
     function
         The function or estimator that the user gave.
     """
@@ -298,7 +295,7 @@ class Profile:
         """All results as text of several lines."""
         low, high = self.interval
         found = [
-            # List the causes, each with its sentence
+            # The causes are listed below, so leave the first cause out of the answer
             str(self.answer).replace(f" {self.causes[0].sentence}", "", 1),
             "",
             f"integral   {_shown(self.integral, low, high)}",
@@ -321,7 +318,7 @@ class Profile:
         return "\n".join(found)
 
     def _rows(self) -> list[tuple[str, str, str]]:
-        # The RMSE of a rival is extrapolated, so only the upper end of its interval is reliable
+        # If the interval of an extrapolated RMSE begins at 0, only its upper end is reliable
         results = {result.name: result for result in self.answer.results}
         ends = {name: results[name].rmse_ci for name in self.samplers if name in results}
         limits = {name: high for name, (low, high) in ends.items() if low == 0.0 < high}
@@ -346,7 +343,7 @@ class Profile:
         return rows
 
     def _rmse(self, curve: Curve) -> float:
-        """Return the RMSE that a curve of variance gives at the budget, NaN if it is unknown."""
+        """Return the RMSE at the budget, from a curve of variance. An unknown RMSE is NaN."""
         if math.isinf(self.variance):
             return math.inf
         if math.isnan(curve.rate) and max(curve.counts, default=math.inf) < self.points:
@@ -466,7 +463,7 @@ def profile(
         An interrupted profile continues from the cache.
     on_error
         For functions: ``"raise"`` raises an error if f fails or is not finite.
-        ``"skip"`` counts such points, and replaces their values by the mean of all others.
+        ``"skip"`` counts points where f fails, and replaces their values by the mean of all others.
         Skipped points make the interval of the result wider, as in `mcspectra.integrate`.
         With ``"raise"``, f may still fail at the probes that are closest to the border.
 
@@ -553,7 +550,7 @@ def _is_scene(subject: object) -> bool:
 
 @final
 class _Filled:
-    """Calls of a function f. Where f failed, NaN is replaced by the mean of earlier values."""
+    """A function f whose value, where f failed, is the mean of its earlier values."""
 
     def __init__(self, calls: Calls) -> None:
         self.calls, self.__name__ = calls, calls.name
@@ -561,7 +558,7 @@ class _Filled:
 
     @staticmethod
     def of(calls: Calls) -> Any:
-        """Return calls that replace NaN, or the calls unchanged if failures raise errors."""
+        """Return a function that replaces NaN, or `calls` itself if failures of f raise errors."""
         return _Filled(calls) if calls.skips else calls
 
     def __call__(self, x: Array) -> Array:
@@ -592,7 +589,7 @@ def _with_skipped(found: Profile, calls: Calls, filled: _Filled) -> Profile:
 
 
 def _of_draws(draws: Any) -> Profile:
-    """Profile the draws of chains; dependence between draws is also a cause."""
+    """Profile draws of Markov chains. Dependence between draws is reported as a cause."""
     try:
         found = chain_error(draws)
     except McspectraError as error:
@@ -641,7 +638,7 @@ def _of_draws(draws: Any) -> Profile:
 
 
 def _why(causes: Sequence[Cause]) -> str:
-    """Return a sentence with the first cause, or "" if there is no cause."""
+    """Return sentences about the first cause of noise, or "" if there is no cause."""
     first = causes[0]
     return "" if first.name == "none" else f"Cause: {first.name}. {first.sentence}"
 
@@ -658,7 +655,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     each = estimator.cost
     points = budget // each
 
-    # Measure the given sampler
+    # Measure the given sampler if nets do not give its variance
     curves, not_tried = dict(evidence.curves), list[str]()
     if evidence.failed:
         not_tried.append(
@@ -687,9 +684,9 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
 
     causes = causes_of(evidence)
     offers = _offers(evidence, causes, budget, stream.child(98))
-    # Measure set-ups that may have less variance than nets.
-    # These set-ups and a change of the estimator get equal shares of the remaining evaluations.
-    # If the change removes a jump, the set-ups get all evaluations that the change does not need
+    # Measure rivals: set-ups that may have less variance than nets.
+    # Each rival and one change of the estimator get equal shares of the remaining evaluations.
+    # If the change removes a jump, rivals get all evaluations that the change does not need
     rivals, left = _rivals(evidence, causes, points), budget - calls
     rivals.pop(given.spec, None)
     jumps, nets = _shape(causes) in _JUMPS, CAUSE_SETTINGS.nets
@@ -717,7 +714,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     found, changed = list[_FoundSampler](), list[str]()
     # Recommend changes only if the integral of g exists
     if all(c.name != "infinite-variance" or c.kinds for c in causes):
-        # Find the sampler of least variance, and a change of the estimator that removes a cause
+        # Find the sampler with least variance, and a change of the estimator that removes a cause
         if len(usable[reference].counts) > 0:  # A curve without points means a variance of zero
             found = _samplers(Setup(estimator, given), usable, reference, points, rivals)
         trusted = [
@@ -731,8 +728,8 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         sure = [each for each in made if each.sure]
         found = sure + found + [each for each in made if not each.sure]
     curve = curves.get(given.spec, curves[NETS])
-    # The interval is known if the mean does not depend on a few values.
-    # The interval is also known if growth at the border was found
+    # The interval of the integral is known if the mean does not depend on a few values.
+    # The interval of the integral is also known if g grows at the border
     names = {cause.name for cause in causes}
     infinite = "infinite-variance" in names
     no_integral = any(
@@ -819,7 +816,7 @@ def _shown(value: float, low: float, high: float) -> str:
 
 
 def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, points: int) -> Curve:
-    """Return a curve whose rate is the weighted mean of its measured and its theoretical rate.
+    """Return the curve with a weighted mean of its measured and its theoretical rate.
 
     The curve is extrapolated to at most `points` points.
     """
@@ -840,7 +837,7 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
     if name in {LATTICE, _FOLDED} and math.isfinite(curve.rate):
         # In theory, the variance for smooth functions is n^−4 (log n)^(2d − 2).
         # Compute the rate with two thirds of the exponent 2d − 2 of log n.
-        # Limit the rate, because few points may show a steeper rate in many dims
+        # Limit the rate, because in many dims few points may show a rate that is too steep
         third = (dims - 1) / (3.0 * math.log(max(curve.counts[-1], 2.0)))
         limit = min(-4.0 + 4.0 * third, -1.0)
         curve = replace(curve, rate=max(curve.rate, limit))
@@ -849,14 +846,14 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
     if name not in {NETS, "jittered"} or first not in _EXPONENTS or not math.isfinite(curve.rate):
         return curve
     # A jump cuts n^(1 − 1/d) of n strata.
-    # If the jump is along an axis or g is smooth, nets have the rate of 1-D.
-    # The variance then has up to d − 1 factors log n.
+    # If the jump is along an axis or g is smooth, nets have the same rate as in 1-D,
+    # but the variance has up to d − 1 additional factors log n.
     # Assume 2 (d − 1)/3 factors log n, with the standard error (d − 1)/3
     strata = name == "jittered" or first == "interior-jump"
     third = 0.0 if strata else (dims - 1) / (3.0 * math.log(curve.counts[-1]))
     rate = -1.0 - _EXPONENTS[first] / (dims if strata else 1) + 2.0 * third
     if first == "axis-parallel-jump":
-        # The log variance is a sawtooth about a line, whose level is the mean over the last counts
+        # The log variance is a sawtooth about a line. Its level is the mean over the last counts
         error = math.hypot(curve.rate_se, _SETTINGS.teeth_error)
         teeth = np.log(curve.variance) - curve.rate * np.log(curve.counts / curve.counts[-1])
         level = float(np.mean(teeth[-_SETTINGS.teeth :]) - teeth[-1])
@@ -883,7 +880,7 @@ def _rivals(evidence: Evidence, causes: Sequence[Cause], points: int) -> dict[st
     """Return set-ups that may have less variance than nets for this g, by name.
 
     The rate of lattices follows from the decay of the Fourier coefficients of g.
-    This holds if g agrees on opposite faces of the cube, or if points are folded
+    Lattices have this rate if g agrees on opposite faces, or if points are folded
     [Hickernell2002]_.
     Lattices may also have less variance than nets if g has kinks, cusps or waves.
     For smooth g, antithetic pairs about the centers of strata have the rate −1 − 4/d.
@@ -903,7 +900,7 @@ def _rivals(evidence: Evidence, causes: Sequence[Cause], points: int) -> dict[st
         for made in candidates_of(nets, ["periodized"], search):
             if isinstance(made, Candidate) and made.finite_below > _growth(causes):
                 found[made.name] = made
-    # Choose samplers
+    # Choose samplers that may have less variance than nets for this g
     names = list[str]()
     if not grows and (smooth or _shape(causes) in _GAINED):
         if evidence.is_periodic:
@@ -930,9 +927,9 @@ def _measured(
 ) -> tuple[Curve, Replicates, int]:
     """Measure the variance of a sampler at several n with at most `evaluations` evaluations.
 
-    Also return the replicates, and the number of evaluations that were used.
+    Also return the drawn sets as replicates, and the number of evaluations that were used.
 
-    With `few`, there are few sets at few counts, so that the sets are large.
+    If `few` is true, there are few sets at few counts, so that the sets are large.
     """
     most_sets = _SETTINGS.lattice_sets if lattice else CAUSE_SETTINGS.nets
     most_sets = _SETTINGS.steep_sets if few else most_sets
@@ -944,7 +941,7 @@ def _measured(
     while sets > least and affordable_count(setup, evaluations // (2 * sets)) is None:
         sets -= 1
     steps = _SETTINGS.steep_counts if few else _SETTINGS.counts
-    # The evaluations at all counts sum to `evaluations`
+    # Divide the evaluations between the counts: each smaller count gets half as many
     first = evaluations / (2.0 - 2.0 ** (1 - steps)) / sets
     for k in range(steps):
         n = affordable_count(setup, int(first / 2**k))
@@ -973,7 +970,7 @@ def _measured(
 
 
 def _replicates(points: Sequence[Array], estimates: Array) -> Replicates:
-    """Return the estimates of R point sets, and means over each set, from points (R, n, d)."""
+    """Compute means over each of R point sets (R, n, d), and return them with the estimates."""
     x = np.concatenate([np.asarray(p) for p in points], axis=1)
     angle = 2.0 * math.pi * x
     waves = [each.mean(axis=1) for each in (x - 0.5, np.cos(angle), np.sin(angle))]
@@ -984,7 +981,7 @@ def _replicates(points: Sequence[Array], estimates: Array) -> Replicates:
 @final
 @dataclass(frozen=True)
 class _FoundSampler:
-    """A candidate sampler with its number n of points at the budget, and its variance at n.
+    """A candidate with the number n of points that the budget allows, and its variance at n.
 
     `variance` contains the variance and the standard error of its logarithm.
     """
@@ -1014,13 +1011,13 @@ def _measured_rivals(
 ) -> tuple[dict[str, Curve], list[str], int]:
     """Measure rival set-ups with at most `left` evaluations.
 
-    Return the curves of the measured rivals, reasons why others were not measured,
-    and the number of evaluations.
+    Return curves of the measured rivals, reasons why other rivals were not measured,
+    and the number of evaluations that were used.
     """
     curves, not_tried, calls = dict[str, Curve](), list[str](), 0
     jumps, least = _shape(causes) in _JUMPS, 2 * _SETTINGS.lattice_sets * _SETTINGS.least_checked
     enough = _is_smooth(causes) or left >= least
-    # Without kinks, lattices have steep rates if g is periodic, also after a substitution
+    # If g is periodic without kinks, lattices have steep rates, also after a substitution
     steep = {name for name, each in rivals.items() if each.kind == "periodized"}
     steep |= {LATTICE} if _is_smooth(causes) else set()
     weights = {name: _SETTINGS.steep_weight if name in steep else 1 for name in rivals}
@@ -1041,7 +1038,7 @@ def _measured_rivals(
                 curve = replace(curve, rate=max(curve.rate, _SETTINGS.steepest_rate))
             elif name in steep:
                 # Few counts hardly show the rate. Assume a rate between the theoretical rate
-                # and a quarter of it. Both limits are two standard errors from their mean
+                # and a quarter of the theoretical rate: two standard errors around their mean
                 limit = -2.0 * CANDIDATE_SETTINGS.order * (1.0 - _growth(causes))
                 error = -0.1875 * limit
                 curve = curve.towards(0.625 * limit, error)
@@ -1062,7 +1059,7 @@ def _samplers(
 ) -> list[_FoundSampler]:
     """Return the set-ups that may have less variance than the reference, the best first.
 
-    A rival is always included if its rate at larger counts may be steeper without limit.
+    Rivals are always included, because their rate may be steeper at larger counts.
     """
     each = given.cost
     bounds = {name: _bound(curve, points) for name, curve in curves.items()}
@@ -1081,7 +1078,7 @@ def _samplers(
             count = affordable_count(candidate.setup, points * each) or points
             candidate = replace(candidate, change=f"{candidate.change} with n = {count}")
         variance, beyond = curve.at(count), count > curve.counts[-1:].sum()
-        # Smooth functions reach their rate only with larger sets.
+        # Variances for smooth functions reach their rate only with large sets.
         # For analytic functions the variance falls faster than any power of n
         steepens = name in rivals and bool(beyond)
         if steepens and not _is_known(curve, count):
@@ -1102,7 +1099,7 @@ def _results(
 ) -> list[CandidateResult]:
     """Return the given set-up, followed by candidates with simultaneous 95 % intervals of gains.
 
-    If variances are not known, gains are NaN, because only their signs were measured.
+    If variances are not known, gains are NaN: only which variance is lower was measured.
     """
     count = affordable_count(given, points * given.cost) or points
     at_budget, z = curve.at(count), simultaneous_z(comparisons)
@@ -1115,7 +1112,7 @@ def _results(
         return float(cost * points * gain ** (-1.0 / slope))
 
     def with_ends(variance: tuple[float, float]) -> tuple[float, tuple[float, float]]:
-        """Return the RMSE and its 95 % interval."""
+        """Return the RMSE and its 95 % interval, from a variance and its relative error."""
         rmse, away = math.sqrt(variance[0]), math.exp(0.5 * CONFIDENCE_Z * variance[1])
         return rmse, (rmse / away, rmse * away)
 
@@ -1201,8 +1198,8 @@ def _offers(
         if cause.name == "infinite-variance":
             index = cause.evidence.get("exponent", cause.evidence.get("tail_index", 0.0))
             offers = [offer for offer in offers if offer.finite_below > index]
-    # Try the removal of a jump first: the gain is larger with nets than with random points.
-    # A jump on planes normal to an axis is removed by averaging g along this axis
+    # Try the removal of a jump first, because it gains more with nets than with random points.
+    # If g jumps on planes normal to an axis, means of g along this axis remove the jump
     shape = _shape(causes)
     first = {"interior-jump": "preintegrated", "axis-parallel-jump": "preintegrated along axis"}
     removes = first.get(shape, "-")
@@ -1214,8 +1211,8 @@ def _paid(offer: Candidate, left: int, *, last: bool) -> tuple[int, int]:
     """Return how many points and nets `left` evaluations allow to measure the removal of a jump.
 
     The number of nets is halved if all nets would need too many evaluations.
-    It is also halved if too few evaluations would be left for another change.
-    If `left` is too small, the number of points is 0.
+    The number of nets is also halved if too few evaluations would be left for another change.
+    If `left` is too small to measure the removal, the number of points is 0.
     """
     nets, least = CAUSE_SETTINGS.nets, _SETTINGS.least_checked
     changes = 1 if last else 2
@@ -1233,12 +1230,12 @@ def _improved(
     left: int,
     stream: Stream,
 ) -> tuple[list[_FoundSampler], list[str], int]:
-    """Measure changes of the estimator. Return results, names of tried changes, evaluations.
+    """Measure changes of the estimator. Return results, names of changes, and evaluations.
 
-    A change is measured with nets. The rest of the budget determines how many points they have.
+    A change is measured with nets, whose size depends on the rest of the budget.
     The search ends with the first change that is significantly better.
     A change is compared with `base`, the curve of the best sampler, at equal evaluations.
-    The curve of a change gives its variance at the budget.
+    The variance of a change at the whole budget is extrapolated by the curve of the change.
     """
     estimator, jumps = evidence.estimator, _shape(causes) in _JUMPS
     found, tried, calls, least = list[_FoundSampler](), list[str](), 0, _SETTINGS.least_checked
@@ -1257,7 +1254,7 @@ def _improved(
         at_budget = affordable_count(offer.setup, budget) or n
         made = Sets.of(offer.setup.estimator, n, wanted, stream.child(len(tried)))
         # If all estimates of a change are equal but their mean is wrong, drop the change.
-        # The points of these estimates missed a peak of g
+        # The points of these equal estimates missed a peak of g
         seen_sets = evidence.sets.estimates
         off = abs(float(made.estimates.mean() - seen_sets.mean())) * math.sqrt(len(seen_sets))
         if not np.ptp(made.estimates) > 0.0 and off > _SETTINGS.off_sigmas * float(seen_sets.std()):

@@ -5,9 +5,9 @@ Method
 Pixels are chosen at random in strata of the image.
 Each pixel is rendered several times with every sampler.
 The renders are the same as in an image (`mcspectra.rendering.rendered`).
-The samplers of this package are padded: each request of a path gets its own point set.
-The samplers of this package are also measured with joint dims:
-the first dims of a path then come from one set.
+Samplers of this package are padded: each request of a path for 1 or 2 numbers gets its own set.
+Samplers of this package are also measured with joint dims:
+the first coordinates of a path then come from one set of points in several dims.
 Mitsuba's own samplers are not changed.
 All samplers are measured with two numbers n of samples per pixel.
 The best sampler is then confirmed by further renders with new seeds.
@@ -15,11 +15,11 @@ The best sampler is then confirmed by further renders with new seeds.
 The error of a pixel is the ratio σ / mean, as in ``frames``.
 The number of samples that a share q of the pixels needs follows from the q-quantile of the errors.
 Samplers are compared by the geometric mean of their variances over the noisier half of the pixels.
-The noisier pixels decide the number of samples; all other pixels reach any target earlier.
-Errors from few renders scatter, which widens their distribution over the pixels.
+The noisier pixels decide the number of samples, because other pixels need fewer samples.
+Errors from few renders scatter, which widens the distribution of errors over the pixels.
 The scatter between two halves of the renders is used to correct the wider distribution.
-If the answer is far from the measured numbers of samples, it is checked by further renders.
-Pixels near the quantile are rendered again with a number of samples near the answer.
+If the answer is far from the measured numbers of samples, it is checked by further renders:
+pixels near the quantile are rendered again with a number of samples near the answer.
 """
 
 from __future__ import annotations
@@ -80,9 +80,10 @@ __all__ = [
 @final
 @dataclass(frozen=True)
 class SceneSettings:
-    """Settings of the profile of a scene."""
+    """Settings that divide the time of a scene's profile, and limits of its statistics."""
 
-    # Number of measured pixels. With 1000 pixels, the 95 % quantile has an error of 1.4 % in rank.
+    # Number of measured pixels.
+    # With 1000 pixels, the measured 95 % quantile is a true quantile between 93.6 and 96.4 %.
     pixels: int = 1024
     # Least number of measured pixels, for scenes that are slow to render
     least_pixels: int = 96
@@ -100,13 +101,13 @@ class SceneSettings:
     # Fraction of the time that is spent on the comparison of samplers.
     # The rest of the time is for larger numbers of samples and for the confirmation
     comparison: float = 0.55
-    # Number of pixels near a quantile that are rendered with more samples.
-    # Number of renders of each pixel near a quantile
+    # Number of pixels near a quantile of the errors that are rendered with more samples,
+    # and number of renders of each of these pixels
     near: int = 32
     near_renders: int = 16
-    # Fraction of the time that is spent on pixels near a quantile, on average over five scenes
+    # Fraction of the time that is spent on pixels near a quantile: an average over five scenes
     nearby: float = 0.2
-    # Time in seconds to compile the two kernels of a sampler. It is part of the estimated time
+    # Seconds to compile the two kernels of a sampler, as a part of the estimated time
     compilation: float = 2.0
     # Largest number of samples per pixel with which pixels near a quantile are rendered
     most_samples: int = 2**14
@@ -114,11 +115,11 @@ class SceneSettings:
     # Samplers with a larger variance are not measured at 64 samples.
     # Between 16 and 64 samples, a ratio of variances changes by less than a factor of 2
     dropped: float = 2.0
-    # Number of pixels from which the shares of the variance are estimated.
-    # Number of pairs of paths for each pixel from which the shares are estimated
+    # Number of pixels from which the shares of the variance by decision are estimated,
+    # and number of pairs of paths for each of these pixels
     cause_pixels: int = 128
     cause_chains: int = 64
-    # Number of pixels with the largest errors that are listed
+    # Number of pixels that are listed because they have the largest errors
     worst: int = 5
     # Limits of the slope of log variance against log n. Measured slopes are clipped to this range
     steepest: float = -3.0
@@ -129,7 +130,7 @@ _SETTINGS = SceneSettings()
 _ENDLESS = 1e12  # numbers of samples above this are not printed
 _MITSUBA = ("independent", "multijitter", "ldsampler")
 _OURS = "sobol | owen"
-# A net whose points are far apart, with its places kept: less variance at edges than scrambled nets
+# A net whose points are far apart, digitally shifted: less variance at edges than scrambled nets
 _APART = "larcher-pillichshammer | digital-shift(jitter=True)"
 _CLASSES = {
     # Class of a sampler in Mitsuba, and name of its plugin
@@ -146,7 +147,7 @@ _CLASSES = {
 class VarianceShare:
     """Share of the variance that is due to one decision of a random path.
 
-    Interactions of several decisions count for the last of these decisions.
+    An interaction of several decisions counts as a share of the last of these decisions.
     """
 
     decision: str
@@ -157,7 +158,7 @@ class VarianceShare:
 @final
 @dataclass(frozen=True)
 class Needed:
-    """Number of samples per pixel that a share of the pixels needs, with its 95 % interval."""
+    """Number of samples per pixel with which a share of the pixels reaches the target error."""
 
     share: float
     spp: float
@@ -174,22 +175,22 @@ class SceneProfile:
     answer
         The recommended sampler, compared with the sampler of the scene.
         Both samplers take `compared_spp` samples per pixel.
-        An error (`rmse`) is the median of σ / mean over the pixels.
+        The errors `rmse` in the answer are medians of σ / mean over the pixels.
     target
         Relative error σ / mean that pixels should reach.
     needed, needed_now
         Numbers of samples per pixel with which half and 95 % of the pixels reach the target.
-        The sampler of the scene has its own numbers, ``needed_now``.
+        `needed` is for the recommended sampler, and `needed_now` for the sampler of the scene.
     missing, missing_ci
         Share of the pixels that miss the target with the present settings of the scene.
     spp
         Present number of samples per pixel of the scene.
     causes
-        Shares of the variance by decision of the path, the largest share first.
+        Shares of the variance by decision of a random path, the largest share first.
     confirmed, confirmed_ci
         Variance of the recommended sampler in new renders, divided by the first measurement.
     worst
-        Pixels with the largest relative error: x, y, the error at `compared_spp`.
+        Pixels with the largest relative errors: x, y, and the error with `compared_spp` samples.
     picture
         A small picture of the scene, linear RGB (height, width, 3).
     """
@@ -287,7 +288,7 @@ def pixel_command(found: SceneProfile, x: int, y: int) -> str:
 
 
 def _noisy(values: Sequence[Array]) -> Array:
-    """Return a mask of the noisier half of the pixels, by the mean over all samplers."""
+    """Return a mask of the noisier half of the pixels. Noise is averaged over all samplers."""
     logs = np.mean([np.log(np.maximum(v.var(axis=0, ddof=1), 1e-300)) for v in values], axis=0)
     mean = np.abs(np.mean([v.mean(axis=0) for v in values], axis=0))
     with np.errstate(divide="ignore"):
@@ -360,7 +361,7 @@ def profile_scene(
     pixels
         Maximum number of measured pixels, by default 1024.
     crop
-        The measured part of the image: x0, y0, width and height.
+        The rectangle of the image in which pixels are measured: x0, y0, width and height.
     seconds
         Time for renders, in seconds. Loading the scene and compiling kernels take extra time.
     rng
@@ -447,14 +448,14 @@ def _prepared(
 
 
 def sampler_name(sampler: Any) -> str:
-    """Return the name of a sampler's plugin; a sampler of this package prints its spec."""
+    """Return the name of a sampler's plugin, or the spec of a sampler of this package."""
     return _CLASSES.get(str(sampler.class_name())) or str(sampler).partition("\n")[0]
 
 
 def _candidates(
     given: str, samplers: Sequence[str], joint_dims: int | None
 ) -> dict[str, str | Mapping[str, Any]]:
-    """Return the compared samplers as plugins by name. The sampler of the scene is the first."""
+    """Return all compared samplers: name and plugin. The sampler of the scene is the first."""
     found: dict[str, str | Mapping[str, Any]] = {given: OWN_SAMPLER}
     found |= {name: name for name in _MITSUBA if name not in found}
     for spec in dict.fromkeys((_OURS, *samplers)):
@@ -526,7 +527,7 @@ class _Work:
     def planned(
         self, candidates: Mapping[str, str | Mapping[str, Any]], most: int, given: str
     ) -> tuple[Array, int, float]:
-        """Return tiles, number of renders and speed. The renders of all tiles fit into the time.
+        """Return tiles of pixels, a number of renders that the time allows, and the speed.
 
         The speed is the measured number of samples per second.
         """
@@ -765,7 +766,7 @@ class _Work:
         from scipy.special import digamma
 
         half = 0.5 * (len(values) - 1)
-        # For normal values, the expected log sample variance is below the log of the variance
+        # The mean logarithm of a sample variance of normal values is too small by this bias
         bias = float(digamma(half)) - math.log(half)
         with np.errstate(divide="ignore", invalid="ignore"):
             floor = (4.0 * np.finfo(np.float32).eps) ** 2
@@ -773,9 +774,9 @@ class _Work:
         return np.asarray(logs - bias)
 
     def _narrowed(self, values: Array, mean: Array) -> Array:
-        """Return log squared errors of pixels, moved towards their median.
+        """Return logarithms of squared errors of pixels, moved toward their median.
 
-        Noise widens the spread of the measured values. The returned values lack this widening.
+        Noise of the measurement widens the spread of log errors; the move corrects the spread.
         """
         logs = self._logs(values, mean)
         halves = [self._logs(values[k::2], mean) for k in (0, 1)]
@@ -790,7 +791,7 @@ class _Work:
     ) -> tuple[Array, float]:
         """Return log squared errors at the largest number of samples, and their median slope.
 
-        Only the pixels `seen`, which are not black, are used.
+        Only pixels in the mask `seen`, which are not black, are used.
         """
         logs = {n: self._narrowed(v[:, seen], mean[seen]) for n, v in values.items()}
         first, last = min(logs), max(logs)
@@ -814,7 +815,7 @@ class _Work:
         half = CONFIDENCE_Z * math.sqrt(share * (1.0 - share) / len(seen))
 
         def quantile(n: int) -> tuple[float, float]:
-            """Return a quantile of the log squared errors, and its standard error by ranks."""
+            """Return a quantile of the log squared errors, and its standard error from ranks."""
             ends = np.quantile(logs[n], [max(share - half, 0.0), share, min(share + half, 1.0)])
             return float(ends[1]), float(ends[2] - ends[0]) / (2.0 * CONFIDENCE_Z)
 
