@@ -2,7 +2,7 @@
 
 Three of the methods sum over frequencies, but only up to a half width.
 `energy_share` is the part of ∫f² at these frequencies.
-All methods give the same number if `energy_share` is 1 (docs/spectra.md).
+All methods give the same variance if `energy_share` is 1 (docs/spectra.md).
 
 The pair correlation is explained in docs/theory.md, "Pair correlation".
 Pairs of random and jittered points have a known density.
@@ -78,7 +78,7 @@ class CheckSettings:
     Attributes
     ----------
     most_frequencies
-        Largest number of frequencies whose covariances are summed. There are 390,625 pairs.
+        Largest number of frequencies whose covariances are summed: 625 have 390,625 pairs.
         The default limits the half width to 312 in 1-D, 12 in 2-D, 4 in 3-D and 2 in 4-D.
         In 6 dims and more there would be fewer than three frequencies along each axis.
     cells
@@ -154,7 +154,7 @@ def of_homogenized(
 
 
 def draws_power(estimator: AbstractEstimator, sampler: Sampler, n: int) -> bool:
-    """Return whether the method ``homogenized`` needs sets, drawn to measure the power.
+    """Return whether the method ``homogenized`` needs drawn sets, which measure the power.
 
     Drawn sets are needed if the method applies, but the power has no closed form.
     """

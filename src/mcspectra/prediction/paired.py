@@ -26,7 +26,7 @@ The variance of g minus the fit is estimated from random pairs of points,
 which share strata of two or three axes.
 First, functions of single axes are subtracted from g and from the fit.
 The estimate is the mean product of g at two points, minus the mean product of the fit.
-In more than three axes, energies of g minus the fit are not estimated. They widen the interval.
+Energies of g minus the fit along more than three axes widen the interval, without an estimate.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class PairedSettings:
         The intervals are ±0.9 % for a Gaussian, ±2.1 % for a ball and ±0.5 % for a kink.
     replicates
         Number of independent scrambled nets that supply the pairs of points.
-        The spread over the nets gives the interval, with 15 degrees of freedom.
+        The spread of the energies over the nets gives the interval, with 15 degrees of freedom.
     """
 
     pairs: tuple[int, int, int] = (1 << 16, 1 << 13, 1 << 13)
@@ -193,7 +193,7 @@ class _Sums:
     means
         Means of the functions h_ri, as an array of shape (dims, products).
     covariances
-        Covariances of the functions h_ri, of their means over parts, and of those over strata.
+        Covariances of the functions h_ri, of their means over parts, and of means over strata.
         These three covariances form an array of shape (dims, 3, products, products).
     """
 
