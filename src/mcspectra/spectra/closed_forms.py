@@ -90,7 +90,7 @@ __all__ = [
 _SCRAMBLED_BITS = 32
 """Number of bits that scrambles permute. Lower bits are uniform and independent."""
 _MOST_PAIR_TERMS = 2**31
-"""Largest number of terms of a sum over digits and frequencies. It takes half a minute."""
+"""Largest number of terms of a sum over digits and frequencies, which takes half a minute."""
 _TERMS_AT_ONCE = 2**22
 """Number of terms held in memory at a time: 64 MB of complex numbers."""
 
@@ -353,7 +353,7 @@ def _(law: Moved) -> SpectralMoments | None:
 
 
 def _motifs(sides: tuple[int, ...], count: int, motif: Motif) -> SpectralMoments:
-    """Return moments of `count` independent groups of points, equally many in each cell."""
+    """Return moments of S_ν for `count` independent motifs, equally many in each cell."""
     s = np.asarray(sides, float)
 
     def covariance(m: Array, other: Array) -> Array:
@@ -535,7 +535,7 @@ def _place_pairs(net: Fixed, bases: Sequence[int], shifted: bool, m: Array, othe
             Function("power_spectrum"),
             ", or ask for fewer.",
         )
-    # At each place of an axis, a factor depends on the difference of two digits.
+    # At each digit place of an axis, a factor depends on the difference of two digits.
     # Each factor is an array (b, frequencies) of means for all b differences
     factors = list[list[Array]]()
     for axis, b in enumerate(bases):
@@ -621,7 +621,8 @@ def _weighted_covariance(law: Law, name: str, m: Array, other: Array, density: D
     """Return C_ml of importance-sampled points at integers m and l of the same shape (..., d)."""
     zero = np.all(m == 0, axis=-1) & np.all(other == 0, axis=-1)
 
-    # Find out whether the points are shifted, at random or by a fixed offset, and the law before
+    # Find out whether the points are shifted, at random or by a fixed offset.
+    # If they are shifted, find the law of the points before the shift
     n, offset, shifted = law.n, np.zeros(density.dims), False
     while isinstance(law, Shifted | Moved):
         if isinstance(law, Moved):
@@ -674,10 +675,10 @@ def _weighted_covariance(law: Law, name: str, m: Array, other: Array, density: D
 @final
 @dataclass(frozen=True)
 class _StrataAxis:
-    """Importance-sampled strata on one axis, or grids with several offsets on one axis.
+    """The starts t of importance-sampled strata or grids on one axis, with weights for means.
 
     A start t is the lower end of a stratum, or the offset of a grid.
-    Means over all starts use one weight for each start.
+    All means over starts use the same weights, one for each start.
     """
 
     density: Density
@@ -686,7 +687,7 @@ class _StrataAxis:
     weights: Array
 
     def mean_product(self, of: Callable[[Array], Array], m: Array, other: Array) -> Array:
-        """Return the mean of `of(m)` · conj `of(other)` over all starts, with their weights."""
+        """Return the weighted mean of `of(m)` · conj `of(other)` over all starts."""
         known, back = np.unique(np.stack([m, other]), return_inverse=True)
         row, column = back.reshape(2, -1)
         if float(self.starts.size) * max(row.size, known.size * self.sides) > _MAX_STRATA_WORK:
@@ -737,8 +738,7 @@ def _strips(m: Array, low: Array, high: Array) -> Array:
 def _all_offsets(density: Density, sides: int, length: float, highest: int) -> tuple[Array, Array]:
     """Return a quadrature rule over the start t of the strata, in [0, length).
 
-    The rule treats two kinds of starts t as breaks: those at which a stratum starts or ends at 0,
-    and those at which it starts or ends at a break of the density.
+    The range of t is split where a stratum starts or ends at 0 or at a break of the density.
     """
     breaks = np.array([0.0, *density.breaks[0]])
     ends = np.concatenate([breaks, breaks - 1.0 / sides]) % 1.0 % length
@@ -757,7 +757,10 @@ def _highest(m: Array, other: Array) -> int:
 
 
 def _factors(density: Density) -> list[Density]:
-    """Return the density of each axis. Raise an error unless it is a product of monotone warps."""
+    """Return the density of each axis.
+
+    Raise an error if the density is no product over the axes, or if a warp is not monotone.
+    """
     if density.dims == 1:
         factors = [density]
     elif isinstance(density, Linear):

@@ -291,7 +291,7 @@ def plane_frequencies(
 ) -> Array:
     """Return frequencies step · {−half_width … half_width} on some axes, 0 elsewhere, in C order.
 
-    For two axes, the power there is the spectrum of the set's projection onto these axes.
+    For two axes, the power at these frequencies is the spectrum of a projection of the set.
 
     Examples
     --------
@@ -306,7 +306,7 @@ def subset_frequencies(
 ) -> Array:
     """Return frequencies up to the half width that are nonzero on exactly the given axes.
 
-    There are (2 half_width)^|axes| such frequencies. They belong to the ANOVA term of the axes.
+    These (2 half_width)^|axes| frequencies belong to the ANOVA term of the axes.
 
     Examples
     --------

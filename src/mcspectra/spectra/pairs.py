@@ -72,7 +72,7 @@ def pair_correlation(
         ``pair_correlation`` and its standard error ``pair_correlation_se``, on dim r (bin centers).
         ``pair_correlation_ci`` is a 95 % interval from Student's t of the logarithm of g.
         The interval is 0 to 0 if a bin has no pairs.
-        If the sampler has fewer different sets than realizations, only the sets are independent.
+        If the sampler has fewer different sets than realizations, some realizations reuse a set.
         If sets are reused, errors and Student's t are computed with the number of independent sets.
 
     Notes
