@@ -168,10 +168,10 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     Attributes
     ----------
     function
-        Name of the analysis' public function in `mcspectra`. It is empty if there is none.
+        Name of the analysis' public function in `mcspectra`, or empty if it has no function.
         The name is dotted if the function is in a package.
     verb
-        Command of the analysis on the command line. It is empty if there is none.
+        Command of the analysis on the command line, or empty if it has no command.
     split
         Value of ``--split`` that selects this analysis, if several analyses share one command.
     about
@@ -190,7 +190,7 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         For example, a study that computes spectra also computes the points.
     pictured
         Whether the first screen of a report shows the analysis.
-        A study computes such analyses first. If it is interrupted, it already has a report.
+        A study computes pictured analyses first: if it is interrupted, it already has a report.
     """
 
     function: ClassVar[str] = ""
@@ -367,7 +367,7 @@ class Reduction(Generic[State]):
     key
         Name that is unique within the analysis. It identifies stored states.
     result
-        Function that makes the dataset from the merged state. None if a generator makes it.
+        Function that makes the dataset from the merged state. None if a generator does this.
     """
 
     kind: Any
@@ -638,7 +638,7 @@ class MergeTree(Generic[State]):
 
 
 def chunks(blocks: int, size: int) -> Iterator[Chunk]:
-    """Divide blocks into chunks of `size`, which is a power of two. The last may be shorter."""
+    """Divide blocks into chunks of `size` blocks, a power of two. The last chunk may be shorter."""
     return ((first, min(size, blocks - first)) for first in range(0, blocks, size))
 
 

@@ -47,7 +47,7 @@ def cache_size() -> tuple[int, int]:
 
 
 def cached_array(key: str, make: Callable[[], Array]) -> Array:
-    """Return the float64 array stored under `key`. If it is missing, compute it; if slow, store it.
+    """Return the float64 array stored under `key`, or compute it. Slow results are stored.
 
     Parameters
     ----------

@@ -228,11 +228,11 @@ class PreasymptoticWarning(UserWarning):
 
 
 class UndefinedRatioWarning(UserWarning):
-    """f and p are both 0 at a sample. There f/p counts as 0, although its limit may differ."""
+    """f and p are both 0 at a sample. The ratio f/p counts as 0, although its limit may differ."""
 
 
 class DamagedResultsWarning(UserWarning):
-    """Stored results of an earlier run are damaged. They are named and computed again."""
+    """Stored results of an earlier run are damaged. Damaged results are named and recomputed."""
 
 
 class OtherVersionsWarning(UserWarning):

@@ -3,7 +3,7 @@
 BLAS divides large sums by the number of its threads, which changes the last digits of results.
 Products here use the function `numpy.einsum` without optimization, which never calls BLAS.
 This function is four times slower than BLAS.
-That hardly matters, because analyses spend far more time on drawing points and on transforms.
+The lower speed hardly matters: analyses spend far more time on drawing points and transforms.
 Factorizations use Householder reflections. docs/decisions/0015 compares them with NumPy's.
 """
 
