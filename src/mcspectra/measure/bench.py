@@ -153,7 +153,7 @@ def sampler_bench(
     dims
         One or several numbers of dims. The integrands are built for all of them.
         Spectra, pair correlations, quality and speed use only the first of these numbers.
-        Projections are measured for every one of the numbers of dims.
+        Projections are measured in each of the given numbers of dims.
     realizations
         Number of realizations for each variance. The number of given sets is an upper limit.
     rng

@@ -359,7 +359,7 @@ def _fitted(z: Array) -> _ChainFit:
     # Compute the error of log S(0) by the delta method.
     # The covariance of the coefficients is proportional to the inverse autocovariance matrix.
     # AIC chooses up to two unnecessary orders.
-    # To cover these, the error also counts a coefficient beyond the chosen order
+    # To cover unnecessary orders, the error counts a coefficient beyond the chosen order
     order = len(chosen) + 1
     sums = solve_toeplitz(covariance[:order], np.ones(order)).sum() * innovation
     square = (2.0 + 4.0 * max(float(sums), 0.0) / float(chosen.sum()) ** 2) / (n * chains)
@@ -394,7 +394,7 @@ def quantity_error(x: Array, w: Array, settings: ChainSettings = CHAIN_SETTINGS)
 
 
 def _burn_in(z: Array, settings: ChainSettings) -> int:
-    """Return the number of draws of each chain that depend on its start, or n if over half do.
+    """Return the number of draws of each chain that depend on its start, or n if it exceeds n/2.
 
     The mean of the first draws, over all chains, is compared with the mean of the last half.
     The errors of the two means come from the spectrum of the last half at frequency 0.
@@ -442,7 +442,7 @@ def _stationary_error(
     """Return result variables for draws (chain, draw) without a burn-in.
 
     The edges are the ends of the bands of frequency.
-    `drifts` describes a drift that the search for a burn-in found. Otherwise it is empty.
+    `drifts` describes a drift that the search for a burn-in found, or is empty without a drift.
     """
     from scipy.signal import lfilter
     from scipy.stats import chi2, f, t

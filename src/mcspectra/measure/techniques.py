@@ -64,8 +64,8 @@ _FINITE = ("technique_covariance", "technique_variance", "measured_variance", "m
 class TechniqueSettings:
     """Limit of memory for sums over pairs of techniques."""
 
-    # Largest number of sums Σ_r S^t conj(S^s) over realizations r. There is one sum
-    # for each pair of techniques t and s and each frequency. 2^25 complex numbers take 512 MiB.
+    # Largest number of sums Σ_r S^t conj(S^s) over realizations r: 2^25 sums take 512 MiB.
+    # There is one sum for each pair of techniques t and s and each frequency.
     most: int = 2**25
 
 
@@ -279,7 +279,7 @@ def technique_terms(
         ``bottleneck`` is the technique whose rate is significantly slower than all other rates.
         The 95 % interval of the bottleneck's rate overlaps no interval of another rate.
         If no technique is significantly slower, the value is −1 (undecided).
-        The attribute ``bottleneck`` has the name of this technique.
+        The attribute ``bottleneck`` has the name of the slowest technique.
         Techniques without variance are excluded. Several channels add a dim channel.
 
     Raises

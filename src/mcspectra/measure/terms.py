@@ -291,7 +291,7 @@ def variance_terms(
     space
         ``"domain"`` uses f with the warped, weighted points (the paper's view).
         ``"primary"`` uses g(u) with the sampler's own points.
-        This view shows discontinuities of the warp.
+        The primary view shows discontinuities of the warp.
         The default is the domain view, if there is a domain.
     bands
         One of the partitions ``"radial"``, ``"dyadic"``, ``"anova"`` and ``"wedge"``.
