@@ -5,7 +5,7 @@ In this division, w, 10^k and the remainder of the first quotient are exact.
 A second quotient divides this remainder by 10^k.
 The sum of the first and the second quotient is correctly rounded, except in rare cases.
 In the rare cases, the sum is close to the midpoint of two float64 numbers (within about 2^-40).
-The kernel leaves numbers near such a midpoint, and numbers of other forms, to the caller.
+The kernel leaves numbers near a midpoint, and numbers of other forms, to the caller.
 """
 
 from __future__ import annotations

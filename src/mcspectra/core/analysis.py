@@ -15,7 +15,7 @@ The tree is the same if one thread computes all blocks, or if many machines comp
 Therefore results have the same bits for any number of threads and machines.
 
 In some analyses, later draws depend on earlier results, for example to stop at a precision.
-For such an analysis, the method `Analysis.reduction` is a generator.
+In this case, the method `Analysis.reduction` is a generator.
 The generator yields lists of sums over blocks (`Reduction`), and receives their merged states.
 At its end, the generator returns the dataset.
 """

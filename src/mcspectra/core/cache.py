@@ -107,7 +107,7 @@ def cached_array(key: str, make: Callable[[], Array]) -> Array:
 
 @lru_cache
 def _drop_oldest(folder: Path) -> None:
-    """Delete the oldest entries above the limit. This runs once per process, at its first entry."""
+    """Delete the oldest entries above the limit, once per process, at its first stored entry."""
     total = 0
     for _, size, entry in sorted(_entries(folder), reverse=True):
         total += size

@@ -1,7 +1,7 @@
 """Errors and warnings. Each message says what was given, what is allowed and what to do.
 
 Every error that a user can cause derives from `McspectraError`.
-The command line prints such an error as one sentence and exits with code 2.
+The command line prints the error as one sentence and exits with code 2.
 Errors about values also derive from `ValueError` or another built-in class that fits.
 Code outside this package can therefore catch its errors by built-in classes.
 

@@ -2,8 +2,8 @@
 
 A class declares, for example, ``strength: int = whole(1, least=1, most=2)``.
 When an instance is created, `check_fields` replaces each given value by the checked value.
-`check_fields` is called when a `mcspectra.core.spec.Component` is created:
-a sampler, a density, an integrand or an object of a similar class.
+The base class `mcspectra.core.spec.Component` calls `check_fields`.
+Samplers, densities, integrands and similar classes derive from this base class.
 None stays None if it is the default of the field.
 """
 

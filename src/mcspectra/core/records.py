@@ -95,7 +95,7 @@ _UNIONS = (Union, UnionType)
 
 
 def merged(left: Any, right: Any) -> Any:
-    """Return the merged state of two neighboring nodes. This may reuse the memory of `left`."""
+    """Return the merged state of two neighboring nodes. The memory of `left` may be reused."""
     own = getattr(left, "merge", None)
     if own is not None:
         return own(right)

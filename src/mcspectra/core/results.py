@@ -353,7 +353,7 @@ def dataset(
 ) -> xr.Dataset:
     """Make a dataset of registered variables, name -> (dims, values), and provenance attributes.
 
-    Dims in `drop` have a single value, such as the channel of a scalar. They are removed.
+    Dims in `drop` have a single value, such as the channel of a scalar, and are removed.
     """
     import xarray as xr
 

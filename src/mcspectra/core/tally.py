@@ -70,7 +70,7 @@ def counting(what: str | Function, most: int | None = None) -> Iterator[Evaluati
 
 
 def spend(evaluations: int) -> None:
-    """Count `evaluations` of a function before they are made.
+    """Count a number of evaluations of a function, before the evaluations are made.
 
     Raises
     ------

@@ -200,7 +200,7 @@ class Anova(Counted, frozen=True, kw_only=True):
         """Return the dataset for estimates (S, R, channels), one for each kept subset of axes.
 
         The first subset has all axes.
-        The covariance of the first estimates with those of a subset gives the share of the subset.
+        The covariance of the first estimates with the estimates of a subset gives its share.
         """
         moments, count = Moments.of(estimates[0], tails=True), estimates.shape[1]
         # Products of deviations, whose means over realizations are covariances: (S, R, channels)

@@ -1,8 +1,8 @@
 """Detect estimates that missed the source of their variance, and explain each in a sentence.
 
-Estimates give no upper bound of the variance in three cases: if they are all equal,
-if their mean differs from the integral,
-or if a single estimate causes most of the variance.
+Estimates give no upper bound of the variance in three cases.
+All estimates may be equal, or their mean may differ from the integral.
+A single estimate may cause most of the variance.
 `blindness` detects these estimates by the known integral, by ∫g² and by poles.
 """
 
@@ -78,8 +78,8 @@ def blindness(
     Parameters
     ----------
     measured
-        Arrays (estimator, sampler, n, channel) by name: the variance with its relative error,
-        the bias with its standard error, the tail index and the number of realizations.
+        Arrays (estimator, sampler, n, channel) by name, such as the variance and its error.
+        Other arrays are the bias with its error, the tail index and the number of realizations.
         ``largest_share`` is the largest share of one square in the variance.
         ``resolved`` states whether the variance is resolved.
         ``floor`` is the rounding error of the variance.

@@ -13,7 +13,7 @@ If the mean has variance V, subtracting it lowers all autocovariances by V.
 
 The scatter of the chains' means is a second, independent estimate.
 Both estimates of the error are pooled by their degrees of freedom.
-If they disagree, the chains are in different parts of the distribution.
+If the two estimates disagree, the chains are in different parts of the distribution.
 The error of the mean then has no upper bound.
 """
 
@@ -585,8 +585,8 @@ def _tail_index(z: Array, least: int) -> float:
     excess = excess[1:] - excess[0]
     if not excess[most // 4] > 0:
         return math.nan
-    # The Pareto law has the shape k and the scale σ. Average over a grid of b = −k/σ,
-    # weighted by the posterior distribution of b; the first quartile sets the scale of the grid
+    # Average over a grid of b = −k/σ, with the shape k and the scale σ of the Pareto law.
+    # The weights are the posterior density of b; the first quartile sets the scale of the grid
     grid = 30 + int(math.sqrt(most))
     b = 1 - np.sqrt(grid / (np.arange(grid) + 0.5))
     b = b / (3 * excess[int(most / 4 + 0.5) - 1]) + 1 / excess[-1]

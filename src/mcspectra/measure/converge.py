@@ -294,7 +294,7 @@ class Convergence(Counted, frozen=True, kw_only=True):
         """Return units of work: each has a group of estimators, one sampler and one count.
 
         Estimators of one technique share the sampler's points, unless they have their own `draw`.
-        Therefore they also share realizations.
+        Estimators that share points also share realizations.
         If a precision is requested, each estimator takes as many realizations as it needs.
         """
         estimators = tuple(subject.estimators)

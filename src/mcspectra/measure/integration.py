@@ -7,10 +7,10 @@ For example, θ is large for smooth functions with scrambled nets.
 For θ near 1, more replicates are best, because they make the quantile t smaller at no cost.
 
 A quarter of the budget measures θ with eight replicates.
-These replicates are prefixes of randomized sequences. Later sets start with the same points.
+The eight replicates are prefixes of randomized sequences. Later sets start with the same points.
 
 If a profile of f is given, θ is known. All points then form one net or lattice.
-This set is divided into R runs of n points, which replace the replicates.
+The net or lattice is divided into R runs of n points, which replace the replicates.
 Each run is a net or a lattice itself.
 The errors of the runs partly cancel: their mean is as accurate as one set of all points.
 The interval of independent replicates is therefore too wide, by the factor R^{(θ−1)/2}.
@@ -185,7 +185,7 @@ def integrate(
         An interrupted call continues when it is repeated with the same cache.
         The repeated call gives the same bits as a call without interruption.
     on_error
-        ``"raise"`` raises an error if f fails or is not finite. ``"skip"`` counts such points.
+        ``"raise"`` raises an error if f fails or is not finite. ``"skip"`` counts failed points.
         In the value, each failed point counts as the mean of the points that did not fail.
         For the interval, failed points may have any value between the least and the largest.
         The note reports the number of failed points and the first failed point.

@@ -181,7 +181,7 @@ class Terms(Counted, frozen=True, kw_only=True):
             batches = totals[0].all_batches(partition)
 
             # The coordinates of m and l are frequencies in 1-D.
-            # In more dims they are an index, with the components m_0, m_1, …
+            # In more dims the coordinates are an index, with the components m_0, m_1, …
             matrix: dict[str, Any] = {}
             if self.cross_matrix and basis.dims == techniques == 1:
                 matrix = {"m": basis.axis, "l": basis.axis}

@@ -182,7 +182,7 @@ def anisotropy(group: Group, styles: Styles) -> Plot:
     """Plot the variance of the power over directions in dB, relative to random points.
 
     If the power of random points is averaged over k sets, its variance is mean² / k.
-    This level is 0 dB, so that spectra from different numbers of sets are comparable.
+    The level of random points is 0 dB, so that results from any numbers of sets are comparable.
     """
     curves, dims = {}, 1
     for name, each in group.items():

@@ -158,8 +158,8 @@ def overlaid(measured: Group, predicted: Group) -> dict[str, xr.Dataset]:
     """Add the predictions of the same samplers to results of `convergence`.
 
     The plot ``convergence`` then shows the predictions and the theoretical slope as well.
-    The counts of the two results may differ. If there are several methods of prediction,
-    the most trusted method with a value at the largest n is used.
+    The counts of the two results may differ.
+    Of several methods of prediction, the most trusted with a value at the largest n is used.
     """
     both = dict(measured)
     for name in set(measured) & set(predicted):

@@ -11,8 +11,8 @@ The sum over pairs has the terms A(x_i − x_k), where A is the autocorrelation 
 A is tabulated on the torus and interpolated linearly.
 
 If A were averaged over all directions of h, the result would be exact for isotropic sets only.
-For 16 points of shifted Latin hypercubes and smooth integrands, this average
-overestimates the variance by factors of 1.7 to 3.7.
+For shifted Latin hypercubes of 16 points, an average over directions is wrong:
+for smooth integrands, it overestimates the variance by factors of 1.7 to 3.7.
 """
 
 from __future__ import annotations
@@ -274,7 +274,7 @@ def of_pairs(
     estimator.check_independent()
     source, realizations = estimator.randomized(sampler), asked.realizations
 
-    # Check whether the law of the pairs is known, or whether they can be counted
+    # Check whether the law of the pairs is known, or whether pairs can be counted
     law = source.law(n)
     jittered = isinstance(law, Strata) and law.jittered
     exact = jittered or isinstance(law, Independent)

@@ -29,7 +29,7 @@ Strata may have a common offset. The formulas for other samplers are:
   If each point is uniform, random reflections add E[Var(g | point)]/n = (Var g − Var ḡ)/n.
 
 Quadratures of two orders must agree with each other and with ∫g and ∫g² (`blindness`).
-If they disagree, the method raises NoClosedForm.
+If the quadratures disagree, the method raises NoClosedForm.
 """
 
 from __future__ import annotations

@@ -13,13 +13,13 @@ plus the rest ω²_T within the cells, minus a correction for levels that the ta
 
 Here ω²_T is the mean variance of g within the cells of one table T.
 The σ²_l of the correction come from tables with more cells along some axes.
-These tables have the same total number of cells.
+Tables with more cells along some axes have the same total number of cells.
 For a digital shift, the weights of the energies depend on g; see `of_moves`.
 
 Cells are integrated in closed form if the moments of g over boxes are known.
 Otherwise Gauss-Legendre rules are used, which are cut at the breaks of g.
 Cells whose neighbors have very different g contain curves of jumps.
-Cells with such curves are divided into parts, and each part is integrated by itself.
+Cells with curves of jumps are divided into parts, and each part is integrated by itself.
 Integration uses a fine and a coarse rule, and the error is their difference.
 """
 
@@ -96,7 +96,7 @@ class LevelsSettings:
         With half of `clear`, variances have noise of 0.015 %. With twice `clear`, nothing changes.
     most_error, noise
         If half of the 95 % interval exceeds this fraction of the variance, an error is raised.
-        In such cases, other methods have smaller relative errors, below 0.2.
+        For larger intervals, other methods have smaller relative errors, below 0.2.
         Half of an interval is always accepted if it is below `noise` times ∫g².
         Halving or doubling either value changes nothing.
     """
@@ -261,7 +261,7 @@ def _table(
     means, squares = _cell_moments(g, sides, np.zeros(g.dims), refined=whole)
 
     # At jumps, the squares of means and the variance within cells have opposite errors.
-    # These errors cancel in the sum. If cells are long, the variance within cells is not computed.
+    # The opposite errors cancel in the sum of both. In long cells, the variance is not computed.
     # Therefore the means of two rules are multiplied with each other, instead of squared.
     # The errors of the two rules are hardly correlated
     pairs = ([(0, 0), (-1, -1)] if whole else [(-1, -1), (0, -1)])[: len(means)]

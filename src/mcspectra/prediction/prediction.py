@@ -255,7 +255,7 @@ class ExtrapolationSettings:
         Least number of realizations of a count close to n, and least total number of points.
         The number of realizations is so large that both limits are reached.
         Halving or doubling both numbers changes variances by less than 4 %,
-        which is well within their intervals of 14 to 60 %.
+        and the intervals of the variances are far wider: 14 to 60 %.
     most_factor
         Upper limit of the factor between an extrapolated variance and the end of its interval.
         Without this upper limit, the exponential of the error could overflow.
@@ -286,7 +286,7 @@ class EvaluationLimits:
     predictions
         If fewer evaluations per technique are allowed, variances are only measured, not predicted.
         Predictions need 1.2 to 13 million evaluations.
-        These numbers are for smooth functions and jumps in 1-D to 4-D with four samplers.
+        Four samplers were tested with smooth functions and jumps in 1-D to 4-D.
     sets, least_sets
         If every count has more than this number of realizations, larger counts are also measured.
         `least_sets` is the least number of realizations of any count.
@@ -300,7 +300,7 @@ class EvaluationLimits:
     probe
         Fraction of the evaluations that are spent on random points: 16,384 of 2^18.
         Random points detect integrands that grow toward the border, or have a few dominant values.
-        Variances of such integrands are not predicted.
+        If random points find growth or dominant values, variances are not predicted.
     fitted
         Number of measured counts to whose variances a line is fitted.
         Five counts leave three degrees of freedom, for which Student's t is 3.2.
@@ -1132,8 +1132,8 @@ def predict(
     f is evaluated at quadrature nodes and on grids that `predict` chooses.
     The method ``moves`` applies up to 8,192 random shifts or scrambles to a fixed set.
     Lattices with shift and nets with digital-shift use ``moves`` in 1 to 3 dims.
-    Other moved or scrambled sets use ``moves`` if sums of products predict
-    the variance less precisely than ± 3 %.
+    For other moved or scrambled sets, sums of products come first.
+    If sums of products are less precise than ± 3 %, ``moves`` is used for these sets.
     For ``moves``, nested scrambles are replaced by linear scrambles.
     Pairs of points have the same distribution in linear and nested scrambles.
 
@@ -1154,7 +1154,7 @@ def predict(
 
     If theory gives no limit, the slopes over the last octaves must agree.
     The octaves extend to 4 times the last count, or to n = 2^16 for strata.
-    This extension is made only in 1 to 3 dims, and only if no sets have to be drawn.
+    Counts are extended only in 1 to 3 dims, and only if no sets have to be drawn.
     If the slopes agree, the limit is a nearby exponent of theory.
     The exponents of theory are −1 − k/d with an integer k, −2 and −3.
     A constant slope that is near no exponent of theory is the limit itself.

@@ -105,7 +105,7 @@ class PiecewiseSettings:
     same: float = 1e-7
     # If g − c is tested for being a product, the constant c is a value that g takes often.
     # The fraction of probe points at which g = c must exceed `common`.
-    # For an indicator function, an example of such a constant is c = 0.
+    # For an indicator function, for example, g often takes the value c = 0.
     # Halving or doubling this value gives the same results.
     common: float = 0.1
 

@@ -33,7 +33,7 @@ All quantities come from values of g at points of this module:
 * ∫g² as a mean over scrambled nets, with an interval from Student's t.
 
 The function g_i of axis i is a mean over profiles, with the fit as a control variate:
-g_i of the fit, plus the mean difference between profiles of g and profiles of the fit.
+the mean difference between profiles of g and of the fit is added to g_i of the fit.
 
 Strata of a grid need no fit: Var = E (g(x) − g(x'))² / 2n with x and x' in the same stratum.
 In Latin hypercubes, the two points of any pair lie in different strata on each axis [Stein1987]_.
@@ -140,7 +140,7 @@ class SubsetSettings:
     rank, few_rank
         Largest number of products in many dims, and in at most `few_dims` dims.
         In few dims, only functions with jumps across axes are predicted by a sum of products.
-        More products would not resolve the jumps of such a function.
+        More products would not resolve the jumps of a function in few dims.
         The ball is predicted within ±86 % with three products, and within ±53 % with twelve.
         The results for the other integrands do not change.
     sweeps, settled
@@ -425,7 +425,7 @@ class _Pairs:
         """Return four tables from which `pair_sums` computes covariances.
 
         The tables hold the covariances of the functions g_i and of the factors of products,
-        the means of these factors, and the weights of the products.
+        They also hold the means of the factors, and the weights of the products.
         """
         singles, pairs, averages = list[Array](), list[Array](), list[Array]()
         for base, levels, curves, main, factors, offsets in zip(
@@ -727,7 +727,7 @@ def _fitted(
         missed = scale**2 * float(((values[-1] / scale - sums) ** 2).mean())
         # The energy (variance) of the fit may differ from its sample variance at the test points.
         # The difference between energy and sample variance also counts as missed energy.
-        # For g itself, such a difference is sampling error and is subtracted
+        # For g itself, the difference is sampling error and is subtracted
         curves = [w @ c for w, c in zip(weights, cells, strict=True)]  # Rows: sum, products
         averages = np.stack([c.mean(axis=1) for c in curves])
         squares = np.stack([c @ c.T / c.shape[1] for c in curves])
@@ -830,8 +830,8 @@ def pairs_of(law: Law, stream: Stream) -> tuple[_Pairs, Array, Array]:
     """Return how pairs of points are compared, the points' digits, and indices of some points.
 
     The digits have shape (sets, n, d, digits).
-    It is enough to sum over the pairs that contain one of the points with these indices.
-    Pairs with such a point have the same distribution as all pairs of points.
+    It is enough to sum over pairs that contain a point with one of the indices:
+    these pairs have the same distribution as all pairs of points.
 
     Raises
     ------

@@ -1,6 +1,6 @@
 """Variances of sets that are statistically the same after any translation of the torus.
 
-The covariance C_ml of such sets is diagonal. With the power P(m) = ⟨|S_m|²⟩,
+The covariance matrix C_ml is diagonal. With the power P(m) = ⟨|S_m|²⟩,
 
     Var = Σ_{m≠0} |g_m|² P(m) = Σ_{m in C} |g_m|² P(m) + (∫g² − I² − Σ_{m in C} |g_m|²) / n + …,
 
@@ -149,8 +149,7 @@ class DrawnSettings:
 
     Some settings are for a smooth law that is fitted to the estimated power.
 
-    The effects of the settings were measured for a smooth function in 2-D
-    with poisson-disk at n = 64.
+    Effects of settings were measured for a smooth function in 2-D, poisson-disk and n = 64.
     The predicted variance of this function has an interval of ±3.1 %.
 
     Attributes
@@ -697,8 +696,8 @@ def _drawn(
     lawful = isotropic and len(np.unique(np.rint(length[inside] ** 2 * n))) >= _DRAWN.least_lengths
     core = replace(low, energy=np.where(inside, low.energy, 0.0) if lawful else 0.0 * low.energy)
     sums, low_sum, count = [np.zeros(r.shape) for r in regions], np.zeros(low.shape), 0
-    # Add three parts of the variance: low frequencies at which a smooth law describes the power,
-    # the other low frequencies, and all higher frequencies
+    # Add three parts of the variance. The first is at low frequencies with a smooth power law.
+    # The other parts are at all other low frequencies, and at all higher frequencies
     values: tuple[list[Array], ...] = ([], [], [])
     while True:
         for x in (

@@ -26,7 +26,7 @@ The transform of a grid of s points is A_s(ν) = (1/s) Σ_{j<s} exp(−2πi νj/
   On each axis, the mean over two coordinates is one of three products:
   *free* = χ(m) conj χ(l), if the two coordinates are uniform and independent;
   *same* = A_s(m − l) χ(m/s) conj χ(l/s), if the two coordinates share one of s strata;
-  *apart* = (s *free* − *same*) / (s − 1), if they lie in different strata of the s strata.
+  *apart* = (s *free* − *same*) / (s − 1), if the two coordinates lie in different strata.
   Within strata, the two coordinates are uniform and independent.
   For determinantal sets, the joint distribution of two points is known from the kernel.
 
@@ -96,7 +96,7 @@ _TERMS_AT_ONCE = 2**22
 
 # The closed forms of importance-sampled points use the following constants.
 _BLOCK = 2**20  # number of values processed at a time
-# Largest product of the numbers of strata and frequency pairs; such a product takes minutes.
+# Largest number of strata times number of frequency pairs, which takes minutes.
 _MAX_STRATA_WORK = 2**31
 _ORDER = 16
 _CELLS = 64
@@ -125,7 +125,7 @@ def closed_form_power(
     density
         Importance density. For random points, any density is allowed.
         Jittered, latin-hypercube and grids allow densities that are products over the axes.
-        With such a density, a shift or strata-shift may follow these samplers.
+        With a product density, a shift or strata-shift may follow these samplers.
         The frequencies of shifted points must be integers.
 
     Returns

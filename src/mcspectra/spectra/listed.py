@@ -1,4 +1,4 @@
-"""Expected power at listed frequencies. They may be real or integer, in any number of dims.
+"""Expected power at listed frequencies, which may be real or integer, in any number of dims.
 
 Grids of frequencies are limited to a few dims; lists are not.
 A list can be a slice along an axis, or a plane of two axes (the spectrum of a projection).
@@ -78,7 +78,7 @@ _MAX_FACTORS = 4096
 """Largest number of factors in a table. The table takes 4 KiB per factor."""
 
 MAX_LISTED = 2**27
-"""Largest number of coordinates (F times d) in a list of frequencies. This is 1 GiB."""
+"""Largest number of coordinates (F times d) in a list of frequencies, which take 1 GiB."""
 
 
 def power_at(

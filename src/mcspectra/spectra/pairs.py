@@ -80,7 +80,7 @@ def pair_correlation(
     On the torus, g = pairs in a shell / (n(n−1)/2 · volume of the shell).
     With the border correction, g = ordered pairs / (n(n−1) · volume of the shell · (1−2r)^d).
     In this formula, (1−2r)^d is the volume of the region in which the first point may lie.
-    This estimate is unbiased if the set is stationary.
+    The estimate with the border correction is unbiased if the set is stationary.
     Only points whose first coordinates differ by less than max_distance are compared.
     The cost is O(n log n + n² max_distance) per realization.
     """

@@ -4,7 +4,7 @@ For each realization, power is summed by frequency, and over rings and wedges of
 Frequencies of one set are not independent:
 with a density, random changes of the weights affect all frequencies.
 Means over many frequencies are therefore also summed for each realization.
-The spread of such means over realizations gives the standard errors.
+The spread of the means over realizations gives their standard errors.
 """
 
 from __future__ import annotations
@@ -247,8 +247,8 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
                 return double, None
             points, weights = weighted_points(source, p, self.n, stream, (0, 2))
             exact = _powers(double, points, weights)
-            # Estimate the standard deviation of the power from two realizations. For a power
-            # with an exponential distribution, it is the mean absolute difference of two powers
+            # Estimate the standard deviation of the power from two realizations. For exponentially
+            # distributed power, it is the mean absolute difference of the two powers
             spread = polar.rings(np.abs(exact[0] - exact[1])) / self.realizations**0.5
             for single in singles:
                 error = polar.rings(np.abs(_powers(single, points, weights) - exact).mean(axis=0))

@@ -185,7 +185,7 @@ def slices(spectrum: xr.Dataset) -> xr.Dataset:
     -------
     xarray.Dataset
         ``slice_power`` and its standard error ``slice_power_se``, on the dims slice and multiple.
-        This is the power at ν = multiple · frequency step · direction.
+        The slice power is the power at ν = multiple · frequency step · direction.
         Each slice is labeled by its direction, such as (1, -1). The axes come first.
         The coordinate ``slice_radius`` is |ν|. There are 1, 4, 13 or 40 slices in 1 to 4 dims.
     """
@@ -527,7 +527,7 @@ def variance_from_spectrum(spectrum: xr.Dataset, coefficients: Any) -> float:
             f"coefficients have shape {f.shape} and type {f.dtype}; give finite numbers of shape "
             f"{grid.shape}, one for each frequency."
         )
-    # Warn if the points are not stationary. The spec of given points does not show whether they are
+    # Warn if the points are not stationary. Specs of given points do not show stationarity
     # Between the integers, the returned sum is not the variance (see Returns)
     try:
         source = None if spec is None else as_sampler(spec, grid.dims)

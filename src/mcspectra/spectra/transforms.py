@@ -470,7 +470,7 @@ class Transform:
 
 
 def given_or_equal(weights: Array | None, points: Array) -> Array:
-    """Return the weights (R, n) of points (R, n, d). If none are given, they are 1/n."""
+    """Return the weights (R, n) of points (R, n, d). Without given weights, return 1/n."""
     return np.broadcast_to(1.0 / points.shape[1], points.shape[:2]) if weights is None else weights
 
 
