@@ -180,7 +180,7 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         Parts of the subject that may be lists: ``"estimator"``, ``"sampler"``, or both.
     variables
         Names of the result's variables in `mcspectra.core.results.VARIABLES`.
-        A variable that this registry does not contain is given as a `Variable`.
+        A variable that is not in `VARIABLES` is given as a `Variable`.
     provenance
         Names of attributes of the result: ``estimator`` and ``sampler`` hold their spec strings.
         The attribute ``stream_key`` holds the key of the random stream.

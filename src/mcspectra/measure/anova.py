@@ -467,8 +467,8 @@ def anova_variances(
 
         Effective dimensions refer to 99 % of the variance.
         ``effective_dimension_truncation`` is the number of leading axes that hold this share.
-        ``effective_dimension_superposition`` is the least number s of axes per subset.
-        Subsets of up to s axes hold 99 % of the variance. If s exceeds `order`, the value is NaN.
+        ``effective_dimension_superposition`` is the least size s of subsets that is enough:
+        subsets of up to s axes hold 99 % of the variance. If s exceeds `order`, the value is NaN.
         ``mean_dimension`` is the mean of |u| weighted by c_u. ``variance`` is the whole variance.
 
         Standard errors of variances have names that end in ``_se``.

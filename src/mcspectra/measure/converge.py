@@ -12,8 +12,7 @@ After 10,000 equal estimates the error is NaN, and the precision is not reached.
 
 Estimates may miss the source of the variance.
 In this case the interval has no finite upper end, and the rate has no interval.
-The attribute ``note`` explains why
-(`mcspectra.measure.blindness`).
+The attribute ``note`` gives the reason (`mcspectra.measure.blindness`).
 """
 
 from __future__ import annotations
@@ -82,7 +81,7 @@ Precision = Annotated[float, Meta(ge=1e-4, le=1.0)]
 class StageSettings:
     """Lengths of the stages in a search for the number of realizations, and the size of blocks."""
 
-    # Realizations of the first stage.
+    # Number of realizations of the first stage of a search.
     # The kurtosis of 100 normal estimates has a standard error of √(24/100) = 0.5.
     # Results are the same for values from 50 to 200.
     first: int = 100
@@ -186,7 +185,7 @@ class Convergence(Counted, frozen=True, kw_only=True):
         ])  # fmt: skip
 
         # Moments for every estimator, sampler and count.
-        # If several estimators share realizations, move their axis to the front
+        # If several estimators share realizations, move the axis of the estimators to the front
         estimators, samplers = subject.estimators, subject.samplers
         flat = [each for cell in found for each in cell]
         joint = len(cells[0].estimators) > 1
@@ -431,7 +430,7 @@ def convergence(
         ``realizations_used(n)`` is the number of realizations.
         With `relative_error`, ``reached(n)`` is 1 if this error was reached.
         ``reached`` is 0 if the maximum `realizations` was reached first.
-        It is also 0 if all estimates were equal.
+        ``reached`` is also 0 if all estimates were equal.
 
         ``rate`` has the interval ``rate_ci(bound)``.
         ``fit_first_n`` is the smallest count of the fit.

@@ -572,7 +572,7 @@ def _with_profile(
 
     The recommended estimator is fitted to evaluations of the profile.
     The estimates have the mean ∫f, whatever estimator the profile recommends.
-    Therefore their errors are uncorrelated with the errors of the profile.
+    Therefore the errors of the estimates are uncorrelated with the errors of the profile.
     """
     low, high = profile.interval
     twice = 2.0 * low - profile.integral, 2.0 * high - profile.integral

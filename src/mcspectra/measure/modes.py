@@ -2,7 +2,7 @@
 
 The modes are eigenvectors of Cov(y_m, y_l), with y_m = conj(f_m) S_m or y_m = S_m.
 The modes are patterns over the frequencies whose amplitudes are uncorrelated.
-The eigenvalues are the variances of the amplitudes of the modes.
+Each eigenvalue is the variance of the amplitude of one mode.
 
 The covariance matrix A is never stored.
 Randomized subspace iteration [Halko2011]_ needs only the product of A with a few vectors.
@@ -332,7 +332,7 @@ def covariance_modes(
     -------
     xarray.Dataset
         ``eigenvalue(mode)`` are the eigenvalues of the sample covariance, in descending order.
-        ``eigenvalue_se(mode)`` is the error of the variance along the mode, by batch means.
+        ``eigenvalue_se(mode)`` is the standard error of the variance along the mode.
 
         ``noise_edge`` is the largest expected sample eigenvalue if all true eigenvalues are equal.
         Sample eigenvalues differ unless realizations are far more numerous than coefficients.

@@ -204,7 +204,7 @@ class SpectralSums:
         )
 
     def terms(self, partition: Partition) -> tuple[Array, Array, Array]:
-        """Return unbiased dc, power and cross terms, each (C,). Their sum is the variance of I."""
+        """Return unbiased dc, power and cross terms, each (C,). They add up to the variance."""
         f = partition.coefficients
         sums = np.zeros((len(f), 3))
         term_sums(f, self.m2, self.cov, partition.double, partition.dc, sums)

@@ -3,7 +3,7 @@
 E_t is the part of an estimate from technique t.
 The variance is the sum of Cov(E_t, E_s) over all pairs of techniques.
 Covariances of different techniques are 0 if their point sets are independent.
-Techniques that share points have a covariance (`mcspectra.estimators.base`).
+Techniques that share points have a nonzero covariance (`mcspectra.estimators.base`).
 Each covariance has a dc, a power and a cross term.
 The terms use the spectrum S^t and the integrand f^t of technique t instead of S and f.
 

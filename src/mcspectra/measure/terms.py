@@ -384,7 +384,7 @@ def _variables(total: TermSums, view: View, partition: Partition) -> Variables:
     def interval(value: Array, half: Array) -> tuple[tuple[str, ...], Array]:
         return ("channel", "bound"), np.stack([value - half, value + half], axis=-1)
 
-    # The terms, their sum, and the measured variance
+    # Add the terms, their sum, and the measured variance, with their intervals
     terms = np.stack(sums.terms(partition))
     predicted = terms[0] + terms[1] + terms[2]
     variables: Variables = {
@@ -464,7 +464,7 @@ def _predicted_ci(total: TermSums, batches: Batches) -> Array:
 def _signed(stored: Array, index: Array, flip: Array) -> Array:
     """Return ⟨S_a conj S_b⟩ for plain or conjugated a and b, from the stored blocks.
 
-    Blocks are stored with and without conj.
+    The blocks are stored with and without the complex conjugate of the second factor.
     From S_{−l} = conj S_l follows the pseudo-covariance C_{m,−l} = Cov(S_m, conj S_l).
     In primary space the coefficients of the techniques follow one another.
     """

@@ -36,7 +36,7 @@ Hover: TypeAlias = Mapping[str, Sequence[str]]
 
 Dashes: TypeAlias = Literal["-", "--", ":", "-."]
 Marker: TypeAlias = Literal["o", "s", "^", "D", "v", "P", "X", "*", "|"]
-"""Shapes of `Dots`. The shape ``|`` is a vertical stroke, as long as the size."""
+"""Shapes of `Dots`. The shape ``|`` is a vertical stroke of length `size`."""
 
 
 @final

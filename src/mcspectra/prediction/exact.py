@@ -142,7 +142,7 @@ class ExactSettings:
     # `exact` is the relative rounding error of a sum along an axis.
     rounding: float = 4e-15
     exact: float = 1e-9
-    # Largest number of cells of an axis. It matters for halton | shift at n = 1024:
+    # Largest number of cells of an axis. For halton | shift and n = 1024,
     # half as many cells change the variance by 2e-4, and twice as many by 5e-5.
     # `most_pairs` limits the time: the number of pairs of points times d is at most this number.
     most_cells: int = 2**18
@@ -368,7 +368,7 @@ def _by_cells(law: Law, g: Integrand, tolerance: float, most: float) -> tuple[Ar
         try:
             high, unseen = _variance(law, g, Rule(times * fine, most, times * coarse))
             low = high
-            if not (cells and in_closed_form(g)):  # Closed-form moments need no order
+            if not (cells and in_closed_form(g)):  # Closed-form moments have no quadrature error
                 low, _ = _variance(law, g, Rule(times * coarse, most))
         except NoClosedForm:
             if times == 1:
@@ -747,7 +747,7 @@ def _variance(law: Law, g: Integrand, rule: Rule) -> tuple[Array, Array]:
     """Return the variance of a mean of g over a set, and a bound of its error, (channels or 1,)."""
     n, none = law.n, np.zeros(g.dims)
     match law:
-        # Folded and mirrored sets: use the inner set (before mirroring) with another integrand
+        # For folded and mirrored sets, use the set before this step, and fold or average g
         case Folded(inner=inner):
             return _variance(inner, FoldedIntegrand(g), rule)
         case Mirrored(inner=inner, mode="uniform"):
@@ -805,7 +805,7 @@ def _variance(law: Law, g: Integrand, rule: Rule) -> tuple[Array, Array]:
         spread, unseen = weighted_sum(weights, found)
         return spread / n, unseen / n
 
-    # For a grid with one random offset, compute the variance of its mean over the offset
+    # For a grid with one random offset, compute the variance over the offset of the grid's mean
     grids = (grid_values(g, sides, d).reshape(math.prod(sides), -1) for d in nodes)
     both = np.array([(v.mean(axis=0), (v**2).mean(axis=0)) for v in grids])
     one_mean, square = weighted_sum(weights, both)

@@ -4,7 +4,7 @@ Nested uniform scrambling multiplies each variance σ²_l by a factor, the gain 
 The theory is in docs/theory.md, "Gains of scrambled nets".
 Here σ²_l is the variance of the part of g that varies with l_j digits of coordinate j.
 All but finitely many gains are 1.
-Gains other than 1 occur only at levels l where the cells number about n or less.
+Gains other than 1 occur only at levels l with at most about n cells.
 At these levels, Σ l_j is near log n, although not every l_j is near log n.
 A table T has the means of g over equal cells. The variance is a sum over the levels of the table,
 plus the rest ω²_T within the cells, minus a correction for levels that the table lacks:

@@ -26,7 +26,7 @@ The variance of g minus the fit is estimated from random pairs of points.
 The two points of a pair share strata of two or three axes.
 First, functions of single axes are subtracted from g and from the fit.
 The estimate is the mean product of g at two points, minus the mean product of the fit.
-Energies of g minus the fit along more than three axes widen the interval, without an estimate.
+Energies of g minus the fit along more than three axes are unknown, and widen the interval.
 """
 
 from __future__ import annotations
@@ -111,9 +111,9 @@ def of_arrays(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG
             ("arrays", c, s, parts, at),
             functools.partial(_energies, p, c, s, parts, offsets, known),
         )
-        # n Var is the sum of three variances: of functions of single axes, of the products in the
-        # fit, and of g minus the fit. All profiles of g estimate the variance of single axes.
-        # Separate groups of profiles give the error of this estimate
+        # Add three variances: of functions of single axes, of products, and of g minus the fit.
+        # For single axes, the estimate uses all profiles of g.
+        # The error of this estimate comes from separate groups of profiles
         alone = sums.single @ np.array([1.0, 1.0 + part, 1.0 + one])
         several = _of_products(array, sums)
         beside = more @ np.array([1.0, two, both, three])
@@ -305,7 +305,7 @@ def _energies(
             cell = np.minimum(np.floor(((there - corner) % 1.0) * cells), cells - 1)
             new = np.minimum(((cell + mine) / cells + corner) % 1.0, BELOW_ONE)
             np.put_along_axis(other, which[..., None], new[..., None], -1)
-        # The first points of pairs are the same for all strata
+        # For all kinds of strata, the first points of the pairs are the same
         one, two = (
             known.once(("arrays: first", channel, k), functools.partial(left, x)),
             left(other),

@@ -152,7 +152,7 @@ class AutoSettings:
     ----------
     moved, measured
         Largest accepted errors of predictions by sums of products.
-        Such an error is half of the 95 % interval, divided by the variance.
+        The error of a prediction is half of the 95 % interval, divided by the variance.
         If the error exceeds `moved`, random offsets of the set are evaluated.
         If the error exceeds `measured`, realizations are measured.
         8,192 offsets have a standard error of √(2/8192) = 1.6 % and intervals of 3 %.
@@ -1369,7 +1369,7 @@ def predicted(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
 
 
 def _of_the_set_inside(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
-    """Predict the variance for the set before folding or mirroring, with another integrand.
+    """Predict the variance from the set before folding or mirroring, for a changed integrand.
 
     `mcspectra.prediction.exact` describes the integrand of the set before folding or mirroring.
     """

@@ -185,7 +185,7 @@ class LimitSettings:
         Any threshold from 0.15 to 0.3 finds the same bends.
     most_change
         Largest candidate change of the exponent at a bend. Exponents lie between −1 and −5.
-        The same bends are found for a largest change of 4 to 8.
+        Any largest change from 4 to 8 finds the same bends.
     tried
         Numbers of candidates for the position of a bend, and for the change of the exponent.
         Over 10 octaves, candidate bends are 0.1 octaves apart. This is the accuracy of a bend.

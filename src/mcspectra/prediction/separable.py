@@ -6,7 +6,7 @@ These integrals are accurate at jumps of g, and at poles that no rule in several
 A curve h is represented by Legendre polynomials on pieces of the axis.
 Each piece is halved until the coefficients of its polynomial settle.
 The smallest pieces have width 2^-50 next to a jump or pole, and 2^-64 next to 0.
-Double precision does not resolve smaller distances.
+Double precision does not resolve smaller pieces.
 
 If a is close to ½, most of the integral of (t^-a)² at a pole comes from the smallest pieces.
 Within a distance ε of the pole, a power law gives the integrals:
@@ -97,7 +97,7 @@ class PiecewiseSettings:
     # Number of probe points at which g is evaluated to find the largest value of a product.
     # Halving or doubling this value gives the same results.
     candidates: int = 2**10
-    # Sums and products are first tested at this number of points, and as many with large values.
+    # A first test uses this number of probe points, and as many points with large values of g.
     # Halving or doubling this value gives the same results.
     lines: int = 16
     # Relative rounding error of g in the test of a sum or product.
@@ -158,7 +158,7 @@ class PiecewiseCurve:
         return np.searchsorted(self.low, x, side="right") - 1
 
     def _values(self, piece: Array, x: Array) -> Array:
-        """Evaluate h − mean at points by the polynomials of the given pieces, as Clenshaw does."""
+        """Evaluate h − mean at points, on the given pieces, by Clenshaw's algorithm."""
         y = np.clip(2.0 * (x - self.start[piece]) / self.width[piece] - 1.0, -1.0, 1.0)
         c = self.coefficients
         one, two = np.zeros(y.shape), np.zeros(y.shape)

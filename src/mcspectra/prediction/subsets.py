@@ -8,10 +8,10 @@ The variance of the mean of g over the set is a mean over pairs (a, b) of points
 
     Var = (1/n²) Σ_{a,b} Σ_v C_v(a, b),    C_v = Cov(g_v(a), g_v(b)) over the randomization.
 
-On each axis, the covariance C_v depends on a single quantity, which is
-the number of common digits of a_i and b_i under nested scrambling,
-the difference of the digits of a_i and b_i under a digital shift,
-and the difference a_i − b_i on the torus under a shift.
+On each axis, the covariance C_v depends on a single quantity.
+Under nested scrambling, the quantity is the number of common digits of a_i and b_i.
+Under a digital shift, the quantity is the difference of the digits of a_i and b_i.
+Under a shift, the quantity is the difference a_i − b_i on the torus.
 
 For a subset v of one axis the sum is exact.
 For larger subsets g is fitted by a sum of products Σ_r Π_i h_ri(x_i).
@@ -163,7 +163,7 @@ class SubsetSettings:
         The change at the node must exceed `stands_out` times the nearby changes.
         Halving or doubling this value changes only the variance of the ball in 4-D.
     halvings
-        Number of bisections of a jump. They reduce steps of 1/128 to 2^-47.
+        Number of bisections of a jump, which reduce steps of 1/128 to 2^-47.
         Values from 20 to 80 give the same results.
     shared
         A jump is shared by profiles if the mean profile has a large step.

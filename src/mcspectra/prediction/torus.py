@@ -206,7 +206,7 @@ class DrawnSettings:
 @final
 @dataclass(frozen=True, kw_only=True)
 class DualSettings:
-    """Settings for the counted frequencies of a dual lattice.
+    """Settings for the frequencies of a dual lattice that are summed.
 
     The effects of the settings were measured for a disk with rank1-lattice | shift at n = 64.
     The predicted variance of the disk has an interval of ±0.11 %.
@@ -223,7 +223,7 @@ class DualSettings:
         Largest ratio of the energies Σ |g_m|² of two successive octaves of frequency.
         The ratio of energies is one half if g jumps along curves, and less otherwise.
         A limit below one half would cut off the tail of the spectrum of a jump.
-        A limit of one would make this tail infinite.
+        A limit of one would make the tail of the spectrum infinite.
     whole
         Rounding error of n times the differences of lattice points, which are multiples of 1/n.
         Coordinates are accurate to 2^-53. The result is the same for errors from 5e-7 to 2e-6.

@@ -18,7 +18,7 @@ The transform of a grid of s points is A_s(ν) = (1/s) Σ_{j<s} exp(−2πi νj/
   For jittered, box-jitter and gaussian-jitter points, each motif is also a single point.
   Motifs of antithetic-jittered are pairs of points.
 * Sets that are the same in every realization, and grids with a common offset.
-  The coefficients S_ν of these sets are known.
+  The coefficients S_ν of fixed sets, and of grids with a given offset, are known.
 * Sets for which the joint distribution of two points is known.
   C_ml + ⟨S_m⟩ conj⟨S_l⟩ = (1/n²) Σ ⟨exp(−2πi (m·x − l·y))⟩ over all ordered pairs of points x, y.
   If x and y are the same point, the mean is the product of χ(m − l) over the axes.
@@ -464,8 +464,8 @@ def _nested_pairs(law: Fixed, bases: Sequence[int], m: Array, other: Array) -> A
     """Return (1/n²) Σ over pairs of different points, after nested scrambling.
 
     Suppose that two coordinates agree in their first a digits and differ in the next digit.
-    Divide [0,1) into b^a strata, and each stratum into b parts. After scrambling,
-    both coordinates are uniform in two different parts of a random stratum [Owen1997]_.
+    Divide [0,1) into b^a strata, and each stratum into b parts.
+    Scrambled coordinates are uniform in two different parts of a random stratum [Owen1997]_.
     """
     n, levels = law.n, [_levels(law.points[:, j], b) for j, b in enumerate(bases)]
     most = max(levels)
@@ -556,7 +556,7 @@ def _place_pairs(net: Fixed, bases: Sequence[int], shifted: bool, m: Array, othe
         factors.append(own)
 
     total = np.zeros(len(flat), complex)
-    # Find the digits of each axis, with the highest first.
+    # Find the digits of the coordinates on each axis, with the highest digit first.
     # Rounding may have moved a coordinate from a multiple of b^-places to just below it.
     # To correct this, the small number `nudge` is added to all coordinates before reading digits.
     digits = []

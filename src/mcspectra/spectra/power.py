@@ -247,8 +247,8 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
                 return double, None
             points, weights = weighted_points(source, p, self.n, stream, (0, 2))
             exact = _powers(double, points, weights)
-            # Estimate the standard deviation of the power from two realizations. For exponentially
-            # distributed power, it is the mean absolute difference of the two powers
+            # Estimate the standard deviation of the power from two realizations.
+            # For an exponential distribution, it is the mean absolute difference of two powers
             spread = polar.rings(np.abs(exact[0] - exact[1])) / self.realizations**0.5
             for single in singles:
                 error = polar.rings(np.abs(_powers(single, points, weights) - exact).mean(axis=0))
