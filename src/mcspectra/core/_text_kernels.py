@@ -5,7 +5,7 @@ In this division, w, 10^k and the remainder of the first quotient are exact.
 A second quotient divides this remainder by 10^k.
 The sum of the first and the second quotient is correctly rounded, except in rare cases.
 In the rare cases, the sum is close to the midpoint of two float64 numbers (within about 2^-40).
-The kernel leaves such numbers, and numbers of other forms, to the caller.
+The kernel leaves numbers near a midpoint, and numbers of other forms, to the caller.
 """
 
 from __future__ import annotations
@@ -61,12 +61,12 @@ def parse_lines(text: Array, values: Array, runs: Array, hard: Array) -> tuple[i
     runs
         int64 (K, 4): one row for each run of lines between comments.
         A row has four entries. The first is the index of the first line with numbers, from 0.
-        The second and third entries are the index of the first value and the index after the last.
+        Entries two and three are the index of the first value and the index after the last value.
         The last entry is the number of values per line.
         A comment between runs has its own row, with 0 values per line.
     hard
         int64 (N, 3): one row for each value that the caller has to read.
-        A row holds the index of the value, the position of its first byte, and that after its last.
+        A row holds the index of the value, its first byte, and the byte after its last one.
 
     Returns
     -------

@@ -15,7 +15,7 @@ The tree is the same if one thread computes all blocks, or if many machines comp
 Therefore results have the same bits for any number of threads and machines.
 
 In some analyses, later draws depend on earlier results, for example to stop at a precision.
-For such an analysis, the method `Analysis.reduction` is a generator.
+In this case, the method `Analysis.reduction` is a generator.
 The generator yields lists of sums over blocks (`Reduction`), and receives their merged states.
 At its end, the generator returns the dataset.
 """
@@ -168,10 +168,10 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     Attributes
     ----------
     function
-        Name of the analysis' public function in `mcspectra`. It is empty if there is none.
+        Name of the analysis' public function in `mcspectra`, or empty if it has no function.
         The name is dotted if the function is in a package.
     verb
-        Command of the analysis on the command line. It is empty if there is none.
+        Command of the analysis on the command line, or empty if it has no command.
     split
         Value of ``--split`` that selects this analysis, if several analyses share one command.
     about
@@ -180,7 +180,7 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         Parts of the subject that may be lists: ``"estimator"``, ``"sampler"``, or both.
     variables
         Names of the result's variables in `mcspectra.core.results.VARIABLES`.
-        A variable that this registry does not contain is given as a `Variable`.
+        A variable that is not in `VARIABLES` is given as a `Variable`.
     provenance
         Names of attributes of the result: ``estimator`` and ``sampler`` hold their spec strings.
         The attribute ``stream_key`` holds the key of the random stream.
@@ -190,7 +190,7 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         For example, a study that computes spectra also computes the points.
     pictured
         Whether the first screen of a report shows the analysis.
-        A study computes such analyses first. If it is interrupted, it already has a report.
+        A study computes pictured analyses first: if it is interrupted, it already has a report.
     """
 
     function: ClassVar[str] = ""
@@ -367,7 +367,7 @@ class Reduction(Generic[State]):
     key
         Name that is unique within the analysis. It identifies stored states.
     result
-        Function that makes the dataset from the merged state. None if a generator makes it.
+        Function that makes the dataset from the merged state. None if a generator does this.
     """
 
     kind: Any
@@ -638,7 +638,7 @@ class MergeTree(Generic[State]):
 
 
 def chunks(blocks: int, size: int) -> Iterator[Chunk]:
-    """Divide blocks into chunks of `size`, which is a power of two. The last may be shorter."""
+    """Divide blocks into chunks of `size` blocks, a power of two. The last chunk may be shorter."""
     return ((first, min(size, blocks - first)) for first in range(0, blocks, size))
 
 

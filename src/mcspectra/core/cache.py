@@ -47,7 +47,7 @@ def cache_size() -> tuple[int, int]:
 
 
 def cached_array(key: str, make: Callable[[], Array]) -> Array:
-    """Return the float64 array stored under `key`. If it is missing, compute it; if slow, store it.
+    """Return the float64 array stored under `key`, or compute it. Slow results are stored.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def cached_array(key: str, make: Callable[[], Array]) -> Array:
 
 @lru_cache
 def _drop_oldest(folder: Path) -> None:
-    """Delete the oldest entries above the limit. This runs once per process, at its first entry."""
+    """Delete the oldest entries above the limit, once per process, at its first stored entry."""
     total = 0
     for _, size, entry in sorted(_entries(folder), reverse=True):
         total += size

@@ -163,7 +163,7 @@ def as_real_array(name: str, value: object) -> Array:
     ------
     DomainError
         If it holds complex numbers, booleans, text, ragged lists or masked values.
-        NumPy would convert such values to floats, and their meaning would be lost.
+        NumPy would convert booleans and text to floats, and their meaning would be lost.
     """
     try:
         array = np.asarray(value)
@@ -217,7 +217,7 @@ def distinct_points(points: Array) -> tuple[Array, Array, Array]:
 
     The points are returned in ascending order of their coordinates.
     Coordinates below 2^-400 are rounded down to multiples of 2^-500.
-    Otherwise squares of the distances between such points would underflow.
+    Otherwise squares of the distances between such small coordinates would underflow.
     """
     places = points
     if (tiny := points < 2.0**-400).any():

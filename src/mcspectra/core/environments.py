@@ -87,7 +87,8 @@ def environment_pixels(path: object, values: object) -> Array:
     Raises
     ------
     ParameterError
-        If both are given. If pixels have another shape, are negative, not finite or too many.
+        If both a path and values are given.
+        If pixels have another shape, are negative, are not finite, or are too many.
     FileFormatError
         If the file is missing or cannot be read.
     """

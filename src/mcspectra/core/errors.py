@@ -1,7 +1,7 @@
 """Errors and warnings. Each message says what was given, what is allowed and what to do.
 
 Every error that a user can cause derives from `McspectraError`.
-The command line prints such an error as one sentence and exits with code 2.
+The command line prints the error as one sentence and exits with code 2.
 Errors about values also derive from `ValueError` or another built-in class that fits.
 Code outside this package can therefore catch its errors by built-in classes.
 
@@ -228,11 +228,11 @@ class PreasymptoticWarning(UserWarning):
 
 
 class UndefinedRatioWarning(UserWarning):
-    """f and p are both 0 at a sample. There f/p counts as 0, although its limit may differ."""
+    """f and p are both 0 at a sample. The ratio f/p counts as 0, although its limit may differ."""
 
 
 class DamagedResultsWarning(UserWarning):
-    """Stored results of an earlier run are damaged. They are named and computed again."""
+    """Stored results of an earlier run are damaged. Damaged results are named and recomputed."""
 
 
 class OtherVersionsWarning(UserWarning):

@@ -2,8 +2,8 @@
 
 A class declares, for example, ``strength: int = whole(1, least=1, most=2)``.
 When an instance is created, `check_fields` replaces each given value by the checked value.
-The base class `mcspectra.core.spec.Component` calls `check_fields` for samplers, densities,
-integrands and similar classes.
+The base class `mcspectra.core.spec.Component` calls `check_fields`.
+Samplers, densities, integrands and similar classes derive from this base class.
 None stays None if it is the default of the field.
 """
 

@@ -13,8 +13,8 @@ Curves bend at small n because of lower-order terms.
 A fit can be limited to the largest counts, which are called its *window*.
 ``"auto"`` takes the largest window of at least three counts that passes two tests:
 no significant lack of fit (`LACK_OF_FIT`), and no significant curvature (`CURVATURE`).
-The test of curvature has one degree of freedom. χ² has more, so a small bend changes χ² little.
-Therefore the test of curvature also detects small bends.
+The test of curvature has one degree of freedom, and χ² has several.
+A small bend therefore changes χ² little, but the test of curvature detects it.
 Noise may still hide a bend in a window that passes both tests.
 Therefore the interval uses the scatter if this makes the interval wider, even for χ² below 1.
 ``"auto"`` is not the default, because it loses precision if the line is straight.

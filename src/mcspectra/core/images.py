@@ -85,7 +85,7 @@ def read_image(
         A file with one of the extensions `IMAGE_EXTENSIONS`.
 
         * PNG, JPEG: gray images have 1 channel, color images have 3. Values run from 0 to 1.
-          Alpha is dropped, and not multiplied in.
+          The alpha channel is dropped, and colors are not multiplied by it.
           For color PNG of 16 bits, Pillow reads only 8 bits. Gray PNG keeps its 16 bits.
         * EXR: the channels R, G, B of the first layer that has them.
           If no layer has R, G, B, the first channel Y is used.
@@ -386,7 +386,7 @@ class Rings:
     radius
         Central radius of each ring, in cycles per pixel.
     sizes
-        Number of frequencies in each ring. It is NaN if there are none.
+        Number of frequencies in each ring. It is NaN for a ring without frequencies.
     """
 
     def __init__(self, height: int, width: int) -> None:
@@ -409,7 +409,7 @@ class Rings:
     def sums(self, power: Array, rows: slice) -> Array:
         """Return the sums of the power (…, rows, x) over each ring, for some rows of frequencies.
 
-        The last sum is that of the frequencies outside all rings.
+        The last sum is over the frequencies outside all rings.
         """
         width = self._weight.shape[1]
         ring = self._ring.reshape(-1, width)[rows].ravel()

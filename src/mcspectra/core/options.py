@@ -133,14 +133,14 @@ class Option:
     name
         Name in Python and in study files.
     kind
-        Type with its limits, as an object of `msgspec.inspect`.
+        Type of the value, with its smallest and largest values, as `msgspec.inspect` returns it.
     default
         Default value, or `msgspec.NODEFAULT` if the option is required.
     meaning
         Description of the option in one sentence.
     extra
         Further entries of the annotation: ``flag``, ``metavar``, ``choices``, ``unit``, ``help``.
-        The entry ``help`` describes a flag if its name differs from that of the option.
+        The entry ``help`` describes a flag whose name differs from the name of the option.
     """
 
     name: str

@@ -2,8 +2,8 @@
 
 BLAS divides large sums by the number of its threads, which changes the last digits of results.
 Products here use the function `numpy.einsum` without optimization, which never calls BLAS.
-This function is four times slower than BLAS.
-That hardly matters, because analyses spend far more time on drawing points and on transforms.
+The function `einsum` is four times slower than BLAS.
+The lower speed hardly matters: analyses spend far more time on drawing points and transforms.
 Factorizations use Householder reflections. docs/decisions/0015 compares them with NumPy's.
 """
 
@@ -46,7 +46,7 @@ def gram(x: Array) -> Array:
 
 
 def orthonormal(a: Array) -> Array:
-    """Return Q of a = Q R, (D, K). Q is orthonormal, and its first k columns span those of a."""
+    """Return the orthonormal Q (D, K) of a = Q R. Its first k columns span the first k of a."""
     columns: Array = a.T.copy()
     reflectors: list[Array] = []
     for j, x in enumerate(columns):

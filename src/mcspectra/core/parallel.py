@@ -35,7 +35,7 @@ Block = tuple[int, int]
 MAX_REALIZATIONS = 10**9
 """Largest number of realizations of one analysis."""
 
-# Numbers in a block: 16 MiB of float64. That is more than any cache, and far less than all memory
+# Numbers in a block: 16 MiB of float64, more than any cache and far less than all memory
 _BLOCK_NUMBERS = 2**21
 _SLICE_NUMBERS = 2**19  # numbers in a slice: 4 MiB, which take one or two milliseconds
 

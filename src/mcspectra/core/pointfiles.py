@@ -421,7 +421,7 @@ def _sets_of_rows(
 ) -> list[Array]:
     """Convert rows to arrays, one for each set.
 
-    A row is the number of a line, and the fields of the line. If they are None, a new set begins.
+    A row is a line number and the fields of the line. If the fields are None, a new set begins.
     A run of rows may also be one array of points, with the line number of the first row.
     """
     sets: list[Array] = []

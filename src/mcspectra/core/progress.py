@@ -84,7 +84,7 @@ def _showing() -> Iterator[None]:
 
 
 def report(what: str, fraction: float) -> None:
-    """Tell the innermost listener that a `fraction` of the work `what` is done. 1 ends the work."""
+    """Tell the innermost listener which `fraction` of the work `what` is done. At 1, it ends."""
     listeners = _listeners[-1:]
     if not listeners and _somebody_waits():
         listeners = [_automatic]
@@ -96,7 +96,7 @@ def _somebody_waits() -> bool:
     """Whether this process is a notebook, IPython, or Python's prompt."""
     if hasattr(sys, "ps1"):
         return True
-    # IPython counts only if it is already imported. In a process of IPython, it always is
+    # A process of IPython has already imported IPython, so it need not be imported here
     ipython = sys.modules.get("IPython")
     get = getattr(ipython, "get_ipython", None)
     return get is not None and get() is not None
@@ -104,7 +104,7 @@ def _somebody_waits() -> bool:
 
 @final
 class ProgressBars:
-    """A listener that draws a bar for one running work, and lists all others next to the bar.
+    """A listener that draws a bar for one running work, and lists all other work next to it.
 
     Parameters
     ----------

@@ -95,7 +95,7 @@ _UNIONS = (Union, UnionType)
 
 
 def merged(left: Any, right: Any) -> Any:
-    """Return the merged state of two neighboring nodes. This may reuse the memory of `left`."""
+    """Return the merged state of two neighboring nodes. The memory of `left` may be reused."""
     own = getattr(left, "merge", None)
     if own is not None:
         return own(right)
@@ -120,7 +120,7 @@ def merged(left: Any, right: Any) -> Any:
 
 @functools.cache
 def _rules(kind: Any) -> dict[str, Any]:
-    """Return the merge rule of each field of a record. If it has its own `merge`, return None."""
+    """Return the merge rule of each field of a record. A field that holds a record has None."""
     hints = get_type_hints(kind, include_extras=True)
     rules: dict[str, Any] = {}
     for field in fields(kind):

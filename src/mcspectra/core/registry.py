@@ -33,11 +33,11 @@ class Registry(Mapping[str, str]):
     Parameters
     ----------
     kind
-        Name of the component in messages, e.g. ``"sampler"``.
+        Name of this kind of component in messages, e.g. ``"sampler"``.
     group
         Entry-point group in which other packages register ``name = "module:Class"``.
     builtin
-        Mapping from name to ``"module:Class"``.
+        Mapping from the names of built-in classes to ``"module:Class"``.
     base
         Base class of all registered classes. It is None if functions are registered instead.
     """

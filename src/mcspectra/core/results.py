@@ -353,7 +353,7 @@ def dataset(
 ) -> xr.Dataset:
     """Make a dataset of registered variables, name -> (dims, values), and provenance attributes.
 
-    Dims in `drop` have a single value, such as the channel of a scalar. They are removed.
+    Dims in `drop` have a single value, such as the channel of a scalar, and are removed.
     """
     import xarray as xr
 
@@ -375,7 +375,7 @@ def coordinate(dim: str, values: Any, meaning: str) -> tuple[str, Any, dict[str,
 
 
 def attributes_of(**provenance: Any) -> dict[str, str | int | float]:
-    """Convert attributes to types that every storage format supports. Drop those that are None.
+    """Convert attributes to types that every storage format supports. Drop attributes of None.
 
     The storable types are 64-bit numbers, strings and JSON text.
     """

@@ -5,7 +5,7 @@ The counter includes evaluations in this thread and in threads of `mcspectra.cor
 Tallies can be nested.
 The limit is checked before the function is called.
 After a call is rejected, the computation may continue: a prediction may try another method.
-Its result is discarded anyway, because at the end `EvaluationTally.check` raises an error.
+The result of the computation is discarded: in the end, `EvaluationTally.check` raises an error.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def counting(what: str | Function, most: int | None = None) -> Iterator[Evaluati
 
 
 def spend(evaluations: int) -> None:
-    """Count `evaluations` of a function before they are made.
+    """Count a number of evaluations of a function, before the evaluations are made.
 
     Raises
     ------

@@ -28,7 +28,7 @@ __all__ = [
 # Number of coefficients of a tile, a constant of the compiled kernels.
 # The size of a tile has no effect on the sums.
 # The arrays of a tile take 512 · 56 bytes = 28 KiB. A first-level cache often has 32 KiB.
-# These arrays are the complex spectrum and coefficient, the weight and two labels.
+# The arrays of a tile are the complex spectrum and coefficient, the weight and two labels.
 _TILE = 512
 
 
@@ -47,7 +47,7 @@ def band_estimates(
 
     The inputs are s (R, H) and f (C, H), which are both complex or both real.
     Further inputs are double (H,), and the number of each frequency's band and shell, int (H,).
-    The outputs are bands (R, C, A), shells (R, C, K+1) and total (H,). They must be zero initially.
+    The outputs bands (R, C, A), shells (R, C, K+1) and total (H,) must be zero initially.
     """
     for low in range(0, s.shape[1], _TILE):
         tile = slice(low, low + _TILE)

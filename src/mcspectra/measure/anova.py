@@ -152,11 +152,11 @@ class Anova(Counted, frozen=True, kw_only=True):
             return np.array_equal(one, other)
 
         def estimates(index: int) -> _Estimates:
-            """Return estimates with the axes of each subset kept and the others replaced."""
+            """Return estimates in which a subset of axes is kept and all others are replaced."""
             block = blocks[index]
             kept = e.draw(sampler, n, stream, *block)
-            # Replaced axes come from other sets of the sampler, or from random points if all its
-            # sets are equal
+            # Replaced axes come from other sets of the sampler.
+            # If all its sets are equal, replaced axes come from random points
             if same_always():
                 random = as_sampler("random", sampler.dims)
                 others = e.draw(random, n, stream.child(_UNIFORM), *block)
@@ -200,7 +200,7 @@ class Anova(Counted, frozen=True, kw_only=True):
         """Return the dataset for estimates (S, R, channels), one for each kept subset of axes.
 
         The first subset has all axes.
-        The covariance of the first estimates with those of a subset gives the share of the subset.
+        The covariance of the first estimates with the estimates of a subset gives its share.
         """
         moments, count = Moments.of(estimates[0], tails=True), estimates.shape[1]
         # Products of deviations, whose means over realizations are covariances: (S, R, channels)
@@ -467,8 +467,8 @@ def anova_variances(
 
         Effective dimensions refer to 99 % of the variance.
         ``effective_dimension_truncation`` is the number of leading axes that hold this share.
-        ``effective_dimension_superposition`` is the least s such that subsets of up to s axes
-        hold 99 %. If s exceeds `order`, the value is NaN.
+        ``effective_dimension_superposition`` is the least size s of subsets that is enough:
+        subsets of up to s axes hold 99 % of the variance. If s exceeds `order`, the value is NaN.
         ``mean_dimension`` is the mean of |u| weighted by c_u. ``variance`` is the whole variance.
 
         Standard errors of variances have names that end in ``_se``.
@@ -544,7 +544,7 @@ def anova_spectrum(
     -------
     xarray.Dataset
         ``anova_variance(subset)`` is c_u, and ``anova_variance_se(subset)`` is its standard error.
-        This error comes from the mean of 16 independent batches.
+        The standard error comes from the mean of 16 independent batches of frequencies.
         Each batch has its own frequencies and sets.
         The attribute ``power`` reports whether ⟨|S_m|²⟩ is exact.
 

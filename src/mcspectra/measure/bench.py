@@ -143,7 +143,7 @@ def sampler_bench(
     samplers
         Samplers, spec strings or arrays of points, as in `as_sampler`.
         A spec string gives one sampler for each number in `dims`.
-        Sampler objects and arrays are used only in the number of dims that they have.
+        Sampler objects and arrays are used only in their own number of dims.
         Sets that are always the same are randomized before variances are measured.
         Digital nets are randomized by Owen scrambling, and other sets by a random shift.
         Given sets are also randomized if there are fewer than 16 sets with the same count.
@@ -151,9 +151,9 @@ def sampler_bench(
     counts
         Numbers of points. Each sampler uses its allowed counts nearest to these numbers.
     dims
-        One or several numbers of dims. The integrands are built for all of them.
+        One or several numbers of dims. The integrands are built in each number of dims.
         Spectra, pair correlations, quality and speed use only the first of these numbers.
-        Projections are measured for every one of the numbers of dims.
+        Projections are measured in each of the given numbers of dims.
     realizations
         Number of realizations for each variance. The number of given sets is an upper limit.
     rng

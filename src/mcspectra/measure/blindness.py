@@ -1,8 +1,8 @@
 """Detect estimates that missed the source of their variance, and explain each in a sentence.
 
-Estimates give no upper bound of the variance in three cases: if they are all equal,
-if their mean differs from the integral,
-or if a single estimate causes most of the variance.
+Estimates give no upper bound of the variance in three cases.
+All estimates may be equal, or their mean may differ from the integral.
+A single estimate may cause most of the variance.
 `blindness` detects these estimates by the known integral, by ∫g² and by poles.
 """
 
@@ -36,8 +36,8 @@ VANISHES = "the variance vanishes to rounding"
 class BlindnessSettings:
     """Thresholds that detect estimates which missed the source of their variance."""
 
-    # If one estimate causes more than this fraction of Σ (estimate − mean)², the tail of the
-    # estimates is not resolved.
+    # Largest share of one estimate in Σ (estimate − mean)².
+    # If the share of an estimate is larger, the tail of the estimates is not resolved.
     # For 1,000 exponential numbers, the median share of the largest square is 4 %.
     # The share of the largest square exceeds 17 % in one of a thousand samples.
     # For normal numbers, the median is 1.2 %, and one sample in a thousand exceeds 2.4 %.
@@ -73,15 +73,16 @@ def blindness(
     realizations: int,
     measured: dict[str, Array],
 ) -> tuple[Array, list[str]]:
-    """Return estimates that missed the source of their variance, and explanatory sentences.
+    """Find variances whose source the estimates missed, and explain each in a sentence.
 
     Parameters
     ----------
     measured
-        Arrays (estimator, sampler, n, channel) by name. Among the names are ``realizations``,
-        ``variance`` with ``relative_se``, ``tail_index``, and ``bias`` with ``bias_se``.
+        Arrays (estimator, sampler, n, channel) by name, such as the variance and its error.
+        Other arrays are the bias with its error, the tail index and the number of realizations.
         ``largest_share`` is the largest share of one square in the variance.
-        ``resolved`` states whether the variance is resolved; ``floor`` is its rounding error.
+        ``resolved`` states whether the variance is resolved.
+        ``floor`` is the rounding error of the variance.
 
     Returns
     -------
@@ -93,7 +94,7 @@ def blindness(
 
     r = measured["realizations"]
     # Tails get lighter with more points.
-    # A tail that is heavy at n is also heavy at smaller n, even if it was not observed there
+    # A tail that is heavy at n is also heavy at smaller n, even if estimates do not show it
     heavy, unresolved = (
         np.logical_or.accumulate(found[:, :, ::-1], axis=2)[:, :, ::-1]
         for found in (measured["largest_share"] > _large_share(r), ~measured["resolved"])

@@ -13,7 +13,7 @@ If the mean has variance V, subtracting it lowers all autocovariances by V.
 
 The scatter of the chains' means is a second, independent estimate.
 Both estimates of the error are pooled by their degrees of freedom.
-If they disagree, the chains are in different parts of the distribution.
+If the two estimates disagree, the chains are in different parts of the distribution.
 The error of the mean then has no upper bound.
 """
 
@@ -46,8 +46,8 @@ class ChainSettings:
     # Least number of draws of a chain. With fewer draws the autoregression has order 2 at most.
     # The largest order of the autoregression is a quarter of the number of draws.
     least_draws: int = 10
-    # Chains are correlated if the power of the mean chain deviates by more than this.
-    # The deviation is in standard errors.
+    # Largest deviation of the power of the mean chain, in standard errors.
+    # If the deviation is larger, the chains are correlated.
     # A normal law exceeds 5 standard errors with probability 6e-7.
     # A score of 2.5 gives 2 false alarms in 475 cases.
     # A score of 10 misses all of 50 sets of chains that share a part with the weight 0.3.
@@ -80,7 +80,7 @@ class ChainSettings:
     margin: float = 2.0
     # Significance level of the test whether the last two quarters of a chain differ.
     # If the p-value is smaller than this level, the chain counts as drifting until its end.
-    # With 0.001, 4 of 50 linear drifts are reported as a burn-in.
+    # With the level 0.001, 4 of 50 linear drifts are reported as a burn-in.
     ends_alike: float = 0.05
     # Number of candidates for the length of the burn-in, equally spaced along a chain.
     # The largest fraction of a chain that may be burn-in is one half.
@@ -110,8 +110,8 @@ class ChainSettings:
     # The threshold 0.6 finds 47 of the 50 heavy tails, and the threshold 0.8 finds 25.
     heavy: float = 0.6
     # Least number of draws in a tail whose index is fitted. 20 draws give the index to about 0.3.
-    # A least tail of 10 draws gives one false alarm in 475 cases.
-    # A least tail of 20 draws gives no false alarm, and finds the same heavy tails as one of 40.
+    # With a least number of 10 draws, there is one false alarm in 475 cases.
+    # With 20 draws, there is no false alarm, and the same heavy tails are found as with 40 draws.
     least_tail: int = 20
     # Smallest allowed value of the largest |draw| of a quantity.
     # The largest allowed |draw| is 1 divided by `smallest`.
@@ -304,7 +304,7 @@ def _quantities(draws: Any) -> tuple[list[str], Array]:
 class _ChainFit:
     """An autoregression of chains with a common law, and the error of a chain's mean."""
 
-    # Coefficients of the draws, beginning with 1, whose weighted sum is white noise
+    # Weights of successive draws, beginning with 1. The weighted sum of draws is white noise
     coefficients: Array
     variance: float  # variance of a chain's mean, ∫ S F_n / n
     spread: float  # variance of a single draw
@@ -359,7 +359,7 @@ def _fitted(z: Array) -> _ChainFit:
     # Compute the error of log S(0) by the delta method.
     # The covariance of the coefficients is proportional to the inverse autocovariance matrix.
     # AIC chooses up to two unnecessary orders.
-    # To cover these, the error also counts a coefficient beyond the chosen order
+    # To cover unnecessary orders, the error counts a coefficient beyond the chosen order
     order = len(chosen) + 1
     sums = solve_toeplitz(covariance[:order], np.ones(order)).sum() * innovation
     square = (2.0 + 4.0 * max(float(sums), 0.0) / float(chosen.sum()) ** 2) / (n * chains)
@@ -394,7 +394,7 @@ def quantity_error(x: Array, w: Array, settings: ChainSettings = CHAIN_SETTINGS)
 
 
 def _burn_in(z: Array, settings: ChainSettings) -> int:
-    """Return the number of draws of each chain that depend on its start, or n if over half do.
+    """Return the number of draws of each chain that depend on its start, or n if it exceeds n/2.
 
     The mean of the first draws, over all chains, is compared with the mean of the last half.
     The errors of the two means come from the spectrum of the last half at frequency 0.
@@ -442,7 +442,7 @@ def _stationary_error(
     """Return result variables for draws (chain, draw) without a burn-in.
 
     The edges are the ends of the bands of frequency.
-    `drifts` describes a drift that the search for a burn-in found. Otherwise it is empty.
+    `drifts` describes a drift that the search for a burn-in found, or is empty without a drift.
     """
     from scipy.signal import lfilter
     from scipy.stats import chi2, f, t
@@ -472,7 +472,7 @@ def _stationary_error(
 
     # If chains move together, their error is the error of their mean chain.
     # Whiten the chains and compare the power of the mean chain with the power of all chains.
-    # For m independent chains, this ratio follows Beta(1, m − 1) at each frequency, up to scale
+    # For m independent chains, the ratio follows Beta(1, m − 1) at each frequency, up to scale
     fit = own = _fitted(z)
     series, remark = z, ""
     if chains > 1:
@@ -585,8 +585,8 @@ def _tail_index(z: Array, least: int) -> float:
     excess = excess[1:] - excess[0]
     if not excess[most // 4] > 0:
         return math.nan
-    # The Pareto law has the shape k and the scale σ. Average over a grid of b = −k/σ,
-    # weighted by the posterior distribution of b; the first quartile sets the scale of the grid
+    # Average over a grid of b = −k/σ, with the shape k and the scale σ of the Pareto law.
+    # The weights are the posterior density of b; the first quartile sets the scale of the grid
     grid = 30 + int(math.sqrt(most))
     b = 1 - np.sqrt(grid / (np.arange(grid) + 0.5))
     b = b / (3 * excess[int(most / 4 + 0.5) - 1]) + 1 / excess[-1]

@@ -12,8 +12,7 @@ After 10,000 equal estimates the error is NaN, and the precision is not reached.
 
 Estimates may miss the source of the variance.
 In this case the interval has no finite upper end, and the rate has no interval.
-The attribute ``note`` explains why
-(`mcspectra.measure.blindness`).
+The attribute ``note`` gives the reason (`mcspectra.measure.blindness`).
 """
 
 from __future__ import annotations
@@ -82,17 +81,17 @@ Precision = Annotated[float, Meta(ge=1e-4, le=1.0)]
 class StageSettings:
     """Lengths of the stages in a search for the number of realizations, and the size of blocks."""
 
-    # Realizations of the first stage.
+    # Number of realizations of the first stage of a search.
     # The kurtosis of 100 normal estimates has a standard error of √(24/100) = 0.5.
     # Results are the same for values from 50 to 200.
     first: int = 100
-    # Each stage lengthens the sample by a factor between these two limits.
+    # A stage lengthens the sample by at least the factor `step`, and at most the factor `leap`.
     # If a sample that is a quarter longer is also accurate enough, the search ends.
     # After a factor of 4 the kurtosis is twice as accurate, so the next length is better chosen.
-    # In a search for an error of 10 %, a least factor of 1.1 leads to an error of 10.3 %.
-    # In the same search, a least factor of 1.25 leads to an error of 9 %.
-    # With a least factor of 1.5, the search takes 30 % more realizations.
-    # Results are the same for values of the largest factor from 2 to 8
+    # If `step` is 1.1, a search for an error of 10 % stops too early, at an error of 10.3 %.
+    # If `step` is 1.25, the same search stops at an error of 9 %.
+    # If `step` is 1.5, the search takes 30 % more realizations.
+    # Results are the same for values of `leap` from 2 to 8
     # (`python -m benchmarks settings --stages`).
     step: float = 1.25
     leap: float = 4.0
@@ -186,7 +185,7 @@ class Convergence(Counted, frozen=True, kw_only=True):
         ])  # fmt: skip
 
         # Moments for every estimator, sampler and count.
-        # If several estimators share realizations, move their axis to the front
+        # If several estimators share realizations, move the axis of the estimators to the front
         estimators, samplers = subject.estimators, subject.samplers
         flat = [each for cell in found for each in cell]
         joint = len(cells[0].estimators) > 1
@@ -286,7 +285,7 @@ class Convergence(Counted, frozen=True, kw_only=True):
         )
 
     def part(self, subject: Subject, stream: Stream, key: str) -> Reduction[Any]:
-        """Return the estimates of consecutive realizations of a cell."""
+        """Return the estimates of consecutive realizations of one unit of work."""
         part, first, realizations = map(int, key.split("-"))
         return self._cells(subject, stream)[part].run(part, first, realizations)
 
@@ -294,7 +293,7 @@ class Convergence(Counted, frozen=True, kw_only=True):
         """Return units of work: each has a group of estimators, one sampler and one count.
 
         Estimators of one technique share the sampler's points, unless they have their own `draw`.
-        Therefore they also share realizations.
+        Estimators that share points also share realizations.
         If a precision is requested, each estimator takes as many realizations as it needs.
         """
         estimators = tuple(subject.estimators)
@@ -392,7 +391,7 @@ def convergence(
     estimator, sampler
         One estimator and one sampler, or a list of each, without duplicates.
         Samplers may be spec strings. For plain sampling, an estimator may be an integrand.
-        Its spec string, or a vectorized function of points (…, d), is also allowed.
+        An integrand's spec string, or a vectorized function of points (…, d), is also allowed.
     dims
         Number of dims of a function, or of a spec without ``dims``.
         The default is the number of dims of the sampler, unless the sampler is a spec.
@@ -431,7 +430,7 @@ def convergence(
         ``realizations_used(n)`` is the number of realizations.
         With `relative_error`, ``reached(n)`` is 1 if this error was reached.
         ``reached`` is 0 if the maximum `realizations` was reached first.
-        It is also 0 if all estimates were equal.
+        ``reached`` is also 0 if all estimates were equal.
 
         ``rate`` has the interval ``rate_ci(bound)``.
         ``fit_first_n`` is the smallest count of the fit.
@@ -441,7 +440,7 @@ def convergence(
         The note also reports estimates that missed the source of their variance.
         The estimates may be all equal, or their tails may not be resolved.
         The mean of the estimates may be five standard errors from the integral.
-        ∫g² may diverge, or show that the variance of random points is larger than measured.
+        ∫g² may be infinite, or too large for the measured variance of random points.
         Most of ∫g² may lie where no sample falls (`mcspectra.estimators.tails`).
 
         Tails are not resolved in three cases. One square may be a fifth or more of the variance.
@@ -512,7 +511,7 @@ def realizations_needed(
         ``reached`` is 1 if the last stage confirmed the error.
         ``reached`` is 0 if the maximum was reached first, or the estimates had no spread.
         ``variance`` has the interval ``variance_ci`` and the error ``variance_relative_se``.
-        This error is NaN without spread, and infinite if tails are not resolved.
+        The error is NaN if all estimates are equal, and infinite if tails are not resolved.
         The attribute ``note`` reports tails that are not resolved.
         ``skewness`` and ``kurtosis`` describe the estimates; they are 0 and 3 for normal estimates.
         ``mean`` has the standard error ``mean_se``. Several channels add a dim channel.
@@ -608,7 +607,7 @@ class MomentsCell:
         most: int,
         settings: StageSettings = STAGE_SETTINGS,
     ) -> _Search:
-        """Add realizations until the error is reached and confirmed, for one estimator."""
+        """Add realizations for one estimator until the requested error is confirmed."""
         (moments,) = yield self.run(part, 0, min(settings.first, most))
         before = False
         while True:

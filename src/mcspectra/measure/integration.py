@@ -7,12 +7,12 @@ For example, θ is large for smooth functions with scrambled nets.
 For θ near 1, more replicates are best, because they make the quantile t smaller at no cost.
 
 A quarter of the budget measures θ with eight replicates.
-These replicates are prefixes of randomized sequences. Later sets start with the same points.
+The eight replicates are prefixes of randomized sequences. Later sets start with the same points.
 
 If a profile of f is given, θ is known. All points then form one net or lattice.
-This set is divided into R runs of n points, which replace the replicates.
+The net or lattice is divided into R runs of n points, which replace the replicates.
 Each run is a net or a lattice itself.
-The value is as accurate as one set of all points allows, because the errors of runs cancel.
+The errors of the runs partly cancel: their mean is as accurate as one set of all points.
 The interval of independent replicates is therefore too wide, by the factor R^{(θ−1)/2}.
 For nets, the interval is divided by the square root of R^{(θ−1)/2}.
 For lattices, the interval is not changed, because the rates of lattices vary with n.
@@ -21,7 +21,7 @@ Two intervals are computed: one from Student's t, and one that Hall's transform 
 The result is the smallest interval that contains both intervals.
 Intervals of `mean_interval` were tested with 300 seeds at 256 calls.
 `mean_interval` contains the integral of x^−½ in 88 % of cases, and Student's t in 74 %.
-For the integral of e^(x + y), they contain it in 97 % and 96 % of cases.
+For the integral of e^(x + y), the two intervals contain it in 97 % and 96 % of cases.
 
 If f grows without bound toward a face of the cube, the errors of strata are skewed.
 Quantiles of skewed errors (`estimators/tails.py`) are used if they widen the interval.
@@ -31,8 +31,8 @@ Replicates may all miss an event whose probability in one replicate is below 1/R
 An interval from replicates that missed an event is too short [Owen2025]_.
 A rare event is, for example, a point between a cell border of a net and a nearby jump of f.
 Intervals that hold for any bounded function would need n = Θ(N^{1/(θ+1)}) [Jain2026]_.
-With so few points in a replicate, most of the budget would be spent on many replicates.
-The integral of a smooth function would have ten times the error with so many replicates.
+With this n, most of the budget would be spent on many replicates of few points.
+The integral of a smooth function would then have ten times the error.
 
 A few linear scrambles of a net cause most of the variance.
 The many remaining linear scrambles have far smaller errors.
@@ -40,7 +40,7 @@ The *median* of replicates ignores the few bad scrambles.
 For smooth f, the error of the median falls faster than any power of n ([Pan2024]_).
 An estimate is above the median with probability one half.
 Therefore order statistics bound the median for any distribution.
-Nested scrambles have no such bad sets, so their mean is better.
+Nested scrambles have no bad scrambles, so the mean of their replicates is better.
 """
 
 from __future__ import annotations
@@ -185,7 +185,7 @@ def integrate(
         An interrupted call continues when it is repeated with the same cache.
         The repeated call gives the same bits as a call without interruption.
     on_error
-        ``"raise"`` raises an error if f fails or is not finite. ``"skip"`` counts such points.
+        ``"raise"`` raises an error if f fails or is not finite. ``"skip"`` counts failed points.
         In the value, each failed point counts as the mean of the points that did not fail.
         For the interval, failed points may have any value between the least and the largest.
         The note reports the number of failed points and the first failed point.
@@ -305,7 +305,7 @@ def integrate(
         sets = sets or _sampled(calls, setup, stream, allowed, median=median)
         found = _estimated(sets, law, median=median, linear=linear)
         while allowed < calls.budget and not found.half_width <= least_width:
-            # The width of the interval falls as the root of the variance.
+            # The width of the interval is proportional to the square root of the variance.
             # If the interval is infinite, double the number of calls
             wider = min(found.half_width / least_width, 2.0**_SETTINGS.growth)
             more = wider ** (2.0 / sets.rate if sets.rate > 0.0 else 2.0)
@@ -455,7 +455,7 @@ def _in_one_set(calls: Calls, setup: Setup, stream: Stream, best: Any) -> _Repli
     if lattice:
         count -= count % least
     elif net:
-        # Half widths for R runs of a net, up to a constant factor
+        # Half widths of the 95 % interval from R runs of a net, up to a constant factor
         counts = (least << k for k in range((count // least).bit_length() - 1))
         counts = (r for r in counts if r <= _SETTINGS.most_runs)
         widths = {r: student_t(r) * r ** (0.25 * (surely - 1.0)) for r in counts}
@@ -572,7 +572,7 @@ def _with_profile(
 
     The recommended estimator is fitted to evaluations of the profile.
     The estimates have the mean ∫f, whatever estimator the profile recommends.
-    Therefore their errors are uncorrelated with the errors of the profile.
+    Therefore the errors of the estimates are uncorrelated with the errors of the profile.
     """
     low, high = profile.interval
     twice = 2.0 * low - profile.integral, 2.0 * high - profile.integral

@@ -2,21 +2,21 @@
 
 The modes are eigenvectors of Cov(y_m, y_l), with y_m = conj(f_m) S_m or y_m = S_m.
 The modes are patterns over the frequencies whose amplitudes are uncorrelated.
-The eigenvalues are the variances of the amplitudes of the modes.
+Each eigenvalue is the variance of the amplitude of one mode.
 
 The covariance matrix A is never stored.
 Randomized subspace iteration [Halko2011]_ needs only the product of A with a few vectors.
 Each product with A takes one pass over the realizations, which are drawn again every time.
 If Ω is a random matrix, the columns of A Ω approximately span the leading eigenvectors.
-Every further product with A reduces these errors.
+Every further product with A reduces the errors of this approximation.
 The results are the eigenpairs of A projected on the span of these columns (Rayleigh-Ritz).
 The distance of λ to an eigenvalue of A is at most ‖A v − λ v‖.
 The coordinates are the real and imaginary parts of the stored coefficients.
 These parts are multiplied by √2 if only one of the frequencies m and −m is stored.
 
 A is estimated from realizations. Each batch of realizations gives a variance along a mode v.
-The spread over batches gives the error of the eigenvalue λ as the variance along v.
-This error excludes the bias of choosing v for a large λ.
+The spread over batches gives the standard error of λ, which is the variance along v.
+The standard error excludes the bias that arises because v is chosen for a large λ.
 Even if all true eigenvalues are equal, the bias gives eigenvalues up to `noise_edge`.
 """
 
@@ -332,7 +332,7 @@ def covariance_modes(
     -------
     xarray.Dataset
         ``eigenvalue(mode)`` are the eigenvalues of the sample covariance, in descending order.
-        ``eigenvalue_se(mode)`` is the error of the variance along the mode, by batch means.
+        ``eigenvalue_se(mode)`` is the standard error of the variance along the mode.
 
         ``noise_edge`` is the largest expected sample eigenvalue if all true eigenvalues are equal.
         Sample eigenvalues differ unless realizations are far more numerous than coefficients.
@@ -421,7 +421,7 @@ class _Coordinates:
 
 @dataclass(frozen=True)
 class CovarianceProduct:
-    """Σ (z − z̄)(z − z̄)ᵀ V over realizations. The method `merge` joins two such sums."""
+    """Σ (z − z̄)(z − z̄)ᵀ V over realizations. The method `merge` adds more realizations."""
 
     # `count` is the number of realizations, `mean` is z̄ (D,), and `along` is Vᵀ z̄ (k,)
     count: int

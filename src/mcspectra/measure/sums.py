@@ -204,7 +204,7 @@ class SpectralSums:
         )
 
     def terms(self, partition: Partition) -> tuple[Array, Array, Array]:
-        """Return unbiased dc, power and cross terms, each (C,). Their sum is the variance of I."""
+        """Return unbiased dc, power and cross terms, each (C,). They add up to the variance."""
         f = partition.coefficients
         sums = np.zeros((len(f), 3))
         term_sums(f, self.m2, self.cov, partition.double, partition.dc, sums)
@@ -244,7 +244,7 @@ class SpectralSums:
 class RunningSpread:
     """Sums over blocks that give the standard error of a weighted mean of arrays.
 
-    Block by block there is an array x and a weight w; all x have the same shape and type.
+    Each block has an array x and a weight w; all arrays x have the same shape and type.
     For the error, the array x of each block is compared with a mean that weights blocks by w².
     If all blocks are equally long, this mean is the plain mean over blocks.
     For complex numbers the error is the root of the mean |error|².
@@ -338,8 +338,8 @@ def ratio_factors(above: Array, below: Array, share: Array) -> Array:
     The two means are weighted means of positive numbers, one per block: (B, ...).
     The interval is logarithmic, by the jackknife with Student's t [Miller1974]_.
     If the error comes mostly from few blocks, the tail is not resolved.
-    With such a tail, the interval is 1 + √(excess kurtosis / B) times as wide.
-    The skewness also widens the interval on the side of this tail.
+    With an unresolved tail, the interval is 1 + √(excess kurtosis / B) times as wide.
+    The skewness also widens the interval on the side of the unresolved tail.
     The coverage of these intervals is measured by ``python -m benchmarks coverage``.
     """
     blocks = len(share)

@@ -3,7 +3,7 @@
 E_t is the part of an estimate from technique t.
 The variance is the sum of Cov(E_t, E_s) over all pairs of techniques.
 Covariances of different techniques are 0 if their point sets are independent.
-Techniques that share points have a covariance (`mcspectra.estimators.base`).
+Techniques that share points have a nonzero covariance (`mcspectra.estimators.base`).
 Each covariance has a dc, a power and a cross term.
 The terms use the spectrum S^t and the integrand f^t of technique t instead of S and f.
 
@@ -64,8 +64,8 @@ _FINITE = ("technique_covariance", "technique_variance", "measured_variance", "m
 class TechniqueSettings:
     """Limit of memory for sums over pairs of techniques."""
 
-    # Largest number of sums Σ_r S^t conj(S^s) over realizations r. There is one sum
-    # for each pair of techniques t and s and each frequency. 2^25 complex numbers take 512 MiB.
+    # Largest number of sums Σ_r S^t conj(S^s) over realizations r: 2^25 sums take 512 MiB.
+    # There is one sum for each pair of techniques t and s and each frequency.
     most: int = 2**25
 
 
@@ -279,7 +279,7 @@ def technique_terms(
         ``bottleneck`` is the technique whose rate is significantly slower than all other rates.
         The 95 % interval of the bottleneck's rate overlaps no interval of another rate.
         If no technique is significantly slower, the value is −1 (undecided).
-        The attribute ``bottleneck`` has the name of this technique.
+        The attribute ``bottleneck`` has the name of the slowest technique.
         Techniques without variance are excluded. Several channels add a dim channel.
 
     Raises

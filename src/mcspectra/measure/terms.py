@@ -181,7 +181,7 @@ class Terms(Counted, frozen=True, kw_only=True):
             batches = totals[0].all_batches(partition)
 
             # The coordinates of m and l are frequencies in 1-D.
-            # In more dims they are an index, with the components m_0, m_1, …
+            # In more dims the coordinates are an index, with the components m_0, m_1, …
             matrix: dict[str, Any] = {}
             if self.cross_matrix and basis.dims == techniques == 1:
                 matrix = {"m": basis.axis, "l": basis.axis}
@@ -291,7 +291,7 @@ def variance_terms(
     space
         ``"domain"`` uses f with the warped, weighted points (the paper's view).
         ``"primary"`` uses g(u) with the sampler's own points.
-        This view shows discontinuities of the warp.
+        The primary view shows discontinuities of the warp.
         The default is the domain view, if there is a domain.
     bands
         One of the partitions ``"radial"``, ``"dyadic"``, ``"anova"`` and ``"wedge"``.
@@ -384,7 +384,7 @@ def _variables(total: TermSums, view: View, partition: Partition) -> Variables:
     def interval(value: Array, half: Array) -> tuple[tuple[str, ...], Array]:
         return ("channel", "bound"), np.stack([value - half, value + half], axis=-1)
 
-    # The terms, their sum, and the measured variance
+    # Add the terms, their sum, and the measured variance, with their intervals
     terms = np.stack(sums.terms(partition))
     predicted = terms[0] + terms[1] + terms[2]
     variables: Variables = {
@@ -464,7 +464,7 @@ def _predicted_ci(total: TermSums, batches: Batches) -> Array:
 def _signed(stored: Array, index: Array, flip: Array) -> Array:
     """Return ⟨S_a conj S_b⟩ for plain or conjugated a and b, from the stored blocks.
 
-    Blocks are stored with and without conj.
+    The blocks are stored with and without the complex conjugate of the second factor.
     From S_{−l} = conj S_l follows the pseudo-covariance C_{m,−l} = Cov(S_m, conj S_l).
     In primary space the coefficients of the techniques follow one another.
     """

@@ -291,7 +291,7 @@ def make_bands(bands: str | Array, basis: Basis) -> Bands:
         The bands of ``anova`` are the parts of the ANOVA decomposition.
         ``wedge`` (2-D) has a band for the constant and 12 sectors of 15° for the direction of ±m.
         For Walsh and Haar functions, m are the numbers of oscillations along the axes.
-        These numbers of oscillations are powers of two.
+        The numbers of oscillations are powers of two.
         Labels may also be an array of integers ≥ 0 with the shape of the basis.
         The labels of m and −m must be equal.
 

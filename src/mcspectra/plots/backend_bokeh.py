@@ -94,7 +94,7 @@ _SHADES = 255  # number of colors of a palette; color 0 means no value
 _KEPT_BITS = 10  # mantissa bits of values in tooltips, enough for three digits
 _PIXELS = 4 / 3  # pixels per point
 _ALONE, _WIDE, _ABREAST, _PAIR = 260, 300, 216, 260  # widths of frames in pixels
-_USUAL = 560  # assumed width in pixels of a full-width figure; gives its height
+_USUAL = 560  # assumed width of a full-width figure in pixels, from which its height follows
 _TOOLS = "pan,box_zoom,wheel_zoom,reset,save"
 
 
@@ -172,7 +172,7 @@ class Drawn:
             )  # fmt: skip
             frame.add_layout(bar, "below")
             self._bars.append(bar)
-        # Put each legend entry below the last figure that has it. A click hides its marks
+        # Put each legend entry below the last figure with this entry. A click hides its marks
         items: dict[str, Any] = {}
         for k, frame in enumerate(self._figures):
             own = {label: drawn[k] for label, drawn in entries.items() if max(drawn) == k}

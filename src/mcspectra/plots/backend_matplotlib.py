@@ -67,8 +67,8 @@ GivenAxes: TypeAlias = "Axes | Iterable[Axes] | np.ndarray[Any, Any] | None"
 FORMATS = (".svg", ".png", ".pdf", ".pgf")
 """Extensions of files that `write` accepts."""
 
-# Figure widths in inches. The three widths are for small pictures,
-# for one or two columns of panels, and for more columns or wide plots
+# Three figure widths in inches. The first is for small pictures.
+# The second is for one or two columns of panels, the third for more columns and wide plots
 _TINY, _NARROW, _WIDE = 2.35, 4.9, 7.4
 # In inches: smallest side of one of several panels, and largest side of a square panel
 _LEAST_SIDE, _LARGEST_SQUARE = 2.3, 3.4
@@ -82,7 +82,7 @@ _MOST_PGF = 1500  # largest number of dots in a PGF file: TeX runs out of memory
 # Number of colors of a PNG. Files become a third of the size, and flat colors do not change
 _COLORS = 256
 _MOST_PIXELS = 2**15  # largest side of an image in pixels: half of Matplotlib's own limit
-# Width of a legend's symbol and gaps, in letters: for a free and for a given figure width
+# Width of a legend symbol with its gaps, in letters, for a free and for a given figure width
 _HANDLE, _TIGHT_HANDLE = 7.0, 5.5
 _LINEAR = 0.45  # each side of the linear part of an axis takes half a decade
 _SIDES = {
@@ -154,7 +154,7 @@ def draw(plot: Plot, axes: GivenAxes = None, *, pyplot: bool = False, look: Look
         Whether to register a new figure in pyplot.
         Notebooks show a registered figure, and ``plt.savefig`` writes it.
     look
-        Sizes and colors. Default: those of pages.
+        Sizes and colors of the figure. The default is for figures on pages.
 
     Raises
     ------
@@ -772,7 +772,7 @@ def _legend_columns(labels: Iterable[str], width: float, look: Look) -> int:
 
 
 def _legend(figure: Figure, given: Axes | None, plot: Plot, look: Look) -> None:
-    """Draw the legend below a figure of our own, or inside axes given by the user."""
+    """Draw the legend below a new figure, or inside axes given by the user."""
     from matplotlib.collections import LineCollection, PathCollection
 
     entries = _entries(plot)

@@ -36,7 +36,7 @@ Hover: TypeAlias = Mapping[str, Sequence[str]]
 
 Dashes: TypeAlias = Literal["-", "--", ":", "-."]
 Marker: TypeAlias = Literal["o", "s", "^", "D", "v", "P", "X", "*", "|"]
-"""Shapes of `Dots`. The shape ``|`` is a vertical stroke, as long as the size."""
+"""Shapes of `Dots`. The shape ``|`` is a vertical stroke of length `size`."""
 
 
 @final
@@ -81,10 +81,10 @@ class Scale:
         Label of the color bar. A scale with an empty label and no `names` has no bar.
     kind
         In a ``names`` scale, the integer value k stands for ``names[k - low]``.
-        A legend replaces the color bar of such a scale.
+        A legend replaces the color bar of a ``names`` scale.
         A ``signed`` scale is symmetric, linear within ± `threshold` and logarithmic beyond.
     low, high
-        Values at the two ends; for a ``signed`` scale, −high and high.
+        Values at the two ends of the scale; for a ``signed`` scale, −high and high.
     ticks
         Positions and texts of the ticks on the color bar. None: the backend chooses them.
     threshold
@@ -240,7 +240,7 @@ class Pixels:
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Segments:
-    """Straight line segments. `ends` (k, 2, 2) has start and end of each, as x and y."""
+    """Straight line segments. `ends` (k, 2, 2) has the x and y of both ends of each segment."""
 
     ends: Array
     color: str
@@ -326,7 +326,7 @@ class Plot:
     columns
         Number of panels per row when printed. Narrow screens show fewer.
     caption
-        One or two sentences on the contents and how to read them.
+        One or two sentences on what the figure shows and how to read it.
     words
         Description of the contents in numbers, for screen readers.
     height

@@ -160,7 +160,7 @@ def lines_of(
     curves
         For each name: x and y, and optionally the two ends of a band.
     styles
-        Style of each name.
+        Line style of each name in the plot.
     under
         Titles of x and y in the tooltip.
     texts

@@ -85,7 +85,7 @@ def anything(group: Group, styles: Styles) -> Plot:
 
     Variables over one dim become curves of all samplers in one panel.
     Variables over two dims become maps, one panel per sampler.
-    If there are no such variables, scalars are plotted side by side.
+    Without variables over one or two dims, scalars are plotted side by side.
     """
     first, names = next(iter(group.values())), labels(list(group), 30)
     panels, said = [], []

@@ -155,7 +155,7 @@ def _without_zeros(
 
 
 def _gray(values: Array, scale: Scale, variable: str, data: xr.Dataset) -> str:
-    """Explain pixels that have no color in a map; empty if all have one."""
+    """Explain why some pixels of a map have no color. The text is empty if all have one."""
     lacking = ~np.isfinite(values)
     if scale.kind == "log":
         lacking |= values <= 0.0
@@ -295,7 +295,7 @@ def _picture(group: Group, _: Styles, *, caption: str) -> Plot:
 
 
 def worst_pixels(variance: Array) -> Array:
-    """Return the rows and columns (K, 2) of at most five pixels of largest positive variance."""
+    """Return rows and columns (K, 2) of at most five pixels with the largest positive variance."""
     order = np.argsort(np.nan_to_num(variance, nan=-1.0), axis=None, kind="stable")[::-1]
     places = np.stack(np.unravel_index(order[:_WORST], variance.shape), axis=-1)
     return np.asarray(places[variance[tuple(places.T)] > 0])
@@ -946,7 +946,7 @@ def strategy_images(images: Group, *, exposure: float = 0.0) -> Plot:
     Raises
     ------
     ParameterError
-        If `images` is not such a result, or the exposure is out of range.
+        If `images` does not come from `compare_strategies`, or the exposure is out of range.
     """
     from mcspectra.rendering.files import encode_srgb
 

@@ -76,7 +76,7 @@ class PaperStyle:
         font_size: float | None = None,
         colors: str | None = None,
     ) -> PaperStyle:
-        """Return the style for the given options. Others come from rcParams that the user changed.
+        """Return the style for the options. Missing options come from rcParams that the user set.
 
         Parameters
         ----------

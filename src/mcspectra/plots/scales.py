@@ -124,7 +124,7 @@ def signed_axis(
         ticks = {t: tick_label(t) for t in _round_steps(low, high, most - 2)}
         low = low - pad if low < 0 or low == high else low
         return Axis(label=label, low=low, high=high + pad, ticks=ticks)
-    # If an end is inside the linear part, move it to the threshold, so that values can be read
+    # If an end of the axis lies in the linear part, move it to the threshold, to show values
     low, high = (
         math.copysign(threshold, end) if _SEEN * threshold < abs(end) < threshold else end
         for end in (low, high)

@@ -85,7 +85,7 @@ _LEVEL = "expected power relative to random points (∫1/p / n); m = 0 is omitte
 def spectrum(group: Group, _: Styles, *, logarithmic: bool = False) -> Plot:
     """Plot two-dimensional power spectra on a common color scale, without the value at m = 0.
 
-    If `logarithmic` is true, the scale has three decades. Smaller powers have its lowest color.
+    If `logarithmic` is true, the scale has three decades. Smaller powers have the lowest color.
     """
     images = {name: relative_power(each) for name, each in group.items()}
     # The scale ends at 2, or at the 99th percentile if that is larger
@@ -182,7 +182,7 @@ def anisotropy(group: Group, styles: Styles) -> Plot:
     """Plot the variance of the power over directions in dB, relative to random points.
 
     If the power of random points is averaged over k sets, its variance is mean² / k.
-    This level is 0 dB, so that spectra from different numbers of sets are comparable.
+    The level of random points is 0 dB, so that results from any numbers of sets are comparable.
     """
     curves, dims = {}, 1
     for name, each in group.items():
@@ -658,7 +658,7 @@ def _power_panel(
     hover: Mapping[str, Sequence[str]],
     axis: Axis,
 ) -> Panel:
-    """Return a panel with lines of power. It is logarithmic for high peaks, or if the x axis is."""
+    """Return a panel with lines of power, logarithmic for high peaks or a logarithmic x axis."""
     every = np.concatenate([y[np.isfinite(y)] for _, y in curves.values()])
     top, low = float(every.max(initial=1.5)), float(every.min(initial=0.5))
     logarithmic = axis.kind == "log" or top > _LINEAR_TOP

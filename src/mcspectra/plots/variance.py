@@ -91,7 +91,7 @@ _LINEAR_TOP = 4.0  # largest captured share that is shown on a linear axis
 _TEXT_LINE, _TEXT_LETTER = 0.06, 0.018
 _MOST_BINS = 60  # largest number of bars of a histogram; narrower bars would not be visible
 _SMALLER = 2.1  # panels of small pictures are smaller by this factor
-_BEYOND = 100.0  # most by which the axis of ratios extends beyond the ratios, for intervals
+_BEYOND = 100.0  # largest factor by which the axis of ratios extends beyond the ratios
 _VERDICTS = {"better": "#009E73", "worse": ACCENT, "given": INK}
 BELOW_ROUNDING = "below rounding"
 """Text instead of a rate, for a curve whose variances are all at rounding level."""
@@ -158,8 +158,8 @@ def overlaid(measured: Group, predicted: Group) -> dict[str, xr.Dataset]:
     """Add the predictions of the same samplers to results of `convergence`.
 
     The plot ``convergence`` then shows the predictions and the theoretical slope as well.
-    The counts of the two results may differ. If there are several methods of prediction,
-    the most trusted method with a value at the largest n is used.
+    The counts of the two results may differ.
+    Of several methods of prediction, the most trusted with a value at the largest n is used.
     """
     both = dict(measured)
     for name in set(measured) & set(predicted):

@@ -2,7 +2,7 @@
 
 Three of the methods sum over frequencies, but only up to a half width.
 `energy_share` is the part of ∫f² at these frequencies.
-All methods give the same number if `energy_share` is 1 (docs/spectra.md).
+All methods give the same variance if `energy_share` is 1 (docs/spectra.md).
 
 The pair correlation is explained in docs/theory.md, "Pair correlation".
 Pairs of random and jittered points have a known density.
@@ -11,8 +11,8 @@ The sum over pairs has the terms A(x_i − x_k), where A is the autocorrelation 
 A is tabulated on the torus and interpolated linearly.
 
 If A were averaged over all directions of h, the result would be exact for isotropic sets only.
-For 16 points of shifted Latin hypercubes and smooth integrands, this average
-overestimates the variance by factors of 1.7 to 3.7.
+For shifted Latin hypercubes of 16 points, an average over directions is wrong:
+for smooth integrands, it overestimates the variance by factors of 1.7 to 3.7.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class CheckSettings:
     Attributes
     ----------
     most_frequencies
-        Largest number of frequencies whose covariances are summed. There are 390,625 pairs.
+        Largest number of frequencies whose covariances are summed: 625 have 390,625 pairs.
         The default limits the half width to 312 in 1-D, 12 in 2-D, 4 in 3-D and 2 in 4-D.
         In 6 dims and more there would be fewer than three frequencies along each axis.
     cells
@@ -154,7 +154,7 @@ def of_homogenized(
 
 
 def draws_power(estimator: AbstractEstimator, sampler: Sampler, n: int) -> bool:
-    """Return whether the method ``homogenized`` needs sets, drawn to measure the power.
+    """Return whether the method ``homogenized`` needs drawn sets, which measure the power.
 
     Drawn sets are needed if the method applies, but the power has no closed form.
     """
@@ -274,7 +274,7 @@ def of_pairs(
     estimator.check_independent()
     source, realizations = estimator.randomized(sampler), asked.realizations
 
-    # Check whether the law of the pairs is known, or whether they can be counted
+    # Check whether the law of the pairs is known, or whether pairs can be counted
     law = source.law(n)
     jittered = isinstance(law, Strata) and law.jittered
     exact = jittered or isinstance(law, Independent)

@@ -29,7 +29,7 @@ Strata may have a common offset. The formulas for other samplers are:
   If each point is uniform, random reflections add E[Var(g | point)]/n = (Var g − Var ḡ)/n.
 
 Quadratures of two orders must agree with each other and with ∫g and ∫g² (`blindness`).
-If they disagree, the method raises NoClosedForm.
+If the quadratures disagree, the method raises NoClosedForm.
 """
 
 from __future__ import annotations
@@ -142,7 +142,7 @@ class ExactSettings:
     # `exact` is the relative rounding error of a sum along an axis.
     rounding: float = 4e-15
     exact: float = 1e-9
-    # Largest number of cells of an axis. It matters for halton | shift at n = 1024:
+    # Largest number of cells of an axis. For halton | shift and n = 1024,
     # half as many cells change the variance by 2e-4, and twice as many by 5e-5.
     # `most_pairs` limits the time: the number of pairs of points times d is at most this number.
     most_cells: int = 2**18
@@ -153,7 +153,7 @@ class ExactSettings:
     many_nodes: int = 16
     few_nodes: int = 6
     deep: int = 14
-    # Relative error of the power beyond the last octave, which is set to the mean over the octave.
+    # Relative error of the power beyond the last octave, where the mean over that octave is used.
     # The error of the power changes the intervals of variances, but not the variances.
     white: float = 0.02
     # Rounding error of the mean of a curve h over a set, as a fraction of √∫h².
@@ -233,7 +233,7 @@ def exact_variance(
         If the variance is not known for this sampler, or the quadrature does not converge.
         Quadratures may not converge at discontinuities that are not axis-aligned.
         Such discontinuities do not matter if f has an integral in closed form.
-        If g is equal at all points of the probe, but not declared constant.
+        If g has the same value at all probe points, but is not declared constant.
     ParameterError
         If `tolerance` is not a number from 1e-12 to 1.
 
@@ -269,7 +269,7 @@ def exact_variance(
 def estimated_variance(
     estimator: AbstractEstimator | Integrand | str, sampler: Sampler | str, n: int, tolerance: float
 ) -> tuple[Array, Array]:
-    """Return `exact_variance` and a bound of its absolute error, both (channels or 1,)."""
+    """Return `exact_variance` and a bound of its absolute error, by channel."""
     subject = as_subject(estimator, sampler)
     given: AbstractEstimator = subject.estimator
     n = subject.sampler.check_count(n)
@@ -302,7 +302,7 @@ def estimated_variance(
 def of_integrand(
     law: Law, g: Integrand, tolerance: float, most: float = MOST_EVALUATIONS
 ) -> tuple[Array, Array]:
-    """Return variance and a bound of its error, (channels or 1,). It is 0 at rounding level.
+    """Return the variance and a bound of its error. A variance at rounding level is 0.
 
     The error is the difference between two orders of the quadrature.
     The error includes an estimate (`blindness`) for structures between the nodes.
@@ -346,8 +346,8 @@ def _by_cells(law: Law, g: Integrand, tolerance: float, most: float) -> tuple[Ar
     if isinstance(law, Independent):
         middle, first, second, error = moments(g)
         value = second - first**2
-        # The error of the integrals is three standard errors.
-        # Use 4.5 standard errors, because none of 1,000 functions exceeds this error
+        # The error of the integrals is stated as three standard errors.
+        # Use 4.5 standard errors instead, because none of 1,000 functions exceeds this error
         error = 1.5 * error * (1.0 + 2.0 * np.abs(first)) + 4e-15 * (second + middle**2)
         if (error > tolerance * value).any() and np.isfinite(square).all():
             mean, off = np.atleast_1d(g.integral), integral_accuracy(g)[1]
@@ -368,7 +368,7 @@ def _by_cells(law: Law, g: Integrand, tolerance: float, most: float) -> tuple[Ar
         try:
             high, unseen = _variance(law, g, Rule(times * fine, most, times * coarse))
             low = high
-            if not (cells and in_closed_form(g)):  # Closed-form moments need no order
+            if not (cells and in_closed_form(g)):  # Closed-form moments have no quadrature error
                 low, _ = _variance(law, g, Rule(times * coarse, most))
         except NoClosedForm:
             if times == 1:
@@ -570,7 +570,7 @@ def _paired(curve: PiecewiseCurve, side: int) -> PiecewiseCurve:
 
 
 def _of_projections(law: Law, inner: Fixed, g: Separable) -> tuple[float, float]:
-    """Predict a sum of functions of single axes, for a set that is scrambled or shifted.
+    """Predict the variance of a sum of functions of single axes, for scrambled or shifted sets.
 
     The variances of the projections of the set are added.
     """
@@ -626,7 +626,7 @@ def _of_projections(law: Law, inner: Fixed, g: Separable) -> tuple[float, float]
                 and n % period == 0
                 and not (places % (n // period)).any()
             ):
-                # The mean over a grid is a function of the grid's offset within one cell
+                # The mean of the curve over a grid depends on the grid's offset within one cell
                 steps = np.arange(period) / period
 
                 def mean(t: Array, curve: PiecewiseCurve = curve, steps: Array = steps) -> Array:
@@ -682,9 +682,10 @@ def _of_projections(law: Law, inner: Fixed, g: Separable) -> tuple[float, float]
 
 
 def _of_set(law: Law, g: Separable) -> tuple[float, float]:
-    """Predict a product of functions of single axes, for a set that is scrambled or shifted.
+    """Predict the variance of a product of functions of single axes.
 
-    The variance is a mean over pairs of points.
+    The set is scrambled or shifted. The variance is a mean over pairs of points.
+
     """
     n = law.n
     pairs, codes, rows = pairs_of(law, Stream.from_rng(0))
@@ -736,7 +737,7 @@ def _of_set(law: Law, g: Separable) -> tuple[float, float]:
 def _refined(fine: float, middle: float, coarse: float) -> tuple[float, float]:
     """Extrapolate to cells of width 0 from the results for widths 1, 2 and 4 (Richardson).
 
-    The second number is the error of the extrapolated value.
+    Return the extrapolated value and its error.
     """
     first, second = fine + (fine - middle) / 3.0, middle + (middle - coarse) / 3.0
     return first, abs(first - second)
@@ -746,7 +747,7 @@ def _variance(law: Law, g: Integrand, rule: Rule) -> tuple[Array, Array]:
     """Return the variance of a mean of g over a set, and a bound of its error, (channels or 1,)."""
     n, none = law.n, np.zeros(g.dims)
     match law:
-        # Folded and mirrored sets: use the inner set (before mirroring) with another integrand
+        # For folded and mirrored sets, use the set before this step, and fold or average g
         case Folded(inner=inner):
             return _variance(inner, FoldedIntegrand(g), rule)
         case Mirrored(inner=inner, mode="uniform"):
@@ -804,7 +805,7 @@ def _variance(law: Law, g: Integrand, rule: Rule) -> tuple[Array, Array]:
         spread, unseen = weighted_sum(weights, found)
         return spread / n, unseen / n
 
-    # For a grid with one random offset, compute the variance of its mean over the offset
+    # For a grid with one random offset, compute the variance over the offset of the grid's mean
     grids = (grid_values(g, sides, d).reshape(math.prod(sides), -1) for d in nodes)
     both = np.array([(v.mean(axis=0), (v**2).mean(axis=0)) for v in grids])
     one_mean, square = weighted_sum(weights, both)
@@ -829,7 +830,9 @@ def paired(g: Integrand, side: int) -> Integrand:
 
 
 def _latin(law: Law, g: Integrand, rule: Rule, *, shifted: bool) -> tuple[Array, Array]:
-    """Average over the offset of the cells. For each offset the points are uniform.
+    """Average the variance of a Latin hypercube over the offset of the cells.
+
+    For each offset, the points are uniformly distributed.
 
     If n^d cells are too many, larger cells are used, which hold a whole number of small cells.
     Inside larger cells, slabs of width 1/n resolve the parts of g that depend on single axes.
@@ -938,7 +941,7 @@ def _hadamard(values: Array, dims: int) -> Array:
 
 
 def level_variances(means: Array, bases: tuple[int, ...], axis: int = 0) -> Array:
-    """Return σ²_l of all levels up to those of the cells, from the cell means of a function.
+    """Return σ²_l of all levels that the cells resolve, from the cell means of a function.
 
     Means have shape (b_0^L_0, b_1^L_1, …, channels), where b_i is the base of axis i.
     The result has shape (L_0 + 1, L_1 + 1, …, channels).

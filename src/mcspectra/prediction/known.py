@@ -39,22 +39,22 @@ Made = TypeVar("Made")
 @final
 @dataclass(frozen=True)
 class Predicted:
-    """The variance of the mean of g over n points by one method. Arrays are (channels or 1,).
+    """The variance of the mean of g over n points by one method, with arrays by channel.
 
     Attributes
     ----------
     variance
         The predicted variance. It is positive.
     error
-        Half of its 95 % interval, for errors of quadrature, of sampled spectra and of the tail.
+        Half of the 95 % interval, for errors of quadrature, of sampled spectra and of the tail.
     how
-        Short description, such as the number of sets.
+        Short description of the computation, such as the number of point sets.
     share
         Part of ∫g² for which the method computes every term of a sum.
     tail
         Variance from the remaining part of ∫g², which `variance` includes as one estimate.
     method
-        Name of the prediction method, a key of `METHODS`.
+        Name of the prediction method, as in `METHODS`.
     poles
         Whether `error` covers poles of g that tables and points do not resolve.
     """
@@ -76,7 +76,7 @@ class Cells:
     Attributes
     ----------
     variance, low, high
-        Value and ends of its 95 % interval, (N, channels or 1). Unknown values are NaN.
+        Variance and ends of its 95 % interval, (N, channels or 1). Unknown variances are NaN.
     share, tail
         See `Predicted`.
     methods, hows, notes
@@ -125,11 +125,11 @@ class Cells:
         )
 
     def named(self, place: int = 0) -> tuple[str, str]:
-        """Return the method and the details of the prediction number `place`."""
+        """Return the method and the details of prediction number `place`."""
         return str(self.methods[place]), str(self.hows[place])
 
     def at(self, place: int) -> Cells:
-        """Return a table that holds only the prediction number `place`."""
+        """Return a table that holds only prediction number `place`."""
         return Cells(*(each[place : place + 1] for each in self._arrays()))
 
     def _arrays(self) -> tuple[Array, ...]:
@@ -151,7 +151,7 @@ class Known:
 
     @cached_property
     def g(self) -> Integrand:
-        """The integrand, cut at jumps."""
+        """The integrand, with its jumps as breaks."""
         return looked_at(self.given)
 
     @property

@@ -4,7 +4,7 @@ Nested uniform scrambling multiplies each variance σ²_l by a factor, the gain 
 The theory is in docs/theory.md, "Gains of scrambled nets".
 Here σ²_l is the variance of the part of g that varies with l_j digits of coordinate j.
 All but finitely many gains are 1.
-Gains other than 1 occur only at levels l where the cells number about n or less.
+Gains other than 1 occur only at levels l with at most about n cells.
 At these levels, Σ l_j is near log n, although not every l_j is near log n.
 A table T has the means of g over equal cells. The variance is a sum over the levels of the table,
 plus the rest ω²_T within the cells, minus a correction for levels that the table lacks:
@@ -13,13 +13,13 @@ plus the rest ω²_T within the cells, minus a correction for levels that the ta
 
 Here ω²_T is the mean variance of g within the cells of one table T.
 The σ²_l of the correction come from tables with more cells along some axes.
-These tables have the same total number of cells.
-A digital shift has weights that depend on g; see `of_moves`.
+Tables with more cells along some axes have the same total number of cells.
+For a digital shift, the weights of the energies depend on g; see `of_moves`.
 
 Cells are integrated in closed form if the moments of g over boxes are known.
 Otherwise Gauss-Legendre rules are used, which are cut at the breaks of g.
 Cells whose neighbors have very different g contain curves of jumps.
-Cells with such curves are divided into parts, and each part is integrated by itself.
+Cells with curves of jumps are divided into parts, and each part is integrated by itself.
 Integration uses a fine and a coarse rule, and the error is their difference.
 """
 
@@ -67,13 +67,13 @@ class LevelsSettings:
         Number of cells of the first table, by number of dims.
         Halving or doubling this number changes variances by less than 0.1 %, within the intervals.
     long, most_cells
-        Number of cells of a table that is longer along some axes.
-        A table has at most `long` n Π b_j cells, which resolve one digit more than n points have.
+        Largest number of cells of a table with more cells along some axes than along others.
+        The number is at most `long` n Π b_j, which resolves one digit more than n points have.
         No table has more than `most_cells` cells.
         Halving or doubling `long` or `most_cells` changes nothing.
     more
         Number of additional digits, after the digits of n, for which gains are computed.
-        In lower digits than the digits of n, the points usually differ in every coordinate.
+        With more digits than n has, two points usually differ in every coordinate.
         Results are the same for values from 1 to 6.
     orders
         Orders of the coarse and the fine Gauss-Legendre rule in each cell, by number of dims.
@@ -84,20 +84,20 @@ class LevelsSettings:
         The two changes of the variance are smaller than the intervals of predicted variances.
     most_rough, rough
         Largest number of cells that are divided, by number of dims.
-        A cell is divided only if g varies more than this multiple of the mean variation in a cell.
+        A cell is divided only if g varies in it by more than `rough` times the mean over cells.
         Halving or doubling either value changes nothing.
         A jump cuts a few hundred of 65,536 cells in 2-D, and a few thousand of 32,768 in 3-D.
     block
-        Number of evaluations per call, 16 MB in 2-D. It has no effect on the result.
+        Number of evaluations of g per call, 16 MB in 2-D. It has no effect on the result.
     clear, doubt
         Tables may miss a part of ∫g². It is added if it exceeds `clear` times the error of ∫g².
         `doubt` is the uncertainty of the gain with which the missed part of ∫g² is added.
         The missed part comes from poles inside cells, and its gain lies between 0 and about 1.
         With half of `clear`, variances have noise of 0.015 %. With twice `clear`, nothing changes.
     most_error, noise
-        If the half interval exceeds this fraction of the variance, the method raises an error.
-        In such cases, other methods have smaller relative errors, below 0.2.
-        A half interval below `noise` times ∫g² is always accepted.
+        If half of the 95 % interval exceeds this fraction of the variance, an error is raised.
+        For larger intervals, other methods have smaller relative errors, below 0.2.
+        Half of an interval is always accepted if it is below `noise` times ∫g².
         Halving or doubling either value changes nothing.
     """
 
@@ -172,7 +172,7 @@ def of_levels(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG
 
 
 def _scrambled(net: Fixed, bases: tuple[int, ...], known: Known) -> Predicted:
-    """Predict nested scrambling of a fixed set."""
+    """Predict the variance of a fixed set under nested scrambling."""
     n, dims = net.n, net.dims
     origin: Any = (0,) * dims
 
@@ -206,7 +206,7 @@ def _scrambled(net: Fixed, bases: tuple[int, ...], known: Known) -> Predicted:
         weighed = weighed + (gains[ends][..., None] * parts)[:, new].sum(axis=1)
         counted[at] = True
 
-    # If the tables have all levels with other gains than 1, the variance within cells has gain 1
+    # If the tables have every level whose gain is not 1, the variance within cells has gain 1
     assert first is not None
     parts, within, off = first
     inside = parts.reshape(len(within), -1, within.shape[1]).sum(axis=1)
@@ -222,7 +222,7 @@ def _scrambled(net: Fixed, bases: tuple[int, ...], known: Known) -> Predicted:
 
 
 def _tables(wanted: Array, bases: Sequence[int], least: int, most: int) -> Iterator[Levels]:
-    """Yield the levels of each table that is needed, as a tuple of numbers of digits by axis.
+    """Yield the levels of each needed table: the number of digits along each axis.
 
     The first table has nearly equal numbers of cells along all axes.
     Longer tables, of up to `most` cells, have the wanted levels that the first table lacks.
@@ -261,7 +261,7 @@ def _table(
     means, squares = _cell_moments(g, sides, np.zeros(g.dims), refined=whole)
 
     # At jumps, the squares of means and the variance within cells have opposite errors.
-    # These errors cancel in the sum. If cells are long, the variance within cells is not computed.
+    # The opposite errors cancel in the sum of both. In long cells, the variance is not computed.
     # Therefore the means of two rules are multiplied with each other, instead of squared.
     # The errors of the two rules are hardly correlated
     pairs = ([(0, 0), (-1, -1)] if whole else [(-1, -1), (0, -1)])[: len(means)]

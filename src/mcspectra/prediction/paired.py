@@ -22,11 +22,11 @@ If u varies along more axes, λ_u decreases with powers of 1/s.
 
 The fit of `mcspectra.prediction.subsets` adds functions of single axes and their products.
 The variance of this fit is computed without sampling.
-The variance of g minus the fit is estimated from random pairs of points,
-which share strata of two or three axes.
+The variance of g minus the fit is estimated from random pairs of points.
+The two points of a pair share strata of two or three axes.
 First, functions of single axes are subtracted from g and from the fit.
 The estimate is the mean product of g at two points, minus the mean product of the fit.
-In more than three axes, energies of g minus the fit are not estimated. They widen the interval.
+Energies of g minus the fit along more than three axes are unknown, and widen the interval.
 """
 
 from __future__ import annotations
@@ -65,11 +65,11 @@ class PairedSettings:
     pairs
         Number of pairs of points in each replicate, for each of the three entries of `_MULTIPLES`.
         Halving or doubling the numbers of pairs changes variances by less than 0.5 %.
-        This change was measured with orthogonal-array | shift in 4-D at n = 289.
+        The changes were measured with orthogonal-array | shift in 4-D at n = 289.
         The intervals are ±0.9 % for a Gaussian, ±2.1 % for a ball and ±0.5 % for a kink.
     replicates
         Number of independent scrambled nets that supply the pairs of points.
-        The spread over the nets gives the interval, with 15 degrees of freedom.
+        The spread of the energies over the nets gives the interval, with 15 degrees of freedom.
     """
 
     pairs: tuple[int, int, int] = (1 << 16, 1 << 13, 1 << 13)
@@ -111,9 +111,9 @@ def of_arrays(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG
             ("arrays", c, s, parts, at),
             functools.partial(_energies, p, c, s, parts, offsets, known),
         )
-        # n Var is the sum of three variances: of the functions of single axes, of the products in
-        # the fit, and of g minus the fit. For single axes, all profiles of g give the estimate, and
-        # separate groups of profiles give its error
+        # Add three variances: of functions of single axes, of products, and of g minus the fit.
+        # For single axes, the estimate uses all profiles of g.
+        # The error of this estimate comes from separate groups of profiles
         alone = sums.single @ np.array([1.0, 1.0 + part, 1.0 + one])
         several = _of_products(array, sums)
         beside = more @ np.array([1.0, two, both, three])
@@ -129,7 +129,7 @@ def of_arrays(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG
 
 
 def evaluations() -> float:
-    """Return the number of evaluations of g for one prediction, without those for the fit."""
+    """Return the number of evaluations of g for one prediction, except evaluations for the fit."""
     return float(2 * sum(_SETTINGS.pairs) * _SETTINGS.replicates)
 
 
@@ -193,7 +193,7 @@ class _Sums:
     means
         Means of the functions h_ri, as an array of shape (dims, products).
     covariances
-        Covariances of the functions h_ri, of their means over parts, and of those over strata.
+        Covariances of the functions h_ri, of their means over parts, and of means over strata.
         These three covariances form an array of shape (dims, 3, products, products).
     """
 
@@ -305,7 +305,7 @@ def _energies(
             cell = np.minimum(np.floor(((there - corner) % 1.0) * cells), cells - 1)
             new = np.minimum(((cell + mine) / cells + corner) % 1.0, BELOW_ONE)
             np.put_along_axis(other, which[..., None], new[..., None], -1)
-        # The first points of pairs are the same for all strata
+        # For all kinds of strata, the first points of the pairs are the same
         one, two = (
             known.once(("arrays: first", channel, k), functools.partial(left, x)),
             left(other),
@@ -319,8 +319,9 @@ def _energies(
         more[:, 1 + k] = many * (product[0] - product[1]).mean(axis=-1)
         if k == 0:
             more[:, 0] = (square[0] - square[1]).mean(axis=-1)
-    # Subtract pairs of points that were counted twice. Points in the same part of a stratum are
-    # also in the same stratum, and points that share three strata also share two strata
+    # Subtract pairs of points that were counted twice.
+    # Points in the same part of a stratum are also in the same stratum.
+    # Points that share three strata also share two strata
     more[:, 2] -= 2.0 * more[:, 1] if parts > 1 and d > 1 else 0.0
     more[:, 3] -= (d - 2) * more[:, 1] if d > 2 else 0.0
     return sums, more

@@ -8,7 +8,7 @@ The variances of independent techniques add up.
 ``auto`` tries the methods that apply.
 ``auto`` returns the first prediction with a narrow enough interval.
 If no interval is narrow enough, it returns the prediction with the narrowest interval.
-The last of these methods, ``extrapolated``, measures small sets of the sampler.
+The last method of ``auto``, ``extrapolated``, measures small sets of the sampler.
 The remaining methods check a prediction.
 """
 
@@ -128,11 +128,11 @@ class QuadratureSettings:
         Largest relative error with which a quadrature takes precedence over all other methods.
         If g jumps, intervals of other methods are at least as wide as this relative error.
         Tolerances were tested on a jump along a line with 5 samplers at n = 64.
-        In these tests, 0.003 rejects one more quadrature, and 0.03 accepts one more.
+        In these tests, the tolerance 0.003 rejects one more quadrature, and 0.03 accepts one more.
     evaluations
         Number of evaluations of g above which other methods come first.
         The default is a sixteenth of the most evaluations that `exact_variance` makes.
-        Values from 2^20 to 2^24 give the same results for the same samplers.
+        Any limit from 2^20 to 2^24 evaluations gives the same results in these tests.
     most_breaks
         Largest number of breaks of g for the quadrature of shifted strata in several dims.
         The breaks divide the range of offsets along each axis. Each interval needs its own nodes.
@@ -151,24 +151,25 @@ class AutoSettings:
     Attributes
     ----------
     moved, measured
-        Largest accepted errors of predictions by sums of products: half the width of the
-        95 % interval, divided by the variance.
-        If an interval is wider than `moved`, random offsets of the set are evaluated.
-        If an interval is wider than `measured`, realizations are measured.
+        Largest accepted errors of predictions by sums of products.
+        The error of a prediction is half of the 95 % interval, divided by the variance.
+        If the error exceeds `moved`, random offsets of the set are evaluated.
+        If the error exceeds `measured`, realizations are measured.
         8,192 offsets have a standard error of √(2/8192) = 1.6 % and intervals of 3 %.
         Extrapolated variances have intervals of about ± 20 %.
     ahead, most_ahead
         Largest additional count, as a multiple of the last requested count.
         The additional counts show the limit to which the rate tends.
         `most_ahead` is log2 of the largest additional count.
-        With strata, counts up to this limit are used, because one table serves all counts.
+        With strata, all counts up to the largest are used: one table of g serves all counts.
     loose
-        Largest half width of a 95 % interval, relative to the variance, for counts beyond the
-        requested counts. Larger intervals are not used for rates.
+        Largest half width of a 95 % interval, relative to the variance, at additional counts.
+        Additional counts with larger intervals are not used for rates.
         An error of this size changes a slope over two octaves by 0.16.
     square, coefficients, tables
-        Approximate numbers of evaluations for ∫g², for coefficients of g and for tables.
-        ∫g² takes up to `square` evaluations. Coefficients and tables take these numbers in 2-D.
+        Numbers of evaluations of g by which costs of methods are estimated.
+        Computing ∫g² takes at most `square` evaluations.
+        In 2-D, coefficients of g take about `coefficients` evaluations, and tables about `tables`.
     """
 
     moved: float = 0.03
@@ -254,7 +255,7 @@ class ExtrapolationSettings:
         Least number of realizations of a count close to n, and least total number of points.
         The number of realizations is so large that both limits are reached.
         Halving or doubling both numbers changes variances by less than 4 %,
-        which is well within their intervals of 14 to 60 %.
+        and the intervals of the variances are far wider: 14 to 60 %.
     most_factor
         Upper limit of the factor between an extrapolated variance and the end of its interval.
         Without this upper limit, the exponential of the error could overflow.
@@ -285,7 +286,7 @@ class EvaluationLimits:
     predictions
         If fewer evaluations per technique are allowed, variances are only measured, not predicted.
         Predictions need 1.2 to 13 million evaluations.
-        These numbers are for smooth functions and jumps in 1-D to 4-D with four samplers.
+        Four samplers were tested with smooth functions and jumps in 1-D to 4-D.
     sets, least_sets
         If every count has more than this number of realizations, larger counts are also measured.
         `least_sets` is the least number of realizations of any count.
@@ -299,7 +300,7 @@ class EvaluationLimits:
     probe
         Fraction of the evaluations that are spent on random points: 16,384 of 2^18.
         Random points detect integrands that grow toward the border, or have a few dominant values.
-        Variances of such integrands are not predicted.
+        If random points find growth or dominant values, variances are not predicted.
     fitted
         Number of measured counts to whose variances a line is fitted.
         Five counts leave three degrees of freedom, for which Student's t is 3.2.
@@ -482,7 +483,7 @@ class Method:
     Attributes
     ----------
     name, summary
-        Name, and short description of the computation.
+        Name of the method, and short description of its computation.
     predict
         Function that predicts the variance of the mean of g over points with a given law.
         The function predicts one technique; if it does not apply, it raises `NoClosedForm`.
@@ -519,7 +520,7 @@ class Method:
 
 
 def _mirrored(law: Law) -> bool:
-    """Return whether points are mirrored. Methods then use another g and the inner set."""
+    """Return whether points are folded or mirrored. Methods then use the set before this step."""
     return isinstance(law, Folded | Mirrored) and not law.inner.fixed
 
 
@@ -529,7 +530,7 @@ def _one_offset(law: Law) -> bool:
 
 
 def _latin(law: Law) -> bool:
-    """Return whether points are a Latin hypercube in several dims, with exact sums over axes."""
+    """Return whether points are a Latin hypercube in several dims, where axis sums are exact."""
     return isinstance(law, PairedAxes) and law.latin and law.dims > 1
 
 
@@ -959,7 +960,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
             for texts in (cells.methods, cells.hows, cells.notes)
         )
 
-        # Collect the notes. If all methods are requested, reasons are only in `how`
+        # Collect the notes. With all methods, reasons for missing values are only in `how`
         said = list(dict.fromkeys(filter(None, notes)))
         if predictor.measured is not None:
             said.append(
@@ -1063,7 +1064,7 @@ def predict(
         * ``"table"``: sets of the sampler on a table of g
         * ``"extrapolated"``: a line through variances measured at other counts
         * ``"pair-correlation"``: pairs of points, known or counted, without frequencies
-        * ``"covariance"``: Σ conj(f_m) f_l C_ml, closed-form C_ml, for at most 625 frequencies
+        * ``"covariance"``: Σ conj(f_m) f_l C_ml with closed-form C_ml, for at most 625 frequencies
         * ``"homogenized"``: Σ|f_m|² times the power, in closed form or from realizations
         * ``"terms"``: the sum of the terms of `variance_terms`
         * ``"measured"``: the sample variance of the estimates at n
@@ -1131,8 +1132,8 @@ def predict(
     f is evaluated at quadrature nodes and on grids that `predict` chooses.
     The method ``moves`` applies up to 8,192 random shifts or scrambles to a fixed set.
     Lattices with shift and nets with digital-shift use ``moves`` in 1 to 3 dims.
-    Other moved or scrambled sets use ``moves`` if sums of products predict
-    the variance less precisely than ± 3 %.
+    For other moved or scrambled sets, sums of products come first.
+    If sums of products are less precise than ± 3 %, ``moves`` is used for these sets.
     For ``moves``, nested scrambles are replaced by linear scrambles.
     Pairs of points have the same distribution in linear and nested scrambles.
 
@@ -1148,14 +1149,15 @@ def predict(
     The limit of the rate is known in theory for random points, and for jumps in up to 5 dims.
     Random points have the limit −1.
     Strata of the cube and jumps along curves have the limit −1 − 1/d.
-    For other sets it is −2 if g jumps across an axis, unless the jumps are always at cell borders.
+    For other sets the limit is −2 if g jumps across an axis, except for jumps at cell borders.
     A limit of theory is used if the last slopes are at least as steep.
 
     If theory gives no limit, the slopes over the last octaves must agree.
     The octaves extend to 4 times the last count, or to n = 2^16 for strata.
-    This extension is made only in 1 to 3 dims, and only if no sets have to be drawn.
-    If the slopes agree, the limit is a nearby exponent of theory: −1 − k/d with an integer k,
-    −2 or −3. If the slope is constant but near none of these, it is the limit itself.
+    Counts are extended only in 1 to 3 dims, and only if no sets have to be drawn.
+    If the slopes agree, the limit is a nearby exponent of theory.
+    The exponents of theory are −1 − k/d with an integer k, −2 and −3.
+    A constant slope that is near no exponent of theory is the limit itself.
     If the slopes do not agree, ``limit_rate`` is NaN and the attribute ``note`` has the last rates.
     Jumps of less than 1e-4 of g are not detected.
 
@@ -1182,7 +1184,7 @@ def knowledge(estimator: AbstractEstimator) -> list[Known]:
 
 @final
 class Predictor:
-    """Predicts one estimator at many counts. Facts about its integrands are computed once."""
+    """Predicts the variance of one estimator at many counts, with integrand facts in a cache."""
 
     def __init__(
         self,
@@ -1191,7 +1193,7 @@ class Predictor:
         measured: Mapping[str, ExtrapolationSettings] | None = None,
         limit: int = 0,
     ) -> None:
-        """Set up a predictor.
+        """Set up the predictions of an estimator.
 
         If `measured` is given, variances are measured. It maps each sampler to its settings.
         The measurements use at most `limit` evaluations.
@@ -1225,7 +1227,7 @@ class Predictor:
                     estimator, sampler, n, known[0], stream, self.measured[sampler.spec]
                 )
                 high = found.variance + found.error
-                # On a logarithmic scale, both ends are equally far from the variance
+                # On a logarithmic scale, both interval ends are equally far from the variance
                 low = found.variance**2 / high
                 if reason:
                     high = np.full_like(high, math.inf)
@@ -1367,7 +1369,7 @@ def predicted(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
 
 
 def _of_the_set_inside(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
-    """Predict the variance for the set before folding or mirroring, with another integrand.
+    """Predict the variance from the set before folding or mirroring, for a changed integrand.
 
     `mcspectra.prediction.exact` describes the integrand of the set before folding or mirroring.
     """

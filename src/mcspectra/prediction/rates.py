@@ -116,7 +116,7 @@ class JumpSettings:
         If one line in ten crosses a curve of jumps, the curve is found with probability 0.97.
         Half or twice as many lines and points find the same jumps.
     largest
-        Number of the largest steps of each line that are bisected.
+        On each line, this number of steps is bisected. The largest steps are chosen.
         A line crosses few jumps, and it suffices to find one of them on one line.
         The same jumps are found if 2 to 8 steps are bisected on each line.
     halvings
@@ -134,8 +134,8 @@ class JumpSettings:
         No feasible number of points measures such a small variance.
         Any threshold for a jump from 1e-6 to 1e-2 gives the same rates.
     border
-        A jump closer to the border of a stratum than this does not cut the stratum.
-        The value is this distance divided by the width of a stratum.
+        A jump does not cut a stratum if it is closer than this distance to the stratum's border.
+        The distance is given as a fraction of the width of a stratum.
         For n up to 2^30, rounding moves positions in strata by less than this distance.
         Any distance from 1e-8 to 1e-4 gives the same rates.
     """
@@ -185,13 +185,13 @@ class LimitSettings:
         Any threshold from 0.15 to 0.3 finds the same bends.
     most_change
         Largest candidate change of the exponent at a bend. Exponents lie between −1 and −5.
-        The same bends are found for a largest change of 4 to 8.
+        Any largest change from 4 to 8 finds the same bends.
     tried
         Numbers of candidates for the position of a bend, and for the change of the exponent.
         Over 10 octaves, candidate bends are 0.1 octaves apart. This is the accuracy of a bend.
     better
-        A curve bends if its scatter about the best bent curve is small.
-        A small scatter is below this fraction of the scatter about a straight line.
+        A curve has a bend if two power laws fit it much better than one power law.
+        The scatter about two power laws must be below this fraction of the scatter about one.
         Any fraction from 0.125 to 0.25 finds the same bends. With 0.5, one more curve bends.
     """
 
@@ -282,7 +282,7 @@ def slowest_of_jumps(g: Integrand, laws: Sequence[Law], settings: JumpSettings =
     """Return the rate that jumps of g impose on stratified sets, lattices and nets.
 
     `laws` describe the point sets of one sampler at several numbers n of points.
-    A jump along a curve cuts n^(1 − 1/d) strata with equal contributions. This gives −1 − 1/d.
+    A jump along a curve cuts n^(1 − 1/d) strata, which contribute equally: rate −1 − 1/d.
     A jump across an axis cuts one of n strata. Sets with stratified projections have the rate −2.
     A jump cuts no stratum if it lies at a border of strata for all n.
     On the torus, g may also jump at the border of the cube.
@@ -339,8 +339,8 @@ def _jumps(g: Integrand, settings: JumpSettings) -> tuple[list[tuple[int, float]
     """Return jumps of g across an axis as (axis, position), and whether g has other jumps.
 
     Jumps across an axis lie at breaks and at the border.
-    The largest steps along lines are bisected. A step that remains is a jump.
-    A step that grows is a pole.
+    The largest steps along lines are bisected.
+    A step that keeps its size under bisection is a jump, and a step that grows is a pole.
     """
     x, beside, least = probe(g.dims)[:: PROBE // settings.lines], settings.beside, settings.least
     size = math.sqrt(float(np.nanmean(np.abs(g(x)) ** 2)))
@@ -405,8 +405,8 @@ def rates_of(
 
         Limit: the theoretical bound, if it is certain and the last slope is at least as steep.
         The last slope is over the last four octaves.
-        If theory gives no certain bound, the limit in up to 3 dims is a theoretical exponent
-        close to the last slope.
+        Without a certain bound, the limit is a theoretical exponent close to the last slope.
+        Such a limit is given only in up to 3 dims.
         A limit requires that the slope hardly changes over these octaves.
         The theoretical exponents are −1 − k/d, −2 and −3.
         Here k is 0 for white power, 1 for a jump, 2 for strata and 3 for a kink.

@@ -6,7 +6,7 @@ These integrals are accurate at jumps of g, and at poles that no rule in several
 A curve h is represented by Legendre polynomials on pieces of the axis.
 Each piece is halved until the coefficients of its polynomial settle.
 The smallest pieces have width 2^-50 next to a jump or pole, and 2^-64 next to 0.
-Double precision does not resolve smaller distances.
+Double precision does not resolve smaller pieces.
 
 If a is close to ½, most of the integral of (t^-a)² at a pole comes from the smallest pieces.
 Within a distance ε of the pole, a power law gives the integrals:
@@ -52,8 +52,8 @@ class PiecewiseSettings:
     # Halving or doubling this value gives the same results.
     order: int = 16
     pieces: int = 32
-    # A piece is accurate enough if its last Legendre coefficients are below this value,
-    # divided by its largest coefficient.
+    # Largest ratio of the last Legendre coefficients of a piece to its largest coefficient.
+    # Below this ratio, the polynomial of the piece is accurate enough.
     # Halving or doubling this value gives the same results.
     settled: float = 1e-11
     # A piece that adds less than this fraction to ∫h² counts as settled.
@@ -62,7 +62,8 @@ class PiecewiseSettings:
     # A piece narrower than this contains a kink or a jump.
     # Halving or doubling this value gives the same results.
     kink: float = 2.0**-12
-    # Largest size of the last coefficients next to a kink, as a fraction of √∫h².
+    # Next to a kink, the last Legendre coefficients may be as large as this fraction of √∫h².
+    # Here h is the function of one axis that the polynomials represent.
     # Halving or doubling this value gives the same results.
     small: float = 1e-9
     # Rounding error of a node as a fraction of its coordinate: four units in the last place.
@@ -74,7 +75,7 @@ class PiecewiseSettings:
     # Halving or doubling this value gives the same results.
     least: float = 2.0**-50
     least_at_0: float = 2.0**-64
-    # Values of k. The exponent of a pole is fitted to values of g at the distances 2^-k.
+    # Numbers k of the distances 2^-k from a pole, at which g is evaluated to fit its exponent.
     # The values in `near_0` are for a pole at 0, and the values in `inside` for all other poles.
     # At distances below the smallest 2^-k, the fitted power law replaces the polynomials.
     # If 5 is added to or subtracted from all k, variances of sums with poles change by below 1e-6.
@@ -96,7 +97,7 @@ class PiecewiseSettings:
     # Number of probe points at which g is evaluated to find the largest value of a product.
     # Halving or doubling this value gives the same results.
     candidates: int = 2**10
-    # Number of points in the first test, and number of points with large values.
+    # A first test uses this number of probe points, and as many points with large values of g.
     # Halving or doubling this value gives the same results.
     lines: int = 16
     # Relative rounding error of g in the test of a sum or product.
@@ -104,7 +105,7 @@ class PiecewiseSettings:
     same: float = 1e-7
     # If g − c is tested for being a product, the constant c is a value that g takes often.
     # The fraction of probe points at which g = c must exceed `common`.
-    # For an indicator function, an example of such a constant is c = 0.
+    # For an indicator function, for example, g often takes the value c = 0.
     # Halving or doubling this value gives the same results.
     common: float = 0.1
 
@@ -121,7 +122,7 @@ class PiecewiseCurve:
     Attributes
     ----------
     mean
-        Mean of the function. The coefficients do not include it.
+        Mean of the function. The coefficients do not include the mean.
     low, high
         Ends of the pieces, (P,).
     start, width
@@ -131,7 +132,7 @@ class PiecewiseCurve:
     tails
         Both ends of the interval of each power law, and the integrals of h and h² on it, (T, 4).
     places
-        Positions of jumps, kinks and poles inside, (K,).
+        Positions of jumps, kinks and poles between 0 and 1, (K,).
     doubt
         Absolute error of ∫h².
     exponent
@@ -158,9 +159,9 @@ class PiecewiseCurve:
         return np.searchsorted(self.low, x, side="right") - 1
 
     def _values(self, piece: Array, x: Array) -> Array:
-        """Evaluate the polynomials of pieces, which broadcast with x, without the mean.
+        """Evaluate h − mean at points, on the given pieces, by Clenshaw's algorithm.
 
-        This is Clenshaw's algorithm, with few temporary arrays.
+        The pieces broadcast with x.
         """
         y = np.clip(2.0 * (x - self.start[piece]) / self.width[piece] - 1.0, -1.0, 1.0)
         c = self.coefficients
@@ -295,8 +296,8 @@ class PiecewiseCurve:
                 logs = _SETTINGS.near_0 if place == 0.0 else _SETTINGS.inside
                 at = place + way * 0.5 ** np.array(logs, float)
                 distance = np.abs(at - place)
-                # Near a pole the values are A t^-a + B. If distances t have a constant ratio,
-                # differences of successive values also have one, which gives the exponent a
+                # Near a pole the values are A t^-a + B, at distances t of constant ratio.
+                # Successive differences of values also have a constant ratio, which gives a
                 with np.errstate(all="ignore"):
                     value = np.asarray(function(at), float)
                     steps = np.diff(value)

@@ -8,10 +8,10 @@ The variance of the mean of g over the set is a mean over pairs (a, b) of points
 
     Var = (1/n²) Σ_{a,b} Σ_v C_v(a, b),    C_v = Cov(g_v(a), g_v(b)) over the randomization.
 
-On each axis, the covariance C_v depends on a single quantity, which is
-the number of common digits of a_i and b_i under nested scrambling,
-the difference of the digits of a_i and b_i under a digital shift,
-and the difference a_i − b_i on the torus under a shift.
+On each axis, the covariance C_v depends on a single quantity.
+Under nested scrambling, the quantity is the number of common digits of a_i and b_i.
+Under a digital shift, the quantity is the difference of the digits of a_i and b_i.
+Under a shift, the quantity is the difference a_i − b_i on the torus.
 
 For a subset v of one axis the sum is exact.
 For larger subsets g is fitted by a sum of products Σ_r Π_i h_ri(x_i).
@@ -32,8 +32,8 @@ All quantities come from values of g at points of this module:
 * The energy of g minus the fit, at the points of another net.
 * ∫g² as a mean over scrambled nets, with an interval from Student's t.
 
-The function g_i of axis i is the mean over profiles.
-The function g_i is taken from the fit, plus the mean difference between profiles and the fit.
+The function g_i of axis i is a mean over profiles, with the fit as a control variate:
+the mean difference between profiles of g and of the fit is added to g_i of the fit.
 
 Strata of a grid need no fit: Var = E (g(x) − g(x'))² / 2n with x and x' in the same stratum.
 In Latin hypercubes, the two points of any pair lie in different strata on each axis [Stein1987]_.
@@ -91,9 +91,9 @@ _LEAST_DIMS = 2
 _OWN = Stream.from_rng(0x5B5E75)
 """Stream of random numbers for the points of this module. Samplers never use this stream."""
 TORUS = 1 << 15
-"""Number of distinct differences on the torus, for sets that are not lattices."""
+"""Number of distinct differences of coordinates on the torus, for sets that are no lattices."""
 _GRADED = 0.25 ** np.arange(6.0, 0.0, -1.0)
-"""Additional nodes next to 0 and 1, as fractions of the first step. Warps have poles there."""
+"""Additional nodes next to 0 and 1, where warps have poles, in units of the outermost node."""
 
 
 @final
@@ -118,8 +118,8 @@ class SubsetSettings:
         Number of scrambled nets for ∫g², and number of their points.
         Halving or doubling either value changes smooth cases by less than 0.005 %.
     strata
-        Number of pairs within strata of each replicate.
-        A total of 131,072 pairs gives a half interval of 0.8 % for normal differences.
+        Number of pairs of points within strata, for each replicate.
+        A total of 131,072 pairs gives ±0.8 % for normally distributed differences.
     profile_work
         Total number of evaluations of g for the profiles along all axes.
         Halving or doubling this number changes only the variance of the ball in 4-D.
@@ -140,7 +140,7 @@ class SubsetSettings:
     rank, few_rank
         Largest number of products in many dims, and in at most `few_dims` dims.
         In few dims, only functions with jumps across axes are predicted by a sum of products.
-        More products would not resolve the jumps of such a function.
+        More products would not resolve the jumps of a function in few dims.
         The ball is predicted within ±86 % with three products, and within ±53 % with twelve.
         The results for the other integrands do not change.
     sweeps, settled
@@ -163,7 +163,7 @@ class SubsetSettings:
         The change at the node must exceed `stands_out` times the nearby changes.
         Halving or doubling this value changes only the variance of the ball in 4-D.
     halvings
-        Number of bisections of a jump. They reduce steps of 1/128 to 2^-47.
+        Number of bisections of a jump, which reduce steps of 1/128 to 2^-47.
         Values from 20 to 80 give the same results.
     shared
         A jump is shared by profiles if the mean profile has a large step.
@@ -362,7 +362,7 @@ class Curves:
         for low, high, line in self._pieces(values):
             sums = line.antiderivative()
             start, end = sums(low)[..., None], sums(high)[..., None]
-            # Ends ascend within each turn. The integral is constant before and behind the piece
+            # Integrate the piece up to each cell end. The integral is constant outside the piece
             for turn, own in ((0.0, slice(0, wrap)), (end - start, slice(wrap, None))):
                 x, out = ends[own], total[..., own]
                 first, stop = np.searchsorted(x, (low, high))
@@ -372,7 +372,7 @@ class Curves:
         return np.diff(total) * count
 
     def _pieces(self, values: Array) -> Iterator[tuple[float, float, Any]]:
-        """Yield ends and curve of each smooth piece, constant if it has fewer than two nodes."""
+        """Yield ends and curve of each smooth piece. Pieces with under two nodes are constant."""
         from scipy.interpolate import PchipInterpolator
 
         for low, high in itertools.pairwise(self.knots):
@@ -425,7 +425,7 @@ class _Pairs:
         """Return four tables from which `pair_sums` computes covariances.
 
         The tables hold the covariances of the functions g_i and of the factors of products,
-        the means of these factors, and the weights of the products.
+        They also hold the means of the factors, and the weights of the products.
         """
         singles, pairs, averages = list[Array](), list[Array](), list[Array]()
         for base, levels, curves, main, factors, offsets in zip(
@@ -727,7 +727,7 @@ def _fitted(
         missed = scale**2 * float(((values[-1] / scale - sums) ** 2).mean())
         # The energy (variance) of the fit may differ from its sample variance at the test points.
         # The difference between energy and sample variance also counts as missed energy.
-        # For g itself, such a difference is sampling error and is subtracted
+        # For g itself, the difference is sampling error and is subtracted
         curves = [w @ c for w, c in zip(weights, cells, strict=True)]  # Rows: sum, products
         averages = np.stack([c.mean(axis=1) for c in curves])
         squares = np.stack([c @ c.T / c.shape[1] for c in curves])
@@ -743,7 +743,8 @@ def _fitted(
         if missed < residual:
             best, residual = weights, missed
 
-    # Each function of one axis is that of the fit, plus the mean of the profiles minus the fit
+    # Compute the function g_i of each axis with the fit as a control variate:
+    # add the mean difference between profiles of g and profiles of the fit to g_i of the fit
     curves = [w @ b for w, b in zip(best, bases, strict=True)]
     sums, factors = [scale * f[0] for f in curves], [f[1:] for f in curves]
     factors[0] = scale * factors[0]
@@ -829,8 +830,8 @@ def pairs_of(law: Law, stream: Stream) -> tuple[_Pairs, Array, Array]:
     """Return how pairs of points are compared, the points' digits, and indices of some points.
 
     The digits have shape (sets, n, d, digits).
-    It is enough to sum over the pairs that contain one of the points with these indices.
-    Pairs with such a point have the same distribution as all pairs of points.
+    It is enough to sum over pairs that contain a point with one of the indices:
+    these pairs have the same distribution as all pairs of points.
 
     Raises
     ------
@@ -883,7 +884,7 @@ def pairs_of(law: Law, stream: Stream) -> tuple[_Pairs, Array, Array]:
 
 
 def offsets_within(side: float, by: Array, *, uniform: bool) -> tuple[tuple[float, ...], ...]:
-    """Return offsets of strata along each axis: one, or several for a uniform offset."""
+    """Return offsets of strata along each axis: one per axis, or several for a uniform offset."""
     if not uniform:
         return tuple((float(b) % side,) for b in by)
     places = (np.arange(SUBSET_SETTINGS.offsets) + 0.5) / SUBSET_SETTINGS.offsets * side

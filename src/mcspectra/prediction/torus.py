@@ -1,10 +1,10 @@
 """Variances of sets that are statistically the same after any translation of the torus.
 
-The covariance C_ml of such sets is diagonal. With the power P(m) = ⟨|S_m|²⟩,
+The covariance matrix C_ml is diagonal. With the power P(m) = ⟨|S_m|²⟩,
 
     Var = Σ_{m≠0} |g_m|² P(m) = Σ_{m in C} |g_m|² P(m) + (∫g² − I² − Σ_{m in C} |g_m|²) / n + …,
 
-where C is the set of counted frequencies. The set C has three parts. The first part is a box.
+Here C is the set of frequencies that are summed. It has three parts. The first part is a box.
 The second part, strips along the axes, holds the energy of functions that are not periodic.
 The third part, multiples of a few integer vectors, holds the energy of jumps along diagonals.
 Outside the set C, the power P tends to 1/n.
@@ -14,10 +14,10 @@ P may have a closed form. For a set that is shifted as a whole, P comes from one
 Otherwise P is the mean over drawn sets.
 
 For lattices, P is 1 on the dual lattice and 0 elsewhere.
-Only the frequencies of the dual lattice are counted, n times as many as in a box.
+Only frequencies of the dual lattice are summed, n times as many as in a box.
 The sum over all higher frequencies is extrapolated from the last octaves.
-If coefficients are not known exactly, the mean over the lattice is a function of an offset.
-The offset lies within one lattice cell. Quadrature gives the variance of this function.
+If coefficients are not known exactly, the offset of the lattice within one cell is used.
+The mean of g over the lattice is a function of this offset: quadrature gives its variance.
 
 Homogeneous sets have the symmetries of the cube.
 Averaging |g_m|² over the symmetries of the cube is equivalent to averaging P.
@@ -110,7 +110,7 @@ class TorusSettings:
     precision
         Relative error of the Fourier transforms, far below the error of the variance.
     shells
-        Number of shells of frequencies of the box. Shells grow in steps of √2.
+        Number of shells of frequencies in the box. The radii of shells grow in steps of √2.
         The power in the shells tests whether the power outside the box is white.
         The innermost shell begins at an eighth of the half width of the box.
         Half or twice as many shells change no variance. Errors change by factors of 0.5 to 3.
@@ -149,8 +149,7 @@ class DrawnSettings:
 
     Some settings are for a smooth law that is fitted to the estimated power.
 
-    The effects of the settings were measured for a smooth function in 2-D
-    with poisson-disk at n = 64.
+    Effects of settings were measured for a smooth function in 2-D, poisson-disk and n = 64.
     The predicted variance of this function has an interval of ±3.1 %.
 
     Attributes
@@ -207,7 +206,7 @@ class DrawnSettings:
 @final
 @dataclass(frozen=True, kw_only=True)
 class DualSettings:
-    """Settings for the counted frequencies of a dual lattice.
+    """Settings for the frequencies of a dual lattice that are summed.
 
     The effects of the settings were measured for a disk with rank1-lattice | shift at n = 64.
     The predicted variance of the disk has an interval of ±0.11 %.
@@ -224,7 +223,7 @@ class DualSettings:
         Largest ratio of the energies Σ |g_m|² of two successive octaves of frequency.
         The ratio of energies is one half if g jumps along curves, and less otherwise.
         A limit below one half would cut off the tail of the spectrum of a jump.
-        A limit of one would make this tail infinite.
+        A limit of one would make the tail of the spectrum infinite.
     whole
         Rounding error of n times the differences of lattice points, which are multiples of 1/n.
         Coordinates are accurate to 2^-53. The result is the same for errors from 5e-7 to 2e-6.
@@ -327,7 +326,7 @@ class Region:
         return tuple(h - l + 1 for l, h in zip(self.low, self.high, strict=True))
 
     def frequencies(self) -> Array:
-        """Return every m: int64 (F, d) in C order."""
+        """Return every frequency m of the region, int64 (F, d), in C order."""
         return _listed(self.vectors, self.low, self.high)
 
     def power_of(self, points: Array) -> Array:
@@ -370,8 +369,9 @@ class Region:
 
 
 def _energies(g: Integrand) -> tuple[Region, ...]:
-    """Return |g_m|² over all counted regions, with the box first. The value is 0 at m = 0.
+    """Return |g_m|² in all regions of summed frequencies. The first region is the box.
 
+    The value at m = 0 is 0.
     The coefficients are exact if known. Otherwise they come from two tables of g.
     """
     exact, d = g.fourier_source == "exact", g.dims
@@ -564,7 +564,7 @@ def _of_dual(points: Array, known: Known) -> Predicted:
 
 
 def of_moves(law: Law, known: Known, stream: Stream) -> Predicted:
-    """Predict the mean of g over a fixed set that is shifted or scrambled, in any dims.
+    """Predict the variance of the mean of g over a fixed set that is shifted or scrambled.
 
     The set is moved by random offsets, and g is averaged over each moved set.
     The variance of these means is the prediction. Its relative error does not depend on n.
@@ -652,7 +652,7 @@ def moves_resolve(law: Law, known: Known) -> bool:
     """Return whether `of_moves` resolves a set in 1 to 3 dims better than other methods.
 
     Random moves are better for shifted lattices if the coefficients of g are not exact.
-    Random moves are also better for base-2 nets with a digital shift, whose weights depend on g.
+    Random moves are also better for digital shifts in base 2, whose weights depend on g.
     """
     if law.dims > 3 or not moves_at_once(law):
         return False
@@ -696,8 +696,8 @@ def _drawn(
     lawful = isotropic and len(np.unique(np.rint(length[inside] ** 2 * n))) >= _DRAWN.least_lengths
     core = replace(low, energy=np.where(inside, low.energy, 0.0) if lawful else 0.0 * low.energy)
     sums, low_sum, count = [np.zeros(r.shape) for r in regions], np.zeros(low.shape), 0
-    # The variance has three parts. At some low frequencies, a smooth law describes the power.
-    # The other two parts are the remaining low frequencies and all higher frequencies
+    # Add three parts of the variance. The first is at low frequencies with a smooth power law.
+    # The other parts are at all other low frequencies, and at all higher frequencies
     values: tuple[list[Array], ...] = ([], [], [])
     while True:
         for x in (
@@ -735,7 +735,7 @@ def _drawn(
 
 @lru_cache(maxsize=32)
 def _sets(sampler: Source, n: int, stream: Stream, first: int, count: int) -> Array:
-    """Draw sets of slow samplers. They are cached for other integrands."""
+    """Draw sets of a slow sampler, which are cached for other integrands."""
     return sampler.draw_stream(n, stream, first, count)
 
 
@@ -767,7 +767,7 @@ def _power_law(
 
 
 def _cropped(box: Region, width: int) -> tuple[Region, tuple[slice, ...]]:
-    """Return the frequencies of a box within half width `width`, and their place on the grid."""
+    """Return the box's frequencies within half width `width`, and their places on the grid."""
     k = min(width, box.high[0])
     low, high = tuple(max(l, -k) for l in box.low), tuple(min(h, k) for h in box.high)
     starts = zip(low, high, box.low, strict=True)
@@ -777,7 +777,7 @@ def _cropped(box: Region, width: int) -> tuple[Region, tuple[slice, ...]]:
 
 
 def _total(regions: tuple[Region, ...], powers: list[Array]) -> Array:
-    """Return Σ |g_m|² P(m) over all regions, (channels or 1,)."""
+    """Return Σ |g_m|² P(m) over the frequencies of all regions, for each channel."""
     parts = [
         r.energy.reshape(len(r.energy), -1) @ p.reshape(-1)
         for r, p in zip(regions, powers, strict=True)
@@ -786,6 +786,6 @@ def _total(regions: tuple[Region, ...], powers: list[Array]) -> Array:
 
 
 def _listed(vectors: Array, low: Sequence[int], high: Sequence[int]) -> Array:
-    """Return all m of a region: int64 (F, d)."""
+    """Return all frequencies m of a region: int64 (F, d)."""
     axes = [np.arange(l, h + 1) for l, h in zip(low, high, strict=True)]
     return np.asarray(mesh(*axes).reshape(-1, len(axes)) @ vectors)

@@ -31,7 +31,7 @@ def unit_phases(turns: Array, real: Array, imag: Array) -> None:
 
     Turns are reduced to |t| ≤ 1/8. A Taylor series gives the phase of t/4, which is squared twice.
     The first omitted term of the series is (π/4)^17/17! = 5e-17.
-    Compilers vectorize this loop. They do not vectorize divisions or calls of sin and cos.
+    Compilers vectorize this loop, but would not vectorize divisions or calls of sin and cos.
     """
     for k in range(turns.size):
         t = turns[k]
@@ -48,7 +48,7 @@ def unit_phases(turns: Array, real: Array, imag: Array) -> None:
 
 @kernel
 def _sum(values: Array) -> float:
-    """Sum pairwise, with little rounding and with vector instructions. This overwrites `values`."""
+    """Sum `values` pairwise and in place, with little rounding and with vector instructions."""
     size = values.size
     while size > 8:
         odd = size & 1

@@ -79,7 +79,7 @@ def count_distances(
 
     coordinates (d, N) holds the n points, in ascending order of the first coordinate.
     Copies of the first points follow, moved by one along the first axis.
-    `limit` is the largest difference along the first axis.
+    `limit` is the largest difference of two points along the first axis.
     counts (4, bins + 1) holds four partial counts, to be added. The last bin has larger distances.
     """
     total = coordinates.shape[1]

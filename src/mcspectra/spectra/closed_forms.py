@@ -18,7 +18,7 @@ The transform of a grid of s points is A_s(ν) = (1/s) Σ_{j<s} exp(−2πi νj/
   For jittered, box-jitter and gaussian-jitter points, each motif is also a single point.
   Motifs of antithetic-jittered are pairs of points.
 * Sets that are the same in every realization, and grids with a common offset.
-  The coefficients S_ν of these sets are known.
+  The coefficients S_ν of fixed sets, and of grids with a given offset, are known.
 * Sets for which the joint distribution of two points is known.
   C_ml + ⟨S_m⟩ conj⟨S_l⟩ = (1/n²) Σ ⟨exp(−2πi (m·x − l·y))⟩ over all ordered pairs of points x, y.
   If x and y are the same point, the mean is the product of χ(m − l) over the axes.
@@ -26,7 +26,7 @@ The transform of a grid of s points is A_s(ν) = (1/s) Σ_{j<s} exp(−2πi νj/
   On each axis, the mean over two coordinates is one of three products:
   *free* = χ(m) conj χ(l), if the two coordinates are uniform and independent;
   *same* = A_s(m − l) χ(m/s) conj χ(l/s), if the two coordinates share one of s strata;
-  *apart* = (s *free* − *same*) / (s − 1), if they lie in different strata of the s strata.
+  *apart* = (s *free* − *same*) / (s − 1), if the two coordinates lie in different strata.
   Within strata, the two coordinates are uniform and independent.
   For determinantal sets, the joint distribution of two points is known from the kernel.
 
@@ -90,13 +90,13 @@ __all__ = [
 _SCRAMBLED_BITS = 32
 """Number of bits that scrambles permute. Lower bits are uniform and independent."""
 _MOST_PAIR_TERMS = 2**31
-"""Largest number of terms of a sum over digits and frequencies. It takes half a minute."""
+"""Largest number of terms of a sum over digits and frequencies, which takes half a minute."""
 _TERMS_AT_ONCE = 2**22
 """Number of terms held in memory at a time: 64 MB of complex numbers."""
 
 # The closed forms of importance-sampled points use the following constants.
 _BLOCK = 2**20  # number of values processed at a time
-# Largest product of the numbers of strata and frequency pairs; such a product takes minutes.
+# Largest number of strata times number of frequency pairs, which takes minutes.
 _MAX_STRATA_WORK = 2**31
 _ORDER = 16
 _CELLS = 64
@@ -125,7 +125,7 @@ def closed_form_power(
     density
         Importance density. For random points, any density is allowed.
         Jittered, latin-hypercube and grids allow densities that are products over the axes.
-        With such a density, a shift or strata-shift may follow these samplers.
+        With a product density, a shift or strata-shift may follow these samplers.
         The frequencies of shifted points must be integers.
 
     Returns
@@ -353,7 +353,7 @@ def _(law: Moved) -> SpectralMoments | None:
 
 
 def _motifs(sides: tuple[int, ...], count: int, motif: Motif) -> SpectralMoments:
-    """Return moments of `count` independent groups of points, equally many in each cell."""
+    """Return moments of S_ν for `count` independent motifs, equally many in each cell."""
     s = np.asarray(sides, float)
 
     def covariance(m: Array, other: Array) -> Array:
@@ -464,8 +464,8 @@ def _nested_pairs(law: Fixed, bases: Sequence[int], m: Array, other: Array) -> A
     """Return (1/n²) Σ over pairs of different points, after nested scrambling.
 
     Suppose that two coordinates agree in their first a digits and differ in the next digit.
-    Divide [0,1) into b^a strata, and each stratum into b parts. After scrambling,
-    both coordinates are uniform in two different parts of a random stratum [Owen1997]_.
+    Divide [0,1) into b^a strata, and each stratum into b parts.
+    Scrambled coordinates are uniform in two different parts of a random stratum [Owen1997]_.
     """
     n, levels = law.n, [_levels(law.points[:, j], b) for j, b in enumerate(bases)]
     most = max(levels)
@@ -535,7 +535,7 @@ def _place_pairs(net: Fixed, bases: Sequence[int], shifted: bool, m: Array, othe
             Function("power_spectrum"),
             ", or ask for fewer.",
         )
-    # At each place of an axis, a factor depends on the difference of two digits.
+    # At each digit place of an axis, a factor depends on the difference of two digits.
     # Each factor is an array (b, frequencies) of means for all b differences
     factors = list[list[Array]]()
     for axis, b in enumerate(bases):
@@ -556,7 +556,7 @@ def _place_pairs(net: Fixed, bases: Sequence[int], shifted: bool, m: Array, othe
         factors.append(own)
 
     total = np.zeros(len(flat), complex)
-    # Find the digits of each axis, with the highest first.
+    # Find the digits of the coordinates on each axis, with the highest digit first.
     # Rounding may have moved a coordinate from a multiple of b^-places to just below it.
     # To correct this, the small number `nudge` is added to all coordinates before reading digits.
     digits = []
@@ -621,7 +621,8 @@ def _weighted_covariance(law: Law, name: str, m: Array, other: Array, density: D
     """Return C_ml of importance-sampled points at integers m and l of the same shape (..., d)."""
     zero = np.all(m == 0, axis=-1) & np.all(other == 0, axis=-1)
 
-    # Find out whether the points are shifted, at random or by a fixed offset, and the law before
+    # Find out whether the points are shifted, at random or by a fixed offset.
+    # If they are shifted, find the law of the points before the shift
     n, offset, shifted = law.n, np.zeros(density.dims), False
     while isinstance(law, Shifted | Moved):
         if isinstance(law, Moved):
@@ -674,10 +675,10 @@ def _weighted_covariance(law: Law, name: str, m: Array, other: Array, density: D
 @final
 @dataclass(frozen=True)
 class _StrataAxis:
-    """Importance-sampled strata on one axis, or grids with several offsets on one axis.
+    """The starts t of importance-sampled strata or grids on one axis, with weights for means.
 
     A start t is the lower end of a stratum, or the offset of a grid.
-    Means over all starts use one weight for each start.
+    All means over starts use the same weights, one for each start.
     """
 
     density: Density
@@ -686,7 +687,7 @@ class _StrataAxis:
     weights: Array
 
     def mean_product(self, of: Callable[[Array], Array], m: Array, other: Array) -> Array:
-        """Return the mean of `of(m)` · conj `of(other)` over all starts, with their weights."""
+        """Return the weighted mean of `of(m)` · conj `of(other)` over all starts."""
         known, back = np.unique(np.stack([m, other]), return_inverse=True)
         row, column = back.reshape(2, -1)
         if float(self.starts.size) * max(row.size, known.size * self.sides) > _MAX_STRATA_WORK:
@@ -737,8 +738,7 @@ def _strips(m: Array, low: Array, high: Array) -> Array:
 def _all_offsets(density: Density, sides: int, length: float, highest: int) -> tuple[Array, Array]:
     """Return a quadrature rule over the start t of the strata, in [0, length).
 
-    The rule treats two kinds of starts t as breaks: those at which a stratum starts or ends at 0,
-    and those at which it starts or ends at a break of the density.
+    The range of t is split where a stratum starts or ends at 0 or at a break of the density.
     """
     breaks = np.array([0.0, *density.breaks[0]])
     ends = np.concatenate([breaks, breaks - 1.0 / sides]) % 1.0 % length
@@ -757,7 +757,10 @@ def _highest(m: Array, other: Array) -> int:
 
 
 def _factors(density: Density) -> list[Density]:
-    """Return the density of each axis. Raise an error unless it is a product of monotone warps."""
+    """Return the density of each axis.
+
+    Raise an error if the density is no product over the axes, or if a warp is not monotone.
+    """
     if density.dims == 1:
         factors = [density]
     elif isinstance(density, Linear):

@@ -99,7 +99,7 @@ def gains_at(net: Fixed, bases: Sequence[int], levels: int) -> Array:
 
     The kernel counts pairs of points whose leading digits agree, for each number of digits.
     The gains are weighted differences of the numbers of pairs at successive levels of an axis.
-    Exceptions are the same as those of `gain_coefficients`.
+    The function raises the same errors as `gain_coefficients`.
     """
     gains = net.agreements(bases, levels)
     for axis, base in enumerate(bases):
@@ -162,7 +162,7 @@ def closed_form_walsh_power(sampler: Sampler | str, n: int, indices: Any) -> Arr
     Returns
     -------
     ndarray
-        float64 (...). With digital-shift it is 1 on the dual net and 0 elsewhere; with owen, Γ/n.
+        float64 (...). With digital-shift, the power is 1 on the dual net, else 0; with owen, Γ/n.
 
     Raises
     ------

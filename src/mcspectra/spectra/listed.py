@@ -1,4 +1,4 @@
-"""Expected power at listed frequencies. They may be real or integer, in any number of dims.
+"""Expected power at listed frequencies, which may be real or integer, in any number of dims.
 
 Grids of frequencies are limited to a few dims; lists are not.
 A list can be a slice along an axis, or a plane of two axes (the spectrum of a projection).
@@ -78,7 +78,7 @@ _MAX_FACTORS = 4096
 """Largest number of factors in a table. The table takes 4 KiB per factor."""
 
 MAX_LISTED = 2**27
-"""Largest number of coordinates (F times d) in a list of frequencies. This is 1 GiB."""
+"""Largest number of coordinates (F times d) in a list of frequencies, which take 1 GiB."""
 
 
 def power_at(
@@ -291,7 +291,7 @@ def plane_frequencies(
 ) -> Array:
     """Return frequencies step · {−half_width … half_width} on some axes, 0 elsewhere, in C order.
 
-    For two axes, the power there is the spectrum of the set's projection onto these axes.
+    For two axes, the power at these frequencies is the spectrum of a projection of the set.
 
     Examples
     --------
@@ -306,7 +306,7 @@ def subset_frequencies(
 ) -> Array:
     """Return frequencies up to the half width that are nonzero on exactly the given axes.
 
-    There are (2 half_width)^|axes| such frequencies. They belong to the ANOVA term of the axes.
+    These (2 half_width)^|axes| frequencies belong to the ANOVA term of the axes.
 
     Examples
     --------

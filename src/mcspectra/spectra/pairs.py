@@ -72,7 +72,7 @@ def pair_correlation(
         ``pair_correlation`` and its standard error ``pair_correlation_se``, on dim r (bin centers).
         ``pair_correlation_ci`` is a 95 % interval from Student's t of the logarithm of g.
         The interval is 0 to 0 if a bin has no pairs.
-        If the sampler has fewer different sets than realizations, only the sets are independent.
+        If the sampler has fewer different sets than realizations, some realizations reuse a set.
         If sets are reused, errors and Student's t are computed with the number of independent sets.
 
     Notes
@@ -80,7 +80,7 @@ def pair_correlation(
     On the torus, g = pairs in a shell / (n(n−1)/2 · volume of the shell).
     With the border correction, g = ordered pairs / (n(n−1) · volume of the shell · (1−2r)^d).
     In this formula, (1−2r)^d is the volume of the region in which the first point may lie.
-    This estimate is unbiased if the set is stationary.
+    The estimate with the border correction is unbiased if the set is stationary.
     Only points whose first coordinates differ by less than max_distance are compared.
     The cost is O(n log n + n² max_distance) per realization.
     """

@@ -4,7 +4,7 @@ For each realization, power is summed by frequency, and over rings and wedges of
 Frequencies of one set are not independent:
 with a density, random changes of the weights affect all frequencies.
 Means over many frequencies are therefore also summed for each realization.
-The spread of such means over realizations gives the standard errors.
+The spread of the means over realizations gives their standard errors.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ def power_spectrum(
     realizations
         Number of realizations for the average. Standard errors need at least 2.
     mean
-        Whether to also return the complex mean ⟨S_m⟩. Without bias, it is 0 at integer m ≠ 0.
+        Whether to also return the complex mean ⟨S_m⟩. For unbiased sets, it is 0 at integer m ≠ 0.
     wedges
         In two dims, the number of directions for which mean power is returned, at most 360.
     rng
@@ -125,7 +125,7 @@ def power_spectrum(
         ``radial_power_ci`` is a 95 % interval from Student's t of the logarithm of power:
         power · exp(±t se/power), where t has realizations − 1 degrees of freedom.
         The attribute ``student_t`` is the factor t, which applies to ``power_se`` as well.
-        If the sampler has fewer different sets than realizations, only the sets are independent.
+        If the sampler has fewer different sets than realizations, some realizations reuse a set.
         If sets are reused, errors and Student's t are computed with the number of sets.
 
         In two dims there are also ``wedge_power``, its standard error and interval (`wedge_means`).
@@ -247,8 +247,8 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
                 return double, None
             points, weights = weighted_points(source, p, self.n, stream, (0, 2))
             exact = _powers(double, points, weights)
-            # Estimate the standard deviation of the power from two realizations. For a power
-            # with an exponential distribution, it is the mean absolute difference of two powers
+            # Estimate the standard deviation of the power from two realizations.
+            # For an exponential distribution, it is the mean absolute difference of two powers
             spread = polar.rings(np.abs(exact[0] - exact[1])) / self.realizations**0.5
             for single in singles:
                 error = polar.rings(np.abs(_powers(single, points, weights) - exact).mean(axis=0))
@@ -405,7 +405,7 @@ def _pictures(estimator: Any, density: Density | None) -> dict[str, tuple[tuple[
 
 
 def _warped(subject: Subject) -> tuple[Sampler, Density | None]:
-    """Return the sampler and its density, which is that of `subject` or of its estimator."""
+    """Return the sampler and the density. The density is that of `subject` or of its estimator."""
     given = subject.density
     if given is None:
         given = getattr(subject.estimator, "density", None)
@@ -478,7 +478,7 @@ class PowerSums:
 @final
 @dataclass
 class _SpectrumSums:
-    """Sums by frequency, and sums over rings and wedges of the mean power."""
+    """Sums of power by frequency, and sums of mean power over rings and wedges."""
 
     frequencies: PowerSums
     polar: MeanSums
@@ -528,7 +528,7 @@ class _PolarMeans:
         )
 
     def add(self, sums: MeanSums, power: Array) -> None:
-        """Add mean powers of rings and wedges, from sums by label (sets, …). Empty ones are NaN."""
+        """Add mean powers of rings and wedges, from sums by label. The mean of none is NaN."""
         for own in power[:, :-1].reshape(-1, *self.cells.shape):
             with np.errstate(invalid="ignore"):
                 rings = own.sum(axis=1) / self.cells.sum(axis=1)
@@ -539,7 +539,10 @@ class _PolarMeans:
 
 
 def wedge_labels(index: Array, wedges: int) -> Array:
-    """Return the wedge of each index (H, 2), in a half turn. Wedge 0 is centered on the axis m0."""
+    """Return the number of the wedge (range of directions) of each index, (H, 2).
+
+    The wedges divide half a turn. Wedge 0 is centered on the axis m0.
+    """
     turn = np.arctan2(index[:, 1], index[:, 0]) / np.pi
     return np.asarray(np.floor(turn * wedges + 0.5).astype(np.int64) % wedges)
 

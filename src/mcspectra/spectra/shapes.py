@@ -51,7 +51,7 @@ _LEVEL = 0.95
 # The unit is the squared mean power. For jittered points this variance is 0.001.
 _ISOTROPIC = 0.1
 _CLASS_WEDGES = 8
-# Misfit of one line for all directions, as χ² per degree of freedom.
+# Misfit of a single line that is fitted to all directions, as χ² per degree of freedom.
 # If the misfit is larger than this, each class of directions is fitted separately.
 _SUSPECT = 3.0
 _SAME = 1e-7  # relative standard errors of power that come from rounding alone
@@ -64,7 +64,7 @@ _SINGLE_ROUNDING = 1e-7
 @final
 @dataclass(frozen=True)
 class _HalfSpectrum:
-    """Half of a spectrum, without ν = 0. Of each pair ν, −ν it has one frequency."""
+    """Half of a spectrum, without ν = 0: one frequency of each pair ν, −ν."""
 
     index: Array  # ν / step, int64 (H, d)
     power: Array  # (H,)
@@ -111,7 +111,7 @@ class _HalfSpectrum:
         return np.asarray(np.linalg.norm(self.index, axis=1))
 
     def mean_by(self, label: Array, size: int) -> tuple[Array, Array, Array]:
-        """Return mean power, its standard error and the count for each label, except −1."""
+        """Return mean power, standard error and number of frequencies for each label from 0 on."""
         used = label >= 0
         count = np.bincount(label[used], minlength=size)
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -185,7 +185,7 @@ def slices(spectrum: xr.Dataset) -> xr.Dataset:
     -------
     xarray.Dataset
         ``slice_power`` and its standard error ``slice_power_se``, on the dims slice and multiple.
-        This is the power at ν = multiple · frequency step · direction.
+        The slice power is the power at ν = multiple · frequency step · direction.
         Each slice is labeled by its direction, such as (1, -1). The axes come first.
         The coordinate ``slice_radius`` is |ν|. There are 1, 4, 13 or 40 slices in 1 to 4 dims.
     """
@@ -219,7 +219,9 @@ def slices(spectrum: xr.Dataset) -> xr.Dataset:
 
 
 def wedge_means(spectrum: xr.Dataset, wedges: int = 12) -> xr.Dataset:
-    """Return the mean power by direction, for wedges of a 2-D spectrum within the half width.
+    """Return the mean power of a 2-D spectrum by direction, in wedges of frequencies.
+
+    Only frequencies whose length is at most the half width of the spectrum are used.
 
     Parameters
     ----------
@@ -284,11 +286,11 @@ def low_frequency_exponent(
     xarray.Dataset
         ``low_frequency_exponent``, and its 95 % interval, whose ends are on the dim ``bound``.
         ``exponent_fit_chi2`` measures how badly the line fits, as χ² per degree of freedom.
-        If this χ² exceeds 1, the interval is widened by √χ².
+        If the χ² of the fit exceeds 1, the interval is widened by √χ².
         The attributes ``up_to``, ``lengths`` and ``directions`` describe the fit.
         The attribute ``reason`` explains why the exponent is NaN or unresolved.
         The exponent is NaN if some lengths |ν| have no power, as for a lattice.
-        It is also NaN if all realizations have the same power, or if this χ² exceeds 10.
+        The exponent is also NaN if all realizations have the same power, or if χ² exceeds 10.
         The exponent is unresolved if its interval is wider than ±0.5.
 
     Raises
@@ -326,7 +328,7 @@ def low_frequency_exponent(
         bessel = 1.0 / (1.0 - 1.0 / float(half.attrs.get("realizations", math.inf)))
         half = replace(half, power=np.maximum(half.power - np.abs(mean) ** 2, 0.0) * bessel)
 
-    # Label the frequencies by length, in ascending order. Excluded ones get the label −1
+    # Label the frequencies by length, in ascending order. Excluded frequencies have label −1
     square = (half.index**2).sum(axis=1)
     wanted = square <= grid.half_width**2
     if axis is not None:
@@ -353,7 +355,8 @@ def low_frequency_exponent(
     lengths = lengths[lengths <= window * (1 + 1e-9)]
     label[label >= len(lengths)] = -1
 
-    # Fit the power at the lengths |ν|. If it is only rounding at some length, there is no power law
+    # Fit the power at the lengths |ν|.
+    # If the power at some length is only rounding, there is no power law
     power, se, _ = half.mean_by(label, len(lengths))
     if np.isnan(se).any():
         raise ParameterError(
@@ -524,7 +527,7 @@ def variance_from_spectrum(spectrum: xr.Dataset, coefficients: Any) -> float:
             f"coefficients have shape {f.shape} and type {f.dtype}; give finite numbers of shape "
             f"{grid.shape}, one for each frequency."
         )
-    # Warn if the points are not stationary. The spec of given points does not show whether they are
+    # Warn if the points are not stationary. Specs of given points do not show stationarity
     # Between the integers, the returned sum is not the variance (see Returns)
     try:
         source = None if spec is None else as_sampler(spec, grid.dims)

@@ -25,7 +25,7 @@ Engines
     It is the reference for tests, and the faster engine if there are few points.
 ``auto``
     NUFFT, with three exceptions.
-    If n M < 4000, the direct engine is used: it is about a microsecond faster than a plan call.
+    If n M < 4000, the direct engine is used: it is about a microsecond faster than FINUFFT.
     The direct engine is also used for fewer than about 1000 points in four dims, and beyond four.
 
 Real weights imply S_{−m} = conj S_m, so results cover only *half* of the grid:
@@ -346,7 +346,7 @@ class Transform:
         return self._execute(strengths, self._local.out)
 
     def _slabs(self, points: Array, strengths: Array) -> Array:
-        """Transform in four dims. For each m0 ≤ 0, apply its phases and transform three axes."""
+        """Transform a set in four dims. For each m0 ≤ 0, apply phases and transform three axes."""
         grid = self.grid
         self._set_points(points[:, 1:])
         out = np.empty((grid.half_width + 1, *grid.shape[1:]), np.complex128)
@@ -470,7 +470,7 @@ class Transform:
 
 
 def given_or_equal(weights: Array | None, points: Array) -> Array:
-    """Return the weights (R, n) of points (R, n, d). If none are given, they are 1/n."""
+    """Return the weights (R, n) of points (R, n, d). Without given weights, return 1/n."""
     return np.broadcast_to(1.0 / points.shape[1], points.shape[:2]) if weights is None else weights
 
 
