@@ -1,4 +1,4 @@
-"""Numba kernels that relax points by their cells or neighbors; arguments are not checked.
+"""Numba kernels that move points by their Voronoi cells or neighbors; arguments are not checked.
 
 Farthest points: the center of a largest empty disk is a corner of a Voronoi cell.
 Each cell starts as the square bounded by the bisectors between a point and its own images.
@@ -18,10 +18,11 @@ No more sites are taken when the remaining sites are too far away to cut the cel
 
 Notation for power diagrams: n sites in 2 dims; points (n, 2) in [0,1), weights w (n,).
 The array sites (n, 3) holds points and weights in the order of the grid.
-A cell (K, 4) is a counterclockwise polygon relative to its site. Each row describes a corner.
+A cell (K, 4) is a counterclockwise polygon relative to its site. Each row describes a corner,
+and the edge from this corner to the next one.
 The first two numbers of the row are x and y of the corner.
-The third is the distance of the site beyond the edge to the next corner.
-The fourth is the index of this site (−1 for an image of the cell's own site).
+The third number is the distance between the site and the neighbor site across the edge.
+The fourth number is the index of this neighbor (−1 for an image of the cell's own site).
 While a cell is cut, the array `spare` (K, 4) holds a copy of its corners.
 
 Gaussian blue noise: the energy of all pairs of points, and the gradient of the energy.
@@ -352,7 +353,8 @@ def _divide(x: Array, diagonal: Array, out: Array) -> float:
 
 @kernel
 def _solve(diagram: Diagram, rest: Array) -> tuple[Array, int]:
-    # Return the change of weights that changes the areas by `rest` (overwritten), and the work.
+    # Return the change of weights that changes the areas by `rest`, and the work done.
+    # `rest` is overwritten.
     # The method is conjugate gradients for the Laplacian L of the neighbor graph with couplings.
     n = rest.size
     change, direction, image, diagonal = np.zeros(n), np.empty(n), np.empty(n), np.zeros(n)
@@ -404,7 +406,7 @@ def balance(
     steps: int,
     most_work: int = _UNLIMITED,
 ) -> Any:
-    """Return weights whose cells have areas `masses`, and their power diagram.
+    """Return weights for which the cells have areas `masses`, and the power diagram.
 
     Newton's method starts at `weights`, or at weights of 0 if `weights` leave a cell empty.
     The steps end after a given number, or when all areas are right within the tolerance.
@@ -481,7 +483,7 @@ def _add_cell_pair(
 def near_energy(points: Array, cells: Array, offsets: Array, sigma: float, force: Array) -> float:
     """Return the energy of pairs of points (n, 3) up to 6 σ apart; unused dims are zeros.
 
-    `offsets` (K, 3) are steps from a cell to its neighbors. The first step is zero.
+    `offsets` (K, 3) are the steps from a cell to its neighbor cells. The first step is zero.
     Of two opposite steps, only one is listed, so each pair of cells is visited once.
     Steps may go around the torus several times, so that all periodic images of a point count.
     """

@@ -51,7 +51,7 @@ _S11, _S21, _S32, _S43 = np.uint64(11), np.uint64(21), np.uint64(32), np.uint64(
 _S34 = np.uint64(34)
 _LOW32 = np.uint64(0xFFFFFFFF)
 _TO_53, _UNIT_53, _TO_32 = 2.0**53, 2.0**-53, 2.0**32
-_WORDS = 512  # number of words per block: 4 kB
+_WORDS = 512  # words in a block that is scrambled at once: 4 kB
 _TABLE = 1024  # number of entries in a table of digit groups: 8 kB
 _USED_UP = 2**32
 _LEAST, _FINEST = 2.0**32, 2.0**50
@@ -151,7 +151,7 @@ def _reversed(word: Any) -> Any:
 def _hashed(word: Any, add: Any, factor: Any, add_2: Any, factor_2: Any) -> Any:
     # Hash a reversed word so that every bit depends only on the bits below.
     # In the XOR of x and an even multiple of x, every bit depends only on the bits below.
-    # The same is true of the product (x + summand) · (odd factor). All numbers are uint32.
+    # The product (x + summand) · (odd factor) also has this property. All numbers are uint32.
     x = np.uint32(word)
     x = np.uint32(x ^ np.uint32(x * np.uint32(0x3D20ADEA)))
     x = np.uint32(np.uint32(x + add) * factor)
@@ -272,7 +272,7 @@ def _read(x: float, scale: float, nudge: float) -> Any:
 
 @kernel
 def _middle(tail: float, unit: float) -> Any:
-    # Return the middle of an interval of length `unit` = 2^-k: the one that contains `tail`.
+    # Return the middle of the interval of length `unit` = 2^-k that contains `tail`.
     return (np.floor(tail / unit) + 0.5) * unit
 
 
@@ -453,11 +453,12 @@ def fill_nested(keys: Array, bases: Array, out: Array) -> None:
 @kernel
 def _image(k0: np.uint64, k1: np.uint64, node: Any, digit: int, base: int) -> int:
     # Return the image of a digit under the random permutation of a node.
-    # The Fisher-Yates algorithm permutes all digits by swaps; follow the given digit only.
+    # The Fisher-Yates algorithm permutes all digits by swaps.
+    # Here only the given digit is followed through the swaps.
     # A random number below c is the upper word of the product of c and 64 random bits.
     # The lower word of the product serves as the random bits of the next number.
-    # After each c, fewer of the 64 bits are random. New bits replace them before the product
-    # of the numbers c exceeds 2^32.
+    # With each number c, fewer of the 64 bits stay random.
+    # New bits replace them before the product of the numbers c exceeds 2^32.
     position, used, drawn = digit, 1, 0
     bits = mix_bits(k0, k1, node)
     for t in range(base - 1):

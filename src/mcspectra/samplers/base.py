@@ -412,7 +412,7 @@ class Randomized(Sampler):
     base: Sampler
     steps: tuple[Randomization, ...]
     _inner: ClassVar[Sampler]
-    """The sampler that the last step is applied to."""
+    """The sampler to which the last randomization of the chain is applied."""
 
     def __post_init__(self) -> None:
         # Derive the declared properties from the inner sampler and the last randomization
@@ -442,7 +442,7 @@ class Randomized(Sampler):
 
     @property
     def plain(self) -> Sampler:
-        """The sampler that the first step is applied to."""
+        """The sampler to which the first randomization of the chain is applied."""
         return self.base
 
     @property

@@ -6,9 +6,9 @@ The variance of an estimator combines the spectrum of its integrand with the sam
 
 The covariance C_ml is a property of the sampler's law.
 A sampler states its law once, in `Sampler.law`. All else is computed by functions of the law.
-Such functions compute closed forms, exact variances, predictions and rates.
-Another function of the law chooses the orthonormal basis that fits the sampler.
-Each function chooses a formula by the class at the root of a law, and calls itself on subtrees.
+The functions of laws compute closed forms, exact variances, predictions and rates.
+Another function of laws chooses the orthonormal basis that fits the sampler.
+Each function chooses a formula by the outermost class of a law, and calls itself on inner laws.
 No function tests a sampler's name.
 
 A law is a small tree of frozen classes. Leaves describe how points are drawn:
@@ -88,7 +88,7 @@ __all__ = [
 
 
 _MOST_TERMS = 2**32
-"""Largest number of terms of a sum over points and frequencies: about half a minute."""
+"""Largest number of terms of a sum over points and frequencies. The sum takes half a minute."""
 _MOST_COUNTS = 2**28
 """Largest number of comparisons of digits: the number of points times levels of digits.
 
@@ -202,7 +202,7 @@ class _Point(Motif):
         return np.asarray(np.prod(self.axis(a), axis=-1))
 
     def second(self, a: Array, b: Array) -> Array:
-        """Return ⟨M(a) conj M(b)⟩, the transform at a − b, because the motif is a single point."""
+        """Return ⟨M(a) conj M(b)⟩: for one point, the Fourier transform of its density at a − b."""
         return self.mean(a - b)
 
 

@@ -45,7 +45,7 @@ from mcspectra.samplers.law import Law, Stationary, Unknown
 __all__ = ["DENSEST", "BestCandidate", "DartThrowing", "PoissonDisk", "densest_distance", "thrown"]
 
 Disks: TypeAlias = tuple[float, int, int, Array, bool, int]
-"""Radius, cells per axis, reach of a disk, touched cells, whether on torus, darts per cell."""
+"""Disks and grid: radius, cells per axis, reach of a disk, touched cells, torus or not, darts."""
 
 Throw: TypeAlias = Callable[[Any, Any, int, Array], tuple[int, int]]
 """Function that fills an array of points (n, d).
@@ -60,15 +60,18 @@ The packings are line, hexagons, fcc, D4, D5, E6, E7 and E8. They are listed in 
 [Conway, Sloane (1999), "Sphere Packings, Lattices and Groups"]."""
 
 _DEFAULT_RADIUS = (0.7, 0.75, 0.75, 0.75)
-"""Slightly below the radius at which darts jam: 0.748, 0.777, 0.803, 0.806 [Torquato2006]_."""
+"""Default relative radii in 1 to 4 dims.
 
-_FIRST_RADIUS = (0.755, 0.785, 0.81, 0.815)  # first radius tried for maximal sets
+They are slightly below the radii at which darts jam: 0.748, 0.777, 0.803, 0.806 [Torquato2006]_.
+"""
+
+_FIRST_RADIUS = (0.755, 0.785, 0.81, 0.815)  # first relative radius for maximal sets
 # Ratio of successive radii. In 2-D, each larger radius has room for 2 % fewer points.
 _NEXT_RADIUS = 1.01
 _MOST_MAXIMAL = 3  # largest number of dims: 1000 points take 0.8 s in 3-D, a minute in 4-D
 # Smallest allowed radius. Points with a smaller minimum distance are hardly better than random.
 _LEAST_RADIUS = 0.25
-_OFFSETS = 1  # label of the stream that translates maximal sets
+_OFFSETS = 1  # label of the random stream that translates maximal sets on the torus
 _TRIALS = 100_000  # number of misses in a row after which less than 1/10,000 is uncovered
 
 

@@ -48,8 +48,8 @@ _EXACT = 1e-9
 # The transport cost then has an error of 1e-6
 _CLOSE = 1e-4
 # Largest number of visits (see `kernels.Diagram`) for a transport cost; takes some seconds.
-# 8192 random points take 2^24 visits. If all points lie in one quarter of the square, they
-# take more than 2^30.
+# 8192 random points take 2^24 visits.
+# If all points lie in one quarter of the square, they take more than 2^30 visits.
 _MOST_WORK = 2**32
 _REPORTS = 50
 _CHUNK = 4096  # number of moves between reports of progress
@@ -176,9 +176,8 @@ def relax(
 def transport_cost(points: object) -> float:
     """Return the cost of transporting the uniform density to the points, with equal masses.
 
-    The unit square is partitioned into equal parts, one for each point.
-    The cost W₂² is the mean square distance on the torus from a place to the point of its part,
-    for the best partition.
+    The unit square is partitioned into equal parts, one for each point, with the least cost.
+    The cost W₂² is the mean square distance, on the torus, of a place from the point of its part.
     In 1-D it is computed by sorting, in 2-D by the power diagram with equal areas.
     A square grid has n · cost = 1/6. The lower bound is the cost of a hexagonal grid:
     n · cost = 0.1604 (5/(18√3)).

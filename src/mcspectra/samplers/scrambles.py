@@ -136,7 +136,7 @@ class _OfDigits(Randomization):
 
 
 def _places(n: int, base: int) -> int:
-    """Return the least number of digits that n numbers have in a base."""
+    """Return the least number of digits that can write n different numbers in a base."""
     places = 0
     while base**places < n:
         places += 1
@@ -189,7 +189,7 @@ class DigitalShift(_OfPlaces):
     base
         Base of the digits, one number or one per dim; by default the sampler's base, else 2.
     jitter
-        Whether the digits beyond those of n numbers are random for each point by itself.
+        Whether each point has its own random digits below the digits that tell n numbers apart.
         Points of nets then keep their elementary intervals, and fill these intervals uniformly.
 
     Notes

@@ -574,7 +574,7 @@ def nearly_square(n: int) -> int:
     return int(found[0]) if found.size else 0
 
 
-@lru_cache(maxsize=2)  # analyses draw many blocks of the same n
+@lru_cache(maxsize=2)  # an analysis draws many blocks of realizations with the same n
 def corners(sides: tuple[int, ...]) -> Array:
     """Return the lower corners of the cells in row-major order: float64 (cells, d), read-only."""
     out = np.zeros((math.prod(sides), len(sides)))
