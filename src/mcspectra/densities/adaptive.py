@@ -54,12 +54,12 @@ CELLS = {1: 64, 2: 16}
 """Default number of starting cells along each axis, by dims."""
 SETS, SET_SIZE = 32, 4096
 """Number of shifted low-discrepancy sets, whose spread estimates the error, and their size."""
-_SLOWEST = 0.98  # largest ratio between levels: p ~ r^a with a > 0.97 counts as divergent
+_SLOWEST = 0.98  # largest ratio of unresolved parts; p ~ r^a with a > 0.97 diverges
 _NEGLIGIBLE = 1e-6
 # Largest ratio between the unresolved volumes of successive levels.
 # In 2-D, the ratio is ½ for unresolved cells along a line, and ¼ for unresolved cells at a point
 _SHRINKING = 0.8
-# Number of levels at the start that are omitted from ratios of levels.
+# Number of levels at the start that are not used for the ratio of the unresolved parts.
 # On the first levels, cells near a zero of the density are split even if they do not contain it
 _FIRST_LEVELS = 4
 _WINDOW = 8

@@ -56,7 +56,7 @@ __all__ = [
 ]
 
 _LARGEST_LOGARITHM = float(np.log(np.finfo(float).max))
-_PROBE = 5  # number of points of the first call; a small odd number reveals wrong shapes
+_PROBE = 5  # points in the first call of a function; a small odd number reveals wrong shapes
 _SAME = 1e-9
 
 
@@ -346,7 +346,7 @@ class FunctionDensity(_ByFunctions):
 
     @property
     def has_inverse(self) -> bool:
-        """Whether invert was given."""
+        """Whether the function invert was given."""
         return self.invert_function is not None
 
     def _pdf(self, x: Array) -> Array:
@@ -410,7 +410,7 @@ class NumericalDensity(_ByFunctions):
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """Cdf at jumps and kinks. In 2-D only those of axis 1: breaks of axis 0 vary by row."""
+        """Cdf at jumps and kinks. In 2-D, only for axis 1, since breaks of axis 0 vary by row."""
         return self._warp.breaks
 
     def zero_points(self) -> Array:

@@ -47,7 +47,7 @@ from mcspectra.densities.registry import DENSITIES, as_density, density
 __all__ = ["Defensive", "Mixture", "Product"]
 
 _MAX_PARTS = 1024
-# Points where one factor of a product density is 0 get this number of positions on other axes
+# Largest number of different coordinates on other axes, at points where a factor density is 0
 _PLACES = 4
 _SELECTIONS = ("coordinate", "extra")
 
@@ -124,7 +124,7 @@ class Product(Density):
     def lifted(self, points: Sequence[Array]) -> Array:
         """Convert points of the factors, k_j points in d_j dims for factor j, to points in d dims.
 
-        A point of one factor gets one of `_PLACES` positions on the axes of the other factors.
+        Coordinates on the axes of other factors take `_PLACES` different values in turn.
         """
         found = []
         for own, given in zip(self._domain, points, strict=True):

@@ -200,8 +200,7 @@ def compensated(
     others
         Densities of the other techniques, or spec strings.
     counts
-        Numbers of points that are drawn from `density` and from each of the other densities,
-        as in `MultipleImportance`.
+        Numbers of points from `density` and from each other density, as in `MultipleImportance`.
         By default, all techniques have the same number of points.
 
     Returns

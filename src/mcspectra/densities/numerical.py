@@ -90,12 +90,12 @@ class NumericalWarp:
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """Cdf at jumps and kinks. In 2-D only for axis 1: breaks of axis 0 vary by row."""
+        """Cdf at jumps and kinks. In 2-D, only for axis 1, since breaks of axis 0 vary by row."""
         last = self._last.breaks()
         return (last,) if self.dims == 1 else ((), last)
 
     def zero_points(self) -> Array:
-        """Return the centers of cells in which the pdf is 0. In 2-D, use the marginal."""
+        """Return the centers of cells in which the pdf is 0. In 2-D, use the marginal pdf."""
         cells, masses = self._last.cells, np.diff(self._last.cdf)
         empty = (self._last.density == 0).all(axis=1) & (masses == 0) & (cells.width > _SHARP)
         centers = (cells.low + 0.5 * cells.width)[empty]

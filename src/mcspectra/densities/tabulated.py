@@ -594,10 +594,12 @@ def _position(side: int, column: int, row: int) -> int:
 
 @kernel
 def _places_on_curve(side: int, size: tuple[int, ...], places: Array, headings: Array) -> None:
-    """Fill the indices of the cells on the curve, (height · width,), and their headings.
+    """Compute the index of each cell on the curve, and the direction to the next cell.
 
-    The heading of a cell points to the neighbor with the next index.
-    The last cell has the same heading as the cell before it.
+    Both arrays have the shape (height · width,).
+
+    The direction at a cell points to the neighbor with the next index.
+    The last cell has the same direction as the cell before it.
     """
     height, width = size
     last = side * side - 1

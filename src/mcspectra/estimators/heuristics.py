@@ -149,7 +149,7 @@ class Pilot(ABC):
         """Return f at k points, (k, channels); a scalar f has one channel."""
 
     def system(self, x: Array) -> Array:
-        """Return the integrands p_s p_t/q of A and f p_s/q of b at k points, (k, T, T + C)."""
+        """Return the integrands of A, p_s p_t/q, and of b, f p_s/q, at k points: (k, T, T + C)."""
         p = self.pdfs(x)
         q = self.shares @ p
         over = np.divide(p, q, out=np.zeros_like(p), where=q > 0)

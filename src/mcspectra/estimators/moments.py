@@ -43,10 +43,9 @@ _BEYOND = {16: 0.005, 64: 0.02, 256: 0.15}
 # With a larger error, s² has less than one degree of freedom.
 # The upper end of the interval of the variance would then be above 100 s²
 _MOST_ERROR = 2.0
-# Three limits for tails. If the tail index is above the first number,
-# the upper end of the variance accounts for the tail.
-# The second number is the standard error of a tail index that is fitted to 64 values.
-# If the tail index is above the third number, the values give no upper bound of the variance.
+# If the tail index is above `_TAILED`, the upper end of the variance accounts for the tail.
+# `_INDEX_ERROR` is the standard error of a tail index that is fitted to 64 values.
+# If the tail index is above `_MOST_INDEX`, the values give no upper bound of their variance.
 # At index ¼ the kurtosis is infinite. Take 1,000 values u^−0.3 as an example:
 # 85 % of the intervals from the kurtosis alone are correct, and 96 % with these limits.
 # Intervals for uniform, normal and exponential values stay the same.
@@ -121,7 +120,7 @@ class Measured:
         return Measured(value, value - half, value + half)
 
     def widened(self, factor: float) -> tuple[float, float]:
-        """Return the ends of the interval, widened by the factor."""
+        """Return the ends of the interval, widened by a given factor."""
         ends = (self.low, self.high)
         if self.log and min(self.value, *ends) > 0:
             low, high = (self.value * (end / self.value) ** factor for end in ends)

@@ -241,7 +241,7 @@ def moments(g: Integrand) -> tuple[Array, Array, Array, Array]:
 
             label, width = f"moments of {g.spec}", 2 * len(middle)
             both = Pointwise(g, centered, breaks, label, width)
-            if g.dims <= _LOOKED_DIMS and not over_domain:  # g is not cut at breaks in more dims
+            if g.dims <= _LOOKED_DIMS and not over_domain:  # in more dims, g is not cut
                 both._cache.breaks = found_breaks(g)
             found = integral_estimate(both)
             first, second = np.split(found.value, 2)

@@ -322,13 +322,14 @@ def unsampled_share(estimator: AbstractEstimator, samples: int) -> float:
     estimator
         The estimator. Without a density, the returned share is 0.
     samples
-        Number N of samples in all realizations together. The density gives the region the
-        probability 1/N.
+        Number N of samples in all realizations together.
+        Under the density, the region of smallest p has the probability 1/N.
 
     Notes
     -----
-    The share is a mean over points of an additive recurrence, as many points as samples.
-    There are 4096 to 65,536 points, so the share costs no more than the simulation.
+    The share of ∫f²/p is a mean over points of an additive recurrence.
+    The number of points is the number of samples, but at least 4096 and at most 65,536.
+    Therefore the share costs no more than a simulation with as many samples.
     A region without any of these points counts as empty.
     Therefore, in many dims the returned share is more likely too small than too large.
     With several channels, the largest share of any channel is returned.

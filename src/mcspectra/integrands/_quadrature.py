@@ -74,8 +74,8 @@ _LEAST_INSET = 2.0**-51  # Least distance to a corner, as a fraction of its coor
 # Near a corner, f may differ from its polynomial by this multiple of the last coefficients.
 # A larger difference indicates a jump
 _SMOOTH = 100.0
-# If this many probe points differ from the polynomials, their standard error replaces the
-# error that is estimated from the boxes
+# If this many probe points differ from the polynomials, the error is their standard error,
+# and not the error that is estimated from the boxes
 _LEAST_SEEN = 30
 _LOOKS = 2  # The second set of probe points is this many times as large as the first
 # Smallest size of a box as a fraction of its coordinates, and smallest size next to 0
@@ -300,7 +300,7 @@ def adaptive_integral(
     The value with the smaller error is used.
 
     If boxes were divided only because of the probe, other regions may have been missed.
-    In this case, 2^18 other points correct the value and give its error.
+    In this case, the correction and its error come from 2^18 other points.
     """
     dims, method = function.dims, "adaptive Gauss-Legendre quadrature with a probe"
     order = _CELL_ORDER[dims]
@@ -341,7 +341,7 @@ def adaptive_integral(
         fine = (weights @ values * volume[:, None]).reshape(len(coarse), 2**dims, -1)
         better = fine.sum(axis=1)
 
-        # Divide boxes further if they changed by more than their share, and the budget allows it
+        # Divide boxes further if their integral changed by more than their share, within the budget
         scale = np.maximum(scale, np.abs(fine).sum(axis=(0, 1)))
         difference = np.abs(better - coarse)
         changed = (difference > _INTEGRAL_TOLERANCE * scale / len(coarse)).any(axis=1)

@@ -116,7 +116,7 @@ class SmoothedStep(Integrand):
 
     @property
     def breaks(self) -> Breaks:
-        """Those ends of the ramp that lie inside the domain."""
+        """Ends of the ramp that lie inside the domain."""
         inside = (knee for knee in self._ramp if 0.0 < knee < 1.0)
         return _on_axis(self.dims, self.axis, *inside)
 

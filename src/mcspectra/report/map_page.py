@@ -329,7 +329,7 @@ def map_summary(result: xr.Dataset) -> dict[str, Any]:
 def _subset(result: xr.Dataset) -> dict[str, float]:
     """Return the number of measured pixels, of all pixels, and the error of interpolation.
 
-    The factor is the median over interpolated pixels, for the last strategy of the first sampler.
+    The error factor is a median over interpolated pixels: last strategy, first sampler.
     """
     if "measured" not in result:
         return {}

@@ -365,7 +365,7 @@ def _summary(
 
 
 def _stored(names: Iterable[str]) -> dict[str, str]:
-    """Map names in the store to full names. If two long names share a key, the first name wins."""
+    """Map names in the store to full names. If two names would be equal, the first is kept."""
     given = list(names)
     found: dict[str, str] = {}
     for key, name in zip(html.anchors(given), given, strict=True):
