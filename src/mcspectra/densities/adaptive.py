@@ -98,7 +98,7 @@ class Quadrature:
     def ratio(self) -> float:
         """Ratio of the unresolved parts of successive levels. It is 0 if everything is resolved.
 
-        The ratio is that of two sums: over the last k levels, and over the k levels before these.
+        The ratio compares two sums: over the last k levels, and over the k levels before them.
         The ratio of two single levels varies with the position of a zero in its cell.
         """
         parts = self.unresolved

@@ -61,7 +61,7 @@ _SAME = 1e-9
 
 
 def per_dim(default: float, **limits: float) -> Any:
-    """Declare a field of one real number, for all dims or per dim, stored in the given form."""
+    """Declare a field: one real number, for all dims or per dim, stored in the given form."""
 
     def check(name: str, given: Any, dims: int) -> Any:
         as_reals(name, given, dims, **limits)
@@ -295,7 +295,7 @@ class Wrapper(Density):
 
 
 class _ByFunctions(Density):
-    """Abstract density given by functions: its name, and checked calls."""
+    """Base class of densities that are given by functions: the name, and checked calls."""
 
     name: ClassVar[str] = "function"
     pdf_function: Callable[[Any], Any]

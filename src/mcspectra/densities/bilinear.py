@@ -47,7 +47,7 @@ class _Tables(NamedTuple):
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Bilinear(Density):
-    """2-D density that interpolates bilinearly between values at nodes, the rows of a table.
+    """2-D density that interpolates bilinearly between the values at the nodes of a table.
 
     Attributes
     ----------

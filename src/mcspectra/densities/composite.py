@@ -264,7 +264,7 @@ class Mixture(Density):
         return np.concatenate(found)
 
     def zero_points(self) -> Array:
-        """Return the points at which all parts are 0, and so the mixture, among zeros of parts."""
+        """Return those zeros of the parts at which all parts are 0, so the mixture is 0 as well."""
         zeros = np.concatenate([part.zero_points() for part in self.parts])
         return np.asarray(zeros[self._pdf(zeros) == 0])
 
@@ -281,7 +281,7 @@ class Mixture(Density):
             own = chosen == t
             if not own.any():
                 continue
-            v = u[own]  # this index makes a copy, so u does not change below
+            v = u[own]  # indexing makes a copy, so u does not change below
             if self.selection == "extra":
                 v = v[..., :-1]
             else:

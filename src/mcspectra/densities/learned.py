@@ -144,7 +144,7 @@ class Learned(Wrapper):
         return self._inside.dims
 
     def cuts(self, others: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
-        """Return `others`; in 1-D and 2-D, also domain places where the pdf is not smooth."""
+        """Return `others`; in 1-D and 2-D, add places of the domain where the pdf is not smooth."""
         if self.dims > 2:
             return others
         ends = self._inside.knots[:, 1:-1]

@@ -373,7 +373,7 @@ def _split(
     points: Array,
     narrow_enough: float,
 ) -> _Cells:
-    """Return cells that resolve the function and are narrow enough wherever they hold a point."""
+    """Return cells that resolve the function; cells with one of the points are narrow enough."""
     low, width = np.arange(start) / start, np.full(start, 1.0 / start)
     values = _checked(function(_spread(low, width)), subject)
     total = _size(values, width)

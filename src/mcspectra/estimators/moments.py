@@ -433,7 +433,7 @@ class Moments:
         excess = far[1:] - far[0]
 
         # Some values lie on a grid, for example the fraction of points that hit a light.
-        # Such a value represents the grid cell around it.
+        # A value on a grid represents the grid cell around it.
         # Therefore the tail begins half a grid cell below the smallest value in the tail
         step = np.where(excess > 0, excess, np.inf).min(axis=0)
         grid = (excess[0] == 0) & (far[0] > 0) & np.isfinite(step)

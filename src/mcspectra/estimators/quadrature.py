@@ -258,14 +258,14 @@ def moments(g: Integrand) -> tuple[Array, Array, Array, Array]:
 @final
 @dataclass(frozen=True)
 class Rule:
-    """A Gauss-Legendre rule: its order, its maximum number of evaluations, and a second order."""
+    """A Gauss-Legendre rule: its order, the largest number of evaluations, and a second order."""
 
     order: int
     most: float = MOST_EVALUATIONS
     against: int = 0
 
     def each(self, g: Integrand) -> int:
-        """Return the evaluations for one box. Closed-form moments take one at each corner."""
+        """Return the evaluations for one box. Closed-form moments take one evaluation a corner."""
         return int((2 if in_closed_form(g) else self.order) ** g.dims)
 
     def check(self, what: str, evaluations: float) -> None:

@@ -54,11 +54,11 @@ _CORNERS = 64  # largest number of corners of a Voronoi cell; six on average
 _LOAD = 2.0  # number of sites per cell of the grid; 1 to 3 take the same time
 _SOLVED = 1e-3  # relative residual of the linear equations; enough for Newton steps
 # A Newton step is at most this factor longer than the step before it.
-# A long trial step after a short one is usually rejected, because short steps come in series.
+# A long trial step after a short step is usually rejected, because short steps follow one another.
 _LONGER = 4.0
 _HALVINGS = 40
 _UNLIMITED = 2**62
-_PRODUCTS = 4  # work for each entry of a matrix-vector product; a corner of a cell counts 1
+_PRODUCTS = 4  # work per entry of a matrix-vector product; work per corner of a cell is 1
 
 
 @kernel
@@ -121,7 +121,7 @@ def _farthest_corner(cell: Array, size: int) -> tuple[int, float]:
 
 @kernel
 def _measure(i: int, points: Array, buckets: Any, cell: Array, spare: Array, holes: Array) -> int:
-    # Compute Voronoi cell i and its row of `holes`; return the number of its corners.
+    # Compute Voronoi cell i and its row of `holes`; return the number of corners of the cell.
     side, _, head, chain = buckets
     size, near = 4, 1.0
     for k in range(4):
@@ -220,7 +220,7 @@ class Diagram(NamedTuple):
         The coupling of a face is length / (2 distance).
         If the weight of the neighbor grows by ε, the area of cell i shrinks by ε · coupling.
     work
-        Amount of work: the number of corners of the cell, summed over visited sites and grid cells.
+        Amount of work: each visit of a site or grid cell adds the number of corners of the cell.
     """
 
     areas: Array
@@ -442,7 +442,7 @@ def balance(
                 break
             length /= 2
         else:
-            break  # because of rounding errors, no length of the step improves the areas
+            break  # because of rounding errors, a step of any length does not improve the areas
         weights += length * change
         diagram, worst, square = trial, trial_worst, trial_square
     return weights, diagram

@@ -49,7 +49,7 @@ _SHARP = 1e-10  # tolerance of the center of a hole, relative to the hole's radi
 
 @kernel
 def empty_buckets(n: int, dims: int, side: int) -> Any:
-    """Return buckets without points, `side` cells per axis, for up to n points."""
+    """Return empty buckets for up to n points, with `side` cells per axis."""
     axes = min(dims, _AXES)
     return side, axes, np.full(side**axes, -1), np.full(n, -1)
 
@@ -208,7 +208,7 @@ def throw_set(disks: Any, k0: Any, k1: Any, at: int, points: Array) -> tuple[int
             if m == 0:
                 break
 
-        # Halve the remaining cells along every axis, and drop the children that a disk covers
+        # Halve the remaining cells along every axis, and drop the new cells that a disk covers
         children = np.empty((m << dims, dims), np.int64)
         kept = 0
         for i in range(m):
@@ -359,7 +359,7 @@ def fill_holes(points: Array, placed: int, wrap: bool) -> None:
     The method is branch and bound, on the torus or in the cube.
     Every place in a box is at most half a diagonal farther from all points than the box's center.
     Boxes wait in a heap, with the largest bound on top.
-    New points only lower bounds, so stale bounds are updated when their box is popped.
+    New points can only lower bounds, so outdated bounds are updated when their box is taken.
     """
     n, dims = points.shape
     buckets = empty_buckets(n, dims, max(1, int(n ** (1.0 / dims))))
@@ -382,7 +382,7 @@ def fill_holes(points: Array, placed: int, wrap: bool) -> None:
         _pop(heap, size, box)
         size -= 1
         _set_bound(box, points, buckets, wrap)
-        if size > 0 and box[0] < heap[0, 0]:  # the bound was stale: push the box again
+        if size > 0 and box[0] < heap[0, 0]:  # an outdated bound: put the box back
             _push(heap, size, box)
             size += 1
         elif box[1] > _SHARP * box[0]:

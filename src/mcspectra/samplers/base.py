@@ -265,7 +265,7 @@ class Sampler(Component, ABC):
         """Make realizations first … first + count − 1: float64 (count, n, dims)."""
 
     def _before(self, randomization: Randomization) -> Sampler:
-        """Return the sampler to which `randomization` is applied; given sets may be reused."""
+        """Return the sampler that `randomization` is applied to; given sets may then be reused."""
         del randomization
         return self
 

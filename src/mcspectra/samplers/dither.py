@@ -326,7 +326,7 @@ def _rank_all(grid: Any, order: Array) -> None:
         order[rank] = _head(_VOID, filled)
         _flip(order[rank], filled, weights)
 
-    # Above half, zeros are the minority; set the tightest cluster of zeros next
+    # If more than half of the cells are ones, set the tightest cluster of zeros next
     rest = order[half:]
     pattern[:] = ~first
     _rank_ones(grid, rest)

@@ -72,7 +72,7 @@ _MOST_MAXIMAL = 3  # largest number of dims: 1000 points take 0.8 s in 3-D, a mi
 # Smallest allowed radius. Points with a smaller minimum distance are hardly better than random.
 _LEAST_RADIUS = 0.25
 _OFFSETS = 1  # label of the random stream that translates maximal sets on the torus
-_TRIALS = 100_000  # number of misses in a row after which less than 1/10,000 is uncovered
+_TRIALS = 100_000  # misses in a row after which less than 1/10,000 of the domain is uncovered
 
 
 @final
@@ -272,7 +272,7 @@ def thrown(
     Raises
     ------
     CountError
-        If a set jams in all attempts; the message ends with the advice.
+        If a set jams in all attempts; the message ends with the given advice.
     """
     out = np.empty((len(keys), n, sampler.dims))
     for own, points in zip(keys, out, strict=True):

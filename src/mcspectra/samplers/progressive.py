@@ -289,7 +289,7 @@ def _gain(i: int, axis: int, bit: Any, members: Any, words: Array, owner: Array)
             there = np.float64(word) * _UNIT_53
             far = np.float64(words[1 - axis, other]) * _UNIT_53 - across
             before = _pair_energy(there - here, far)
-            # If the other point lies in the strip as well, the flip moves both points
+            # If the other point of the pair also lies in the strip, the flip moves both points
             if word >> shift == strip:
                 there = np.float64(word ^ bit) * _UNIT_53
                 gain += 0.5 * (before - _pair_energy(there - moved, far))

@@ -269,7 +269,7 @@ def _clip_all(keys: Array, points: Array, out: Array) -> None:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Mirror(Randomization):
-    """Mirroring: put samples into a random mirror image of the integrand, into all, or fold them.
+    """Mirroring: put samples into one random mirror image of the integrand, into all, or fold them.
 
     Attributes
     ----------

@@ -77,7 +77,7 @@ class _OfDigits(Randomization):
         return self if self.base is not None or set(bases) == {2} else replace(self, base=bases)  # type: ignore[type-var]
 
     def counts_near(self, sampler: Sampler, n: int) -> tuple[int | None, int]:
-        """For strata, allow only powers of the base, so that sides of strata are also powers."""
+        """For strata, allow only counts that are powers of the base: sides are then also powers."""
         if not sampler.powers_only:
             return sampler._counts_near(n)
         base, places = self._bases(sampler.dims)[0], 0
@@ -144,7 +144,7 @@ def _places(n: int, base: int) -> int:
 
 
 def _powers_possible(sampler: Sampler, base: int, exponents: range) -> Iterator[int]:
-    """Yield powers of `base` that the sampler can make, in the order of the exponents."""
+    """Yield the powers of `base` that are counts of the sampler, in ascending order."""
     powers = (base**k for k in exponents if base**k <= MAX_COUNT)
     return (n for n in powers if n in sampler._counts_near(n) and sampler.digit_strata(n, base))
 

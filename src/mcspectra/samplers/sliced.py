@@ -65,7 +65,7 @@ class SlicedOptimalTransport(OptimisedSampler):
         normals = np.empty((1, self.directions * self.dims))
         for i in range(self.iterations):
             fill_normals(keys[None], used, normals)
-            used += normals.size + 1  # for an odd number of normals, one more is used
+            used += normals.size + 1  # an odd number of normals takes one more random number
             directions = normals.reshape(self.directions, self.dims)
             directions = directions / np.sqrt(np.sum(directions**2, axis=1))[:, None]
 

@@ -416,7 +416,7 @@ def check_analysis(analysis: Analysis, estimator: Any = None, sampler: Any = "ji
     BrokenContract
         If an option has no description, a reserved name, or a default outside its limits.
         If `need` raises an error, is slow or is not finite.
-        If keys of chunks repeat, or if `part` lacks a key.
+        If keys of reductions repeat, or if `part` lacks a key.
         If states change when they are stored as bytes.
         If results depend on chunks, differ for the same seed, or have undeclared variables.
 
