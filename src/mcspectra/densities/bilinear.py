@@ -4,7 +4,7 @@ Between four nodes, p(x) = Σ_ij v_ij B_i(x_0) B_j(x_1) with linear B, so p is c
 The warp T is also continuous where the marginal density is above 0.
 T_1 inverts the marginal cdf, which is quadratic between two knots.
 T_0 inverts the cdf along the line x_1 = T_1.
-This cdf is a blend of the cdfs of two rows of nodes, and it is also quadratic between knots.
+The cdf along a line is a blend of the cdfs of two rows of nodes, also quadratic between knots.
 The primary-space integrand jumps only where f jumps. It has kinks where x passes a knot.
 In contrast, every warp of a piecewise constant table jumps (`mcspectra.densities.tabulated`).
 """

@@ -57,7 +57,7 @@ class SplineDensity(Density):
         For a mixture: w (K,) with sum 1, and c (K, d, M) with rows of sum 1. Empty for a flow.
     gates
         For a flow: the coefficients θ (d, M, 1 + d·DEGREE), which are 0 for later coordinates.
-        This array is empty for a mixture.
+        The array of these coefficients is empty for a mixture.
     defensive
         δ, the smallest value of p, so that |f/p| is at most |f|/δ.
     """

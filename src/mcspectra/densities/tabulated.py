@@ -34,7 +34,7 @@ Therefore the choice of the warp determines the rate.
   If the table is a square of side 2^k, each jump stays within two neighboring cells.
   In a table of another size, jumps can be longer, because the curve leaves the table and returns.
     A line along u_1 crosses no jumps.
-  This warp suits samplers with n strata in u_0, which become n strata along the curve.
+  The Hilbert warp suits samplers with n strata in u_0, which become n strata along the curve.
   Samplers with square 2-D strata have only √n strata in u_0, and so along the curve.
 
 *Bilinear* tables (`bilinear`) make p continuous. Therefore g is also continuous along rows.
@@ -356,7 +356,7 @@ class _Hierarchical:
     """
 
     def __init__(self, cells: Array) -> None:
-        # At each level, from the root, split the longer side; if both are equal, split the rows
+        # At each level of the tree, split the longer side; if both sides are equal, split the rows
         bits = [(size - 1).bit_length() for size in cells.shape]
         table = np.pad(cells, [(0, 2**b - size) for b, size in zip(bits, cells.shape, strict=True)])
         axes = []
@@ -387,7 +387,7 @@ class _Hierarchical:
     def breaks(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Borders of the first splits, which all divide the same axis.
 
-        These borders are whole lines. Borders of later splits are only segments, and are omitted.
+        Borders of the first splits are whole lines. Borders of later splits are omitted segments.
         """
         found: list[tuple[float, ...]] = [(), ()]
         if self.axes.size:

@@ -12,8 +12,7 @@ The rate of channel c then depends only on f_c. `channel_estimators` makes four 
     One set of primary points is warped by each density, which also takes C n evaluations.
     The errors of the channels are correlated, so the noise is less colored.
 ``mis``
-    All points of all densities are used in all channels, weighted by the balance heuristic.
-    This takes C n evaluations.
+    All channels use all points of all densities by the balance heuristic, with C n evaluations.
 """
 
 from __future__ import annotations

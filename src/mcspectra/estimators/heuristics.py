@@ -376,7 +376,7 @@ class Optimal(_Piloted):
 
         α_t + n_t (f − Σ_s α_s p_s)/q,
 
-    This is the balance heuristic for f with Σ α_s p_s as a control variate.
+    The weighted value is that of the balance heuristic for f with the control variate Σ α_s p_s.
     In this form f may be 0, and each channel has its own α.
     If densities are (nearly) identical, A is singular. The solution of least norm is then used.
     All solutions have the same sum Σ α_s p_s.
@@ -459,7 +459,7 @@ class VarianceAware(_Piloted):
 class Residual(Derived):
     """The difference f − Σ α_t p_t between f and the control variate of the optimal weights.
 
-    This difference is the integrand in the domain view.
+    The difference f − Σ α_t p_t is the integrand in the domain view.
     """
 
     text = "{0.integrand.spec} less its control variate"

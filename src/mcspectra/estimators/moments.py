@@ -360,7 +360,7 @@ class Moments:
         If the tail index is above 0.05, the upper end is at least the quantile for values u^−k.
         The exponent k is the estimated tail index plus one standard error.
         With these constants, 93 to 97 % of the intervals from 20 or more values are correct.
-        This was tested by ``python -m benchmarks coverage``, for kurtoses up to 10.
+        The tests by ``python -m benchmarks coverage`` covered kurtoses up to 10.
         The tested laws were skewed, heavy-tailed, flat and two-peaked.
         As the number of values R grows, the interval depends less and less on these constants.
         """
@@ -495,8 +495,8 @@ def _outermost(values: Array, kept: int) -> Array:
 def variance_interval(variance: Array, relative_se: Array) -> Array:
     """Return a 95 % interval of a variance, (..., 2), from χ² quantiles.
 
-    The number of degrees of freedom is ν = 2/relative_se². For R normal values
-    ν is R − 1, and the interval is exact. For heavier tails ν is smaller.
+    The number of degrees of freedom is ν = 2/relative_se².
+    For R normal values, ν is R − 1, and the interval is exact. For heavier tails ν is smaller.
     """
     from scipy.special import gammaincinv
 

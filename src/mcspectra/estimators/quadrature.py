@@ -88,7 +88,7 @@ _GROWTH_LINES, _STEADY = 4, 0.02
 # Each number k stands for the distance 2^-k
 _FAR, _NEAR, _INSIDE = (30, 60, 90, 120), (20, 30, 40, 50), (8, 14, 20, 26)
 # The 256 largest values at the points of `probe` are stored.
-# A power law replaces the values whose rank is above 8
+# In the integral of g², a power law replaces the values whose rank is above 8
 _TOP, _RANK = 256, 8
 # The largest values follow a power law t^-a if the exponent a is above 0.1,
 # and if log(g_4/g_32) exceeds 0.6 log(g_32/g_256), where g_k has rank k.
@@ -191,7 +191,7 @@ def blindness(g: Integrand, means: Array, squares: Array) -> Array:
         Difference between the means and the integrals that a second rule computes.
         If the second rule does not resolve g, the error of this rule is added.
         The second rule is `mcspectra.integrands._quadrature.adaptive_integral`.
-        This rule also detects regions in which g differs from its values at the first rule's nodes.
+        This second rule also finds regions where g differs from the values at the first rule's nodes.
         The result is 0 if the two rules agree and the second rule resolves g.
         The result is also 0 if the mean over all strata agrees with a closed form of ∫g.
     """

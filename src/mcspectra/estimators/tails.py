@@ -76,8 +76,8 @@ class TailSettings:
     # Least exponent for which ∫f⁴ is infinite, so that the error of a variance is unknown: ¼
     infinite_error: float = 0.25
     # Largest exponent for which quantiles are computed.
-    # The interval of the mean is infinite if the exponent is larger
-    # and if the lower end of the exponent's interval exceeds `surely`.
+    # If the exponent is larger, the interval of the mean is infinite,
+    # provided that the lower end of the exponent's interval exceeds `surely`.
     # Among 2,700 integrals of exp(x + y), five had an exponent above `largest` by chance
     largest: float = 0.46
     surely: float = 0.25

@@ -204,7 +204,7 @@ def refined_coefficients(function: QuadratureIntegrand, m: Sequence[Array]) -> E
     """Return coefficients (U_0, …, U_{d−1}[, channels]) at all combinations of integers m[i].
 
     The first grid has 16 nodes per wavelength of the highest frequency, or 8 in three or more dims.
-    If that many nodes exceed 2^24 evaluations, the first grid has 4 nodes per wavelength.
+    If the nodes exceed 2^24 evaluations, the first grid has 4 nodes per wavelength.
     The grid has at least 256 nodes per axis (64 in 3-D, 32 in 4-D, 16 in more dims).
     The number of nodes is doubled until two grids agree to 1e-10 of the largest coefficient.
     Doubling also ends if the next grid would exceed 2^22 evaluations.

@@ -144,7 +144,7 @@ class IntegrandCache:
         (`mcspectra.estimators.quadrature.beyond_points`).
     separable
         f as sums or products of functions of single axes, for each channel.
-        It is empty if f is no such sum or product (`mcspectra.prediction.separable.separated`).
+        It is empty if f has no such form (`mcspectra.prediction.separable.separated`).
     """
 
     integral: Estimate | None = None

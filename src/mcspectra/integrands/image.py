@@ -5,7 +5,7 @@ The matching density is ``environment`` of `mcspectra.densities.environment`.
 If points are sampled by luminance, the ratio L_c / luminance remains in each channel c.
 The ratio L_c / luminance jumps at the borders of colored pixels.
 With the channel's own density, f/p is proportional to the cosine between light and normal.
-This cosine is smooth except at the horizon.
+The cosine between light and normal is smooth except at the horizon.
 """
 
 from __future__ import annotations

@@ -161,7 +161,7 @@ class Disk(_Indicator):
 
     In 2-D, the integral and the coefficients are exact.
     If the faces of the domain cut the disk, its coefficients are integrals over chords.
-    These integrals have rounding accuracy.
+    The integrals over chords have rounding accuracy.
     In 3-D and more, the coefficients of a ball inside the domain are exact (Bessel functions).
     A ball that the faces cut needs quadrature. Balls do not wrap around.
 

@@ -2,7 +2,7 @@
 
 There are two methods. The first needs the signed distance σ(x) to an edge; f = 1 where σ < 0.
 The edge becomes the linear ramp ½ − σ/δ of width δ, clipped to [0, 1].
-This ramp is the average over edges that are moved by τ, with τ uniform in [−δ/2, δ/2].
+The ramp is the average over edges that are moved by τ, with τ uniform in [−δ/2, δ/2].
 Therefore the integral and the coefficients of the ramp are averages over moved edges.
 
 The second method averages an integrand over a box of side δ about x.

@@ -433,7 +433,7 @@ def _sampler_answer(last: xr.Dataset, found: Mapping[str, Any]) -> str:
     """Name the best sampler, and the bounce and the decision that add most variance.
 
     A recommended sampler is significantly the best at more pixels than any other sampler.
-    It also has the least geometric mean of the variance over the pixels.
+    The recommended sampler also has the least geometric mean of the variance over the pixels.
     """
     names = list(map(str, last["sampler"].values))
     shares = found["best_sampler"][str(last["strategy"].item())]

@@ -501,7 +501,7 @@ def _details(
             yield html.Paragraph(text=made[0], kind="heading")
             yield made[1]
 
-    # Show the figures with details, and the settings
+    # Show the detailed figures, and the settings of the analyses
     for summary, figures in details.items():
         if figures:
             yield html.Collapsible(summary=summary, blocks=(html.Figures(figures=tuple(figures)),))

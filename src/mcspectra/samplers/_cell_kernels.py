@@ -9,7 +9,7 @@ Notation for farthest points: n points in 2 dims. Buckets are described in `_spa
 Voronoi cells are stored like the cells of power diagrams (below).
 Each row of the array holes (n, 4) belongs to one Voronoi cell.
 The first two numbers of the row are the coordinates of the corner farthest from the cell's point.
-The other two are the squared distances of this corner and of the nearest neighbor.
+The other two numbers are the squared distances of this corner and of the nearest neighbor.
 
 Power diagrams: the cell of site i contains all x that satisfy the inequality
 |x − x_i|² − w_i ≤ |x − x_j|² − w_j for all sites j and their images.
@@ -18,8 +18,8 @@ No more sites are taken when the remaining sites are too far away to cut the cel
 
 Notation for power diagrams: n sites in 2 dims; points (n, 2) in [0,1), weights w (n,).
 The array sites (n, 3) holds points and weights in the order of the grid.
-A cell (K, 4) is a counterclockwise polygon relative to its site. Each row describes a corner,
-and the edge from this corner to the next one.
+A cell (K, 4) is a counterclockwise polygon relative to its site.
+Each row describes a corner of the cell, and the edge from this corner to the next corner.
 The first two numbers of the row are x and y of the corner.
 The third number is the distance between the site and the neighbor site across the edge.
 The fourth number is the index of this neighbor (−1 for an image of the cell's own site).
@@ -98,8 +98,8 @@ def _cut(
             count += 1
         if (u <= 0.0) != (v <= 0.0):
             # The border of the cell crosses the line x·d = level between these two corners.
-            # The new edge lies on this line. It starts where the border of the cell leaves the
-            # half-plane x·d ≤ level, and ends where the border enters the half-plane again
+            # On this line, the new edge starts where the border leaves the half-plane,
+            # and ends where the border of the cell enters the half-plane again
             t = u / (u - v)
             cell[count, 0] = spare[k, 0] + t * (spare[after, 0] - spare[k, 0])
             cell[count, 1] = spare[k, 1] + t * (spare[after, 1] - spare[k, 1])

@@ -252,8 +252,7 @@ def throw_darts(
 @kernel
 def _lower_ceilings(x: Array, side: int, ceilings: Array) -> None:
     # Update the cells around a new point at x.
-    # The bound of a cell is an upper limit of the squared distance from any place in the cell
-    # to the nearest point.
+    # The bound limits the squared distance from any place in the cell to the nearest point.
     # Every place in a cell is at most half a diagonal farther from x than the cell's center is.
     # Cells more than `reach` cells away from x keep their bounds.
     dims = x.size

@@ -174,7 +174,7 @@ class Sampler(Component, ABC):
         """Return the joint distribution of the points of one realization of `n` points.
 
         All predictions follow from this joint distribution, the law of the sampler.
-        They are closed forms of spectra and covariances, exact variances, and rates.
+        Predictions are closed forms of spectra and covariances, exact variances, and rates.
         A prediction is refused if the law is not known well enough.
         See `mcspectra.samplers.law`.
 

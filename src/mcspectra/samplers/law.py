@@ -461,8 +461,8 @@ class Fixed(Law):
                 found[at] = np.sum(np.bincount(cells).astype(float) ** 2) / self.n
                 return
             for level in range(levels + 1):
-                # Convert the first digits to whole numbers. The small summand `nudge` makes sure
-                # that k/b^level has the digits of k, even if it was rounded down
+                # Convert the first digits to whole numbers.
+                # Because of `nudge`, k/b^level has the digits of k, even if it was rounded down
                 base, scale = bases[axis], float(bases[axis] ** level)
                 nudge = 0.0 if base & (base - 1) == 0 else scale * 2.0**-50
                 digits = np.floor(points[:, axis] * scale + nudge)
@@ -750,7 +750,7 @@ def scrambled(law: Law, kind: Scramble, bases: Sequence[int], *, shifts: bool = 
     """Return the law after the digits in the given bases are randomized.
 
     The law of strata does not change if the sides of the strata are powers of the base.
-    This holds for strata of the domain and of single axes:
+    In this case, the law does not change for strata of the domain and of single axes:
     scrambling maps strata to strata, and points are already uniform within a stratum.
     Samplers refuse scrambles that break their strata.
     """

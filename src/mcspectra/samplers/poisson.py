@@ -5,7 +5,7 @@ A dart becomes a point if all earlier points are at least r away.
 On the torus, the distribution of sets is invariant under translation, so every point is uniform.
 For "exact" Poisson disks, n determines r in advance, and dart throwing stops at the n-th point.
 If a set jams earlier (see `PoissonDisk.radius`), it is discarded and a new set is started.
-This restart keeps the distribution invariant under translation.
+Starting a new set keeps the distribution invariant under translation.
 
 Darts are thrown only where they can be accepted, in the cells of a grid.
 The cells have diagonal r, so that each cell has at most one point.
@@ -50,7 +50,7 @@ Disks: TypeAlias = tuple[float, int, int, Array, bool, int]
 Throw: TypeAlias = Callable[[Any, Any, int, Array], tuple[int, int]]
 """Function that fills an array of points (n, d).
 
-The other arguments are the keys of a realization, and the index of the next random number.
+Further arguments are the keys of a realization, and the index of the next random number.
 The function returns the number of points placed, and the new index."""
 
 DENSEST = (1.0, 2.0 / 3.0**0.5, 2.0**0.5, 2.0, 2.0 * 2.0**0.5, 8.0 / 3.0**0.5, 8.0, 16.0)
@@ -62,7 +62,7 @@ The packings are line, hexagons, fcc, D4, D5, E6, E7 and E8. They are listed in 
 _DEFAULT_RADIUS = (0.7, 0.75, 0.75, 0.75)
 """Default relative radii in 1 to 4 dims.
 
-They are slightly below the radii at which darts jam: 0.748, 0.777, 0.803, 0.806 [Torquato2006]_.
+The default radii are slightly below the jamming radii 0.748, 0.777, 0.803, 0.806 [Torquato2006]_.
 """
 
 _FIRST_RADIUS = (0.755, 0.785, 0.81, 0.815)  # first relative radius for maximal sets

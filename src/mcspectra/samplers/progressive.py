@@ -169,7 +169,7 @@ def pairings() -> Array:
     The basis of the polynomials is 1, t, b, b·t, b², b²·t, … with b = t² + t.
     The digits of x are the polynomial's coefficients in powers of t.
     The digits of y are its coefficients in powers of t + 1.
-    Such x and y are the first two coordinates of Sobol' points.
+    The numbers x and y with these digits are the first two coordinates of Sobol' points.
 
     Multiples of b^m do not change the first m digits of x or y.
     Each block of 4^m points therefore has one point in each of 2^m × 2^m cells.
@@ -230,7 +230,7 @@ def _fill_pmj(keys: Array, out: Array) -> None:
         while 1 << level < n:
             # For each point of the pass, choose a quarter of its cell: column and row.
             # The second point of a cell is diagonal to its first.
-            # The third point takes one of the other two quarters.
+            # The third point of a cell takes one of the two quarters that are still empty.
             size, side = 1 << level, level // 2 + 1
             columns, cells, shift = 1 << side, 1 << (2 * side - 2), np.uint64(53 - side)
             to = np.empty((2, size), np.int64)

@@ -11,7 +11,7 @@ Therefore d conditions on partial sums, g_1² + … + g_k² ≥ r_k², check all
 The projections on single axes reject most darts, but the coordinates of darts are independent.
 Each coordinate is therefore drawn until it is free on its own axis.
 The projections on two or more axes are checked afterwards.
-This order saves time and does not change the distribution of the points.
+Checking in this order saves time and does not change the distribution of the points.
 On the torus the law is invariant under translation, so every point is uniform.
 """
 
