@@ -204,7 +204,7 @@ class Density(Component, ABC):
         ------
         DensityError
             If a function is not callable, fails, or returns a wrong shape.
-            If functions are not consistent (see `check`), or if another function is needed.
+            If functions are not consistent (see `check`), or if a necessary function is missing.
 
         Examples
         --------

@@ -124,7 +124,7 @@ class Product(Density):
     def lifted(self, points: Sequence[Array]) -> Array:
         """Convert points of the factors, k_j points in d_j dims for factor j, to points in d dims.
 
-        Coordinates on the axes of other factors take `_PLACES` different values in turn.
+        Points of a factor get coordinates on all other axes, which take `_PLACES` values in turn.
         """
         found = []
         for own, given in zip(self._domain, points, strict=True):
@@ -211,7 +211,7 @@ class Mixture(Density):
                 "mcspectra.estimators.split_mixture(integrand, mixture)."
             )
         as_choice("selection", self.selection, _SELECTIONS)
-        # Determine the dims. All parts must have the same; no part may need an extra coordinate
+        # Determine the dims. All parts must have equal dims; no part may need an extra coordinate
         parts = _as_parts(self.parts, _dims_of(self.parts, self.dims))
         given: int | None = self.dims
         dims = parts[0].dims if given is None else int(given)

@@ -13,7 +13,7 @@ The module `mcspectra.densities.tabulated` uses the same order of the axes.
 All rows are evaluated on the same cells, so the warp is as smooth along x_1 as the pdf.
 Jumps along lines x_0 = c and x_1 = c are resolved exactly.
 Jumps or kinks along other lines are searched for in 1018 rows, at 1024 places each.
-If such a jump or kink is found, the pdf is rejected.
+If a jump or kink along another line is found, the pdf is rejected.
 """
 
 from __future__ import annotations
@@ -311,7 +311,7 @@ def _refine(
     """Split cells until the interpolants resolve a nonnegative function.
 
     The nodes of the cells may miss details between them. Therefore the function is also probed.
-    If the interpolant differs from the function at a probe, the cells with such probes are split.
+    If the interpolant differs from the function at a probe, the cell of the probe is split.
     The cells are split down to the distance between probes, and further if necessary.
 
     Parameters

@@ -75,7 +75,7 @@ WARPS = ("marginal", "hierarchical", "alias", "hilbert")
 
 _MOST_SHOWN = 256  # tables up to this size are stored as lists, which spec strings show
 _MOST_CELLS = 2**26  # largest number of cells: 512 MiB per copy, and a warp stores several copies
-_MOST_BREAKS = 2**12  # largest number of breaks: quadrature between more of them takes too long
+_MOST_BREAKS = 2**12  # largest number of breaks: quadrature between more breaks takes too long
 _SAME_ROWS = 1e-12  # relative tolerance with which rows count as proportional
 
 
@@ -300,7 +300,7 @@ class _Marginal:
 
     def breaks(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Marginal cdf between different rows. If separable, also the cdf at column borders."""
-        # Rows are proportional if all rows with mass have the same cdf as the first one
+        # Rows are proportional if all rows with mass have equal cdfs
         columns = self.columns[self.cells.any(axis=1)]
         separable = np.abs(columns - columns[0]).max() <= _SAME_ROWS
         across = _inner(self.columns[0], np.diff(self.cells[0])) if separable else ()
@@ -444,7 +444,7 @@ def _return_to_root(shares: Array, axes: Array, size: tuple[int, ...], x: Array,
             else:
                 columns -= 1
                 node = 2 * node + 1 + ((column >> columns) & 1)
-        # Undo the splits, from the leaf to the root
+        # Undo the splits, from the last split to the first
         for level in range(axes.size - 1, -1, -1):
             second = node % 2 == 0
             node = (node - 1) >> 1

@@ -143,7 +143,7 @@ def channel_estimators(
     -------
     dict
         The estimators ``one`` (if given), ``own``, ``shared`` and ``mis``, described in the module.
-        With n points per technique, ``one`` evaluates f n times and the others C n times.
+        With n points per technique, ``one`` evaluates f n times, each other estimator C n times.
         Therefore compare the estimators at equal numbers of evaluations, Σ counts · n.
 
     Examples

@@ -37,7 +37,7 @@ _CLUMPS = 4.0  # If the kurtosis is at most this, extreme values are not a tail
 _LEAST_POINTS = 3000  # With fewer points, the 256 farthest values are not a tail
 # Limits for the share of the variance that comes from values beyond all sampled values.
 # If g is bounded, values beyond the sampled values have a small share of the variance.
-# Each key is the number of farthest values to which a tail is fitted; the entry is the limit
+# The table has the limit for each number of farthest values to which a tail is fitted
 _BEYOND = {16: 0.005, 64: 0.02, 256: 0.15}
 # Largest allowed square of the standard error of log s².
 # With a larger error, s² has less than one degree of freedom.

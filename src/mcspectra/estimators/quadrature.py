@@ -191,7 +191,7 @@ def blindness(g: Integrand, means: Array, squares: Array) -> Array:
         Difference between the means and the integrals that a second rule computes.
         If the second rule does not resolve g, the error of this rule is added.
         The second rule is `mcspectra.integrands._quadrature.adaptive_integral`.
-        This second rule also finds regions where g differs from the values at the first rule's nodes.
+        The second rule also finds regions where g differs from values at the first rule's nodes.
         The result is 0 if the two rules agree and the second rule resolves g.
         The result is also 0 if the mean over all strata agrees with a closed form of ∫g.
     """
@@ -570,7 +570,7 @@ def growth(g: Integrand) -> Array:
     Here t is the distance to the end or break. The exponents have the shape (channels or 1,).
     The exponents are slopes of log |g| at the smallest distances on some lines.
     The last two slopes of a line must agree.
-    ∫g² diverges for a ≥ ½, and ∫g⁴ for a ≥ ¼. Integrands in closed form have no such poles.
+    ∫g² diverges for a ≥ ½, and ∫g⁴ for a ≥ ¼. Integrands in closed form do not have these poles.
     An integrand is not tested if it is costly or warped by a density.
     """
     return _growth(g)[0]

@@ -420,7 +420,7 @@ def search_breaks(
     spread = np.where(seen.std(axis=0) > 0.0, seen.std(axis=0), np.inf)
     lines = points[np.unique([0, 1, *seen.argmin(axis=0), *seen.argmax(axis=0)])]
     rows, steps = np.arange(len(lines))[:, None], (np.arange(_LINE) + math.sqrt(0.5)) / _LINE
-    # Each break is a tuple: whether it is a peak, its height times −1, its axis and its position
+    # Each break is described by a tuple: whether it is a peak, minus its height, axis and position
     found: list[tuple[bool, float, int, float]] = []
     for axis in range(dims):
 

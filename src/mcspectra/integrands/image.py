@@ -94,7 +94,7 @@ class Image(_Picture):
     ------
     ParameterError
         If neither or both of path and values are given, or if the channel does not exist.
-        If the pixels are not finite numbers of such a shape.
+        If the pixels are not finite numbers of shape (h, w) or (h, w, channels).
     FileFormatError
         If the file is missing or cannot be read.
     """

@@ -343,7 +343,7 @@ def _quadrant(x: Array, y: Array) -> Array:
     x, y = np.clip(x, -1.0, 1.0), np.clip(y, -1.0, 1.0)
     k = np.sqrt(1.0 - y * y)
     inner = np.clip(x, -k, k)
-    strip = y * (inner + k)  # The chord at height y cuts the disk
+    strip = y * (inner + k)  # The horizontal chord at y cuts the disk
     below = _half_area(inner) - _half_area(-k) + strip
     caps = _half_area(np.minimum(x, -k)) + _half_area(np.maximum(x, k)) - _half_area(k)
     return np.asarray(np.where(y < 0, below, _half_area(x) + caps + strip))

@@ -507,7 +507,7 @@ def map_note(summary: Mapping[str, Any]) -> str:
 
 
 def map_sentences(result: xr.Dataset) -> Iterator[str]:
-    """Yield the findings of a map: answer, medians by strategy, their meaning, and their causes."""
+    """Yield the findings of a map: answer, medians of the strategies, explanations, and causes."""
     summary = map_summary(result)
     if "subset" in summary:
         yield subset_note(summary)

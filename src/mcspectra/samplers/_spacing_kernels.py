@@ -42,7 +42,7 @@ _AXES = 3  # largest number of axes of buckets and grids; with more, cells are m
 # The side of a cell is a quarter of the spacing of the points.
 # Therefore the point nearest to a place is usually less than 7 cells away.
 _REACH = 7
-_ROUNDING = 1e-9  # part of a cell's side added to bounds, for rounding errors
+_ROUNDING = 1e-9  # fraction of a cell's side by which bounds are increased
 _FAR = 16.0  # larger than any squared distance in the domain, in up to 4 dims
 _SHARP = 1e-10  # tolerance of the center of a hole, relative to the hole's radius
 

@@ -76,7 +76,7 @@ class Sampler(Component, ABC):
     structure
         The structure that randomizations of this sampler must preserve.
     sequence
-        Whether the first k of n points equal the set of k points, and each such prefix is good.
+        Whether the first k of n points are the set of k points, and well distributed for every k.
     antithetic
         Whether points come in pairs that are reflected through the center of a cell.
     independent

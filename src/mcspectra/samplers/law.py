@@ -148,7 +148,7 @@ class Law(ABC):
         return replace(self, source=source)
 
 
-# Leaves of the tree of laws: how points are drawn before any randomization
+# Basic laws: how points are drawn before any randomization
 
 
 @final
@@ -592,7 +592,7 @@ class Unknown(Law):
         return self.is_uniform
 
 
-# Operators in the tree of laws: how a set of points is randomized
+# Operators on laws: how a set of points is randomized
 
 
 @final
@@ -770,7 +770,7 @@ def as_scrambled(law: Law) -> Law:
 
     The second digits are permuted within each first digit [Tang1993]_.
     Nested scrambling of one realization therefore has the same law as the sampler.
-    If the set is not such an orthogonal array, its law is returned unchanged.
+    If the set is not an orthogonal array with s parts per stratum, its law is returned unchanged.
     """
     if not isinstance(law, PairedAxes) or law.base is None or law.source is None:
         return law

@@ -466,7 +466,7 @@ class Faure(_AnyBaseNet):
     Attributes
     ----------
     base
-        A prime, at least `dims`; by default the smallest such prime.
+        A prime, at least `dims`; by default the smallest prime that is at least `dims`.
 
     Notes
     -----

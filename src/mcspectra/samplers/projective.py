@@ -87,7 +87,7 @@ class ProjectiveBlueNoise(Sampler):
 def _free_coordinate(
     k0: Any, k1: Any, at: int, radius: float, column: Array, cells: Array
 ) -> tuple[float, int]:
-    # Draw x until no point is nearer than `radius` on this axis. Return −1 if no such x is found.
+    # Draw x until no point is nearer than `radius` on this axis; −1 after too many draws.
     # `cells` has the number of the point in each cell of the axis, −1 if there is none.
     # A cell is at most as large as the radius, and larger than half the radius.
     side = cells.size

@@ -1,7 +1,7 @@
 """Randomizations that move all points of a set: shifts, rotations, mirror images, pixels.
 
 A reflection is u → 1 − 2^-53 − u, because 1 − u would leave [0,1) for u = 0.
-The reflection is one to one on the multiples of 2^-53, and float64 points are such multiples.
+The reflection is one to one on multiples of 2^-53. The float64 points are multiples of 2^-53.
 """
 
 from __future__ import annotations

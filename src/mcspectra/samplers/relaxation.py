@@ -45,7 +45,7 @@ _BALANCED = 1e-3  # allowed relative error of the cells' areas while points move
 # With areas accurate to 1e-9, the error of the transport cost is about (1e-9)²
 _EXACT = 1e-9
 # Largest accepted relative error of the areas if rounding prevents a smaller one.
-# The transport cost then has an error of 1e-6
+# If the areas have this error, the transport cost has an error of 1e-6
 _CLOSE = 1e-4
 # Largest number of visits (see `kernels.Diagram`) for a transport cost; takes some seconds.
 # 8192 random points take 2^24 visits.

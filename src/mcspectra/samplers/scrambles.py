@@ -26,7 +26,7 @@ from mcspectra.samplers.radical import RadicalInverses
 
 __all__ = ["DigitalShift", "Lms", "Owen", "Permute"]
 
-# The random keys of the jitter differ from the keys of the shift by this number (XOR)
+# XOR with this number turns the random keys of the shift into the random keys of the jitter
 _JITTER = 0x6A09E667F3BCC908
 _BELOW_ONE = 1.0 - 2.0**-53
 
@@ -189,17 +189,17 @@ class DigitalShift(_OfPlaces):
     base
         Base of the digits, one number or one per dim; by default the sampler's base, else 2.
     jitter
-        Whether each point has its own random digits below the digits that tell n numbers apart.
+        Whether each point has its own random digits after the first m, the smallest m with b^m ≥ n.
         Points of nets then keep their elementary intervals, and fill these intervals uniformly.
 
     Notes
     -----
     Without `jitter`, all points have one offset in their elementary intervals.
-    The variance of smooth functions is then that of a shifted grid.
+    The variance of smooth functions is that of a shifted grid.
     With `jitter`, the variance is at most that of stratified points.
     The relative places of points in the net stay the same.
     If the points of a net are far apart, as in larcher-pillichshammer, they stay far apart.
-    The net then has less variance than with owen, which does not keep points apart.
+    Nets with points far apart have less variance than with owen, which does not keep them apart.
 
     References
     ----------
@@ -291,7 +291,7 @@ class Owen(_OfDigits):
     The seed is longer than in these hashes: 126 random bits for two rounds.
     Each round has a random summand and a random odd factor.
 
-    Halton, hammersley and van-der-corput points are drawn from the top of their trees of digits.
+    Halton, hammersley and van-der-corput points are drawn and scrambled in one step.
     Each point derives from the earlier point with which it shares the most digits [Helmer2021]_.
 
     References
