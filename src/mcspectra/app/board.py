@@ -21,7 +21,7 @@ from mcspectra.plots.description import Plot
 __all__ = ["JOINT", "STALE", "Board", "Card", "card_of"]
 
 JOINT = "A and B"
-"""Name of the side for figures that show both set-ups."""
+"""Name that stands for both set-ups, in figures that show A and B together."""
 
 _FRESH: Any = {"opacity": "1", "filter": "none"}
 _FRAMES = {False: 216, True: 100}  # width of a panel in pixels: for one set-up, and for two
@@ -45,17 +45,17 @@ class Board:
     Parameters
     ----------
     side
-        Side of the set-up, ``"A"`` or ``"B"``.
+        Name of the set-up, ``"A"`` or ``"B"``.
     sheet
         Style sheet of the widgets.
     later
         Schedules a function without arguments in the page's thread, with the lock of the page.
     on_update
-        Called in the job's thread, with an empty text, before the first part is shown.
+        Called in the job's thread, with an empty text, before the first results are shown.
         If nothing can be computed, the text is a sentence with the reason.
     on_shown
-        Called in the page's thread after a part was shown, and after the job has ended.
-        The argument is True if figures were added or removed.
+        Called in the page's thread after results were shown, and after the job has ended.
+        The function's argument is True if figures were added or removed.
     """
 
     def __init__(
@@ -122,7 +122,7 @@ class Board:
         self._end(sentence, alert=True)
 
     def pair(self, paired: bool) -> None:
-        """Choose whether the headings of figures name the side (A or B)."""
+        """Choose whether the headings of figures contain the name of the set-up (A or B)."""
         self._paired = paired
         for kind, card in self.cards.items():
             card.layout.children[0].text = self._heading(kind)
@@ -235,8 +235,8 @@ def card_of(
 ) -> Card:
     """Show a plot of a side in the card `before` if it fits, otherwise in a new card.
 
-    If `named` is true, the heading names the side.
-    The label for screen readers always names the side.
+    If `named` is true, the heading contains the name of the set-up.
+    The label for screen readers always names the set-up.
     """
     words = f'<p>{escape_html(plot.words)}</p><p class="soft">{escape_html(plot.caption)}</p>'
     if before is not None and before.drawn.fits(plot):

@@ -71,7 +71,7 @@ class Controls:
     setup
         Set-up shown at first.
     side
-        ``"A"`` or ``"B"``. All labels contain it, so that screen readers can tell the sides apart.
+        Name of the set-up, ``"A"`` or ``"B"``. All labels contain the name, for screen readers.
     sheet
         Style sheet of the widgets.
     on_change

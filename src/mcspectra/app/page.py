@@ -155,7 +155,7 @@ class Explorer:
             for title, query in _EXAMPLES.items()
         )
         talk = f"<details><summary>Examples of the talk</summary><ul>{examples}</ul></details>"
-        # Use separate roots, so that a change of text does not move the figures
+        # Use separate root elements, so that a change of text does not move the figures
         self.roots: dict[str, Any] = {
             "side": Column(
                 children=[block(text=talk), self._compare, self._sides], sizing_mode="stretch_width"

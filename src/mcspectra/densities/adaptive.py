@@ -54,12 +54,12 @@ CELLS = {1: 64, 2: 16}
 """Default number of starting cells along each axis, by dims."""
 SETS, SET_SIZE = 32, 4096
 """Number of shifted low-discrepancy sets, whose spread estimates the error, and their size."""
-_SLOWEST = 0.98  # largest ratio between levels: p ~ r^a with a > 0.97 counts as divergent
+_SLOWEST = 0.98  # largest ratio of unresolved parts; p ~ r^a with a > 0.97 diverges
 _NEGLIGIBLE = 1e-6
 # Largest ratio between the unresolved volumes of successive levels.
 # In 2-D, the ratio is ½ for unresolved cells along a line, and ¼ for unresolved cells at a point
 _SHRINKING = 0.8
-# Number of levels at the start that are omitted from ratios of levels.
+# Number of levels at the start that are not used for the ratio of the unresolved parts.
 # On the first levels, cells near a zero of the density are split even if they do not contain it
 _FIRST_LEVELS = 4
 _WINDOW = 8
@@ -98,7 +98,7 @@ class Quadrature:
     def ratio(self) -> float:
         """Ratio of the unresolved parts of successive levels. It is 0 if everything is resolved.
 
-        The ratio is that of two sums: over the last k levels, and over the k levels before these.
+        The ratio compares two sums: over the last k levels, and over the k levels before them.
         The ratio of two single levels varies with the position of a zero in its cell.
         """
         parts = self.unresolved
@@ -229,8 +229,8 @@ def positive_integral(
         If the unresolved part does not shrink, the integral is infinite and the error is 0.
         Poles r^-a with a > 0.97 count as divergent.
         See `mcspectra.densities.reciprocal_integral`.
-        If the integral was extrapolated by a geometric series of ratio r, the error is
-        the last change of the extrapolated integral times the larger of 1 and r/(1 − r).
+        If the integral was extrapolated by a geometric series of ratio r, the error is larger:
+        it is the last change of the extrapolated integral times the larger of 1 and r/(1 − r).
         Where poles cross, the levels form only approximately a geometric series.
     """
     with np.errstate(over="ignore", invalid="ignore"):

@@ -382,7 +382,7 @@ class Tent(_Separable):
         return np.asarray((x < self._peaks) | (self._peaks == 1))
 
     def _heights(self, x: Array) -> tuple[Array, Array]:
-        """Return the heights of the rising and the falling line at x, divided by the peak's."""
+        """Return the rising and the falling line at x, divided by the value at the peak."""
         left, right = self._sides
         return np.minimum(x, left) / left, np.minimum(1.0 - x, right) / right
 

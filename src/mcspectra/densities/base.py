@@ -56,12 +56,12 @@ __all__ = [
 ]
 
 _LARGEST_LOGARITHM = float(np.log(np.finfo(float).max))
-_PROBE = 5  # number of points of the first call; a small odd number reveals wrong shapes
+_PROBE = 5  # points in the first call of a function; a small odd number reveals wrong shapes
 _SAME = 1e-9
 
 
 def per_dim(default: float, **limits: float) -> Any:
-    """Declare a field of one real number, for all dims or per dim, stored in the given form."""
+    """Declare a field: one real number, for all dims or per dim, stored in the given form."""
 
     def check(name: str, given: Any, dims: int) -> Any:
         as_reals(name, given, dims, **limits)
@@ -204,7 +204,7 @@ class Density(Component, ABC):
         ------
         DensityError
             If a function is not callable, fails, or returns a wrong shape.
-            If functions are not consistent (see `check`), or if another function is needed.
+            If functions are not consistent (see `check`), or if a necessary function is missing.
 
         Examples
         --------
@@ -295,7 +295,7 @@ class Wrapper(Density):
 
 
 class _ByFunctions(Density):
-    """Abstract density given by functions: its name, and checked calls."""
+    """Base class of densities that are given by functions: the name, and checked calls."""
 
     name: ClassVar[str] = "function"
     pdf_function: Callable[[Any], Any]
@@ -346,7 +346,7 @@ class FunctionDensity(_ByFunctions):
 
     @property
     def has_inverse(self) -> bool:
-        """Whether invert was given."""
+        """Whether the function invert was given."""
         return self.invert_function is not None
 
     def _pdf(self, x: Array) -> Array:
@@ -410,7 +410,7 @@ class NumericalDensity(_ByFunctions):
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """Cdf at jumps and kinks. In 2-D only those of axis 1: breaks of axis 0 vary by row."""
+        """Cdf at jumps and kinks. In 2-D, only for axis 1, since breaks of axis 0 vary by row."""
         return self._warp.breaks
 
     def zero_points(self) -> Array:

@@ -4,7 +4,7 @@ Between four nodes, p(x) = Σ_ij v_ij B_i(x_0) B_j(x_1) with linear B, so p is c
 The warp T is also continuous where the marginal density is above 0.
 T_1 inverts the marginal cdf, which is quadratic between two knots.
 T_0 inverts the cdf along the line x_1 = T_1.
-This cdf is a blend of the cdfs of two rows of nodes, and it is also quadratic between knots.
+The cdf along a line is a blend of the cdfs of two rows of nodes, also quadratic between knots.
 The primary-space integrand jumps only where f jumps. It has kinks where x passes a knot.
 In contrast, every warp of a piecewise constant table jumps (`mcspectra.densities.tabulated`).
 """
@@ -31,7 +31,7 @@ __all__ = ["Bilinear"]
 class _Tables(NamedTuple):
     """Tables of a bilinear density, in the form that the kernels take.
 
-    The knots `xs` (w,) and `ys` (h,) run from 0 to 1. There `nodes` (h, w) is the density.
+    The knots `xs` (w,) and `ys` (h,) run from 0 to 1. `nodes` (h, w) is the density at the knots.
     `sums` (h, w) has the integrals along each row, from 0 to each knot.
     These integrals are exact, because the density is linear between knots.
     `rows` (h,) has the integrals of ``sums[:, -1]`` along x_1, from 0 to each knot.
@@ -47,7 +47,7 @@ class _Tables(NamedTuple):
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Bilinear(Density):
-    """2-D density that interpolates bilinearly between values at nodes, the rows of a table.
+    """2-D density that interpolates bilinearly between the values at the nodes of a table.
 
     Attributes
     ----------
@@ -161,8 +161,8 @@ def _fraction(knots: Array, i: int, x: float) -> float:
 def _solve(a: float, b: float, share: float) -> float:
     """Return t in [0,1] that divides the integral of a linear function.
 
-    The function is a at 0 and b at 1. Its integral from 0 to t, divided by its whole integral,
-    is `share`.
+    The function is a at 0 and b at 1.
+    Its integral from 0 to t is the fraction `share` of its whole integral.
     The result is the root of (b − a) t²/2 + a t = share (a + b)/2, without cancellation.
     """
     scale = max(a, b)
@@ -226,7 +226,7 @@ def _column(xs: Array, nodes: Array, sums: Array, j: int, t: float, u: float) ->
 def _shape(
     xs: Array, ys: Array, nodes: Array, sums: Array, rows: Array, u: Array, x: Array
 ) -> None:
-    """Fill x (N, 2) from u (N, 2), in [0,1)."""
+    """Write the points x (N, 2) to which T maps u (N, 2); all coordinates are in [0,1)."""
     last = xs.size - 1
     for k in range(u.shape[0]):
         j = _interval(rows, u[k, 1])

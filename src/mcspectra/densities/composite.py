@@ -47,7 +47,7 @@ from mcspectra.densities.registry import DENSITIES, as_density, density
 __all__ = ["Defensive", "Mixture", "Product"]
 
 _MAX_PARTS = 1024
-# Points where one factor of a product density is 0 get this number of positions on other axes
+# Largest number of different coordinates on other axes, at points where a factor density is 0
 _PLACES = 4
 _SELECTIONS = ("coordinate", "extra")
 
@@ -124,7 +124,7 @@ class Product(Density):
     def lifted(self, points: Sequence[Array]) -> Array:
         """Convert points of the factors, k_j points in d_j dims for factor j, to points in d dims.
 
-        A point of one factor gets one of `_PLACES` positions on the axes of the other factors.
+        Points of a factor get coordinates on all other axes, which take `_PLACES` values in turn.
         """
         found = []
         for own, given in zip(self._domain, points, strict=True):
@@ -211,7 +211,7 @@ class Mixture(Density):
                 "mcspectra.estimators.split_mixture(integrand, mixture)."
             )
         as_choice("selection", self.selection, _SELECTIONS)
-        # Determine the dims. All parts must have the same; no part may need an extra coordinate
+        # Determine the dims. All parts must have equal dims; no part may need an extra coordinate
         parts = _as_parts(self.parts, _dims_of(self.parts, self.dims))
         given: int | None = self.dims
         dims = parts[0].dims if given is None else int(given)
@@ -264,7 +264,7 @@ class Mixture(Density):
         return np.concatenate(found)
 
     def zero_points(self) -> Array:
-        """Return the points at which all parts are 0, and so the mixture, among zeros of parts."""
+        """Return those zeros of the parts at which all parts are 0, so the mixture is 0 as well."""
         zeros = np.concatenate([part.zero_points() for part in self.parts])
         return np.asarray(zeros[self._pdf(zeros) == 0])
 
@@ -281,7 +281,7 @@ class Mixture(Density):
             own = chosen == t
             if not own.any():
                 continue
-            v = u[own]  # this index makes a copy, so u does not change below
+            v = u[own]  # indexing makes a copy, so u does not change below
             if self.selection == "extra":
                 v = v[..., :-1]
             else:

@@ -16,7 +16,7 @@ __all__ = ["check_density"]
 _SPREADS = 7.0  # limit in standard errors; a false alarm has probability 7e-8 per cell
 # Let the mean count of points in a cell be k + q, with an integer k and 0 ≤ q < 1.
 # All 32 point sets have k points in the cell with probability (1 − q)^32: 7e-8 for q = 0.4.
-# If the sets have different counts, the standard error of the counts covers this case.
+# Equal counts therefore allow an error of 0.4 points. Unequal counts have a standard error.
 _ALIKE = 0.4
 _ROUND_TRIP = 1e-6
 _INTEGRAL = 1e-4

@@ -1,7 +1,7 @@
 """The disk, the hemisphere and the sphere of directions on a lat-long square. Each has two warps.
 
 With the solid angle dω = sin θ dθ dφ, a density q per steradian is p(x) = q |∂ω/∂x| on the square.
-This p is 0 at the poles, so ∫1/p diverges logarithmically.
+The density p is 0 at the poles, so ∫1/p diverges logarithmically.
 However, ∫f²/p converges if f also contains the factor sin θ.
 
 All densities use maps from the square to the disk or the sphere, in polar coordinates.

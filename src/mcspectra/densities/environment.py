@@ -9,8 +9,8 @@ Let f be proportional to a table p, and let the balance heuristic combine the te
 Then the points of all techniques together should have the density p.
 Technique τ has a share β_τ = n_τ/Σ n of the points.
 The density p'_τ of technique τ should be the part of p that the other techniques do not sample.
-This means β_τ p'_τ = max(0, λ p − Σ_{s≠τ} β_s p_s), with λ such that ∫ p'_τ = 1.
-This p'_τ minimizes ∫ f²/(β_τ p'_τ + Σ β_s p_s), hence the second moment.
+Therefore, β_τ p'_τ = max(0, λ p − Σ_{s≠τ} β_s p_s), with λ such that ∫ p'_τ = 1.
+The density p'_τ minimizes ∫ f²/(β_τ p'_τ + Σ β_s p_s), hence the second moment.
 If the maximum cuts nothing off, λ = 1, and the estimate of f has no variance.
 """
 
@@ -200,8 +200,7 @@ def compensated(
     others
         Densities of the other techniques, or spec strings.
     counts
-        Numbers of points that are drawn from `density` and from each of the other densities,
-        as in `MultipleImportance`.
+        Numbers of points from `density` and from each other density, as in `MultipleImportance`.
         By default, all techniques have the same number of points.
 
     Returns
@@ -218,8 +217,8 @@ def compensated(
     -----
     Gauss rules of 4 nodes per axis compute the means of the other densities over the cells.
     If all other densities are 0 at one of these nodes, the cell keeps its value λ p.
-    This ensures that some technique samples f everywhere; `MultipleImportance` checks it again.
-    Compensation is optimal only if f is proportional to p.
+    If all other densities are 0 at one node of a cell, the cell keeps its value λ p.
+    Therefore some technique samples f everywhere; `MultipleImportance` checks it again.
     If f has further factors, the estimate is still unbiased.
 
     Examples

@@ -57,7 +57,7 @@ class SplineDensity(Density):
         For a mixture: w (K,) with sum 1, and c (K, d, M) with rows of sum 1. Empty for a flow.
     gates
         For a flow: the coefficients θ (d, M, 1 + d·DEGREE), which are 0 for later coordinates.
-        This array is empty for a mixture.
+        The array of these coefficients is empty for a mixture.
     defensive
         δ, the smallest value of p, so that |f/p| is at most |f|/δ.
     """
@@ -144,7 +144,7 @@ class Learned(Wrapper):
         return self._inside.dims
 
     def cuts(self, others: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
-        """Return `others`; in 1-D and 2-D, also domain places where the pdf is not smooth."""
+        """Return `others`; in 1-D and 2-D, add places of the domain where the pdf is not smooth."""
         if self.dims > 2:
             return others
         ends = self._inside.knots[:, 1:-1]

@@ -104,7 +104,7 @@ class SphericalRectangle(_Light):
     """Density uniform in a rectangle's solid angle. x = (s, t) is the point corner + s e_0 + t e_1.
 
     u_0 is the share of the solid angle up to s [Urena2013]_.
-    u_1 is the share from 0 to t of the density on the line of constant s.
+    On the line of constant s, u_1 is the share of the density from 0 to t.
 
     Attributes
     ----------
@@ -186,7 +186,7 @@ class SphericalTriangle(_Light):
     The ray from b through x cuts off the share s of the area, next to the edge ab.
     The line through x parallel to ac cuts off a triangle at b, which has the share t of the area.
     u_0 is the share of the solid angle up to s.
-    u_1 is the share from 0 to t of the density on the line of constant s.
+    On the line of constant s, u_1 is the share of the density from 0 to t.
     The map from u to x is the continuous map of [Arvo1995]_.
 
     Attributes

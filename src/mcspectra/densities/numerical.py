@@ -13,7 +13,7 @@ The module `mcspectra.densities.tabulated` uses the same order of the axes.
 All rows are evaluated on the same cells, so the warp is as smooth along x_1 as the pdf.
 Jumps along lines x_0 = c and x_1 = c are resolved exactly.
 Jumps or kinks along other lines are searched for in 1018 rows, at 1024 places each.
-If such a jump or kink is found, the pdf is rejected.
+If a jump or kink along another line is found, the pdf is rejected.
 """
 
 from __future__ import annotations
@@ -90,12 +90,12 @@ class NumericalWarp:
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """Cdf at jumps and kinks. In 2-D only for axis 1: breaks of axis 0 vary by row."""
+        """Cdf at jumps and kinks. In 2-D, only for axis 1, since breaks of axis 0 vary by row."""
         last = self._last.breaks()
         return (last,) if self.dims == 1 else ((), last)
 
     def zero_points(self) -> Array:
-        """Return the centers of cells in which the pdf is 0. In 2-D, use the marginal."""
+        """Return the centers of cells in which the pdf is 0. In 2-D, use the marginal pdf."""
         cells, masses = self._last.cells, np.diff(self._last.cdf)
         empty = (self._last.density == 0).all(axis=1) & (masses == 0) & (cells.width > _SHARP)
         centers = (cells.low + 0.5 * cells.width)[empty]
@@ -311,7 +311,7 @@ def _refine(
     """Split cells until the interpolants resolve a nonnegative function.
 
     The nodes of the cells may miss details between them. Therefore the function is also probed.
-    If the interpolant differs from the function at a probe, the cells with such probes are split.
+    If the interpolant differs from the function at a probe, the cell of the probe is split.
     The cells are split down to the distance between probes, and further if necessary.
 
     Parameters
@@ -373,7 +373,7 @@ def _split(
     points: Array,
     narrow_enough: float,
 ) -> _Cells:
-    """Return cells that resolve the function and are narrow enough wherever they hold a point."""
+    """Return cells that resolve the function; cells with one of the points are narrow enough."""
     low, width = np.arange(start) / start, np.full(start, 1.0 / start)
     values = _checked(function(_spread(low, width)), subject)
     total = _size(values, width)

@@ -52,7 +52,7 @@ def _piece(ends: Array, x: Array) -> Array:
 
 
 def _as_edges(name: str, edges: Any) -> Any:
-    """Convert edges to a tuple of ascending positions, or to a tuple of such tuples."""
+    """Convert edges to a tuple of ascending positions, or to one tuple of positions per dim."""
     if not isinstance(edges, Sequence | np.ndarray) or isinstance(edges, str):
         raise ParameterError(
             f"edges is {edges!r:.80}; give a list of places in (0, 1), one list per dim."

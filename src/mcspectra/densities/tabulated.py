@@ -34,7 +34,7 @@ Therefore the choice of the warp determines the rate.
   If the table is a square of side 2^k, each jump stays within two neighboring cells.
   In a table of another size, jumps can be longer, because the curve leaves the table and returns.
     A line along u_1 crosses no jumps.
-  This warp suits samplers with n strata in u_0, which become n strata along the curve.
+  The Hilbert warp suits samplers with n strata in u_0, which become n strata along the curve.
   Samplers with square 2-D strata have only √n strata in u_0, and so along the curve.
 
 *Bilinear* tables (`bilinear`) make p continuous. Therefore g is also continuous along rows.
@@ -75,7 +75,7 @@ WARPS = ("marginal", "hierarchical", "alias", "hilbert")
 
 _MOST_SHOWN = 256  # tables up to this size are stored as lists, which spec strings show
 _MOST_CELLS = 2**26  # largest number of cells: 512 MiB per copy, and a warp stores several copies
-_MOST_BREAKS = 2**12  # largest number of breaks: quadrature between more of them takes too long
+_MOST_BREAKS = 2**12  # largest number of breaks: quadrature between more breaks takes too long
 _SAME_ROWS = 1e-12  # relative tolerance with which rows count as proportional
 
 
@@ -300,7 +300,7 @@ class _Marginal:
 
     def breaks(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Marginal cdf between different rows. If separable, also the cdf at column borders."""
-        # Rows are proportional if all rows with mass have the same cdf as the first one
+        # Rows are proportional if all rows with mass have equal cdfs
         columns = self.columns[self.cells.any(axis=1)]
         separable = np.abs(columns - columns[0]).max() <= _SAME_ROWS
         across = _inner(self.columns[0], np.diff(self.cells[0])) if separable else ()
@@ -356,7 +356,7 @@ class _Hierarchical:
     """
 
     def __init__(self, cells: Array) -> None:
-        # At each level, from the root, split the longer side; if both are equal, split the rows
+        # At each level of the tree, split the longer side; if both sides are equal, split the rows
         bits = [(size - 1).bit_length() for size in cells.shape]
         table = np.pad(cells, [(0, 2**b - size) for b, size in zip(bits, cells.shape, strict=True)])
         axes = []
@@ -387,7 +387,7 @@ class _Hierarchical:
     def breaks(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Borders of the first splits, which all divide the same axis.
 
-        These borders are whole lines. Borders of later splits are only segments, and are omitted.
+        Borders of the first splits are whole lines. Borders of later splits are omitted segments.
         """
         found: list[tuple[float, ...]] = [(), ()]
         if self.axes.size:
@@ -444,7 +444,7 @@ def _return_to_root(shares: Array, axes: Array, size: tuple[int, ...], x: Array,
             else:
                 columns -= 1
                 node = 2 * node + 1 + ((column >> columns) & 1)
-        # Undo the splits, from the leaf to the root
+        # Undo the splits, from the last split to the first
         for level in range(axes.size - 1, -1, -1):
             second = node % 2 == 0
             node = (node - 1) >> 1
@@ -594,10 +594,12 @@ def _position(side: int, column: int, row: int) -> int:
 
 @kernel
 def _places_on_curve(side: int, size: tuple[int, ...], places: Array, headings: Array) -> None:
-    """Fill the indices of the cells on the curve, (height · width,), and their headings.
+    """Compute the index of each cell on the curve, and the direction to the next cell.
 
-    The heading of a cell points to the neighbor with the next index.
-    The last cell has the same heading as the cell before it.
+    Both arrays have the shape (height · width,).
+
+    The direction at a cell points to the neighbor with the next index.
+    The last cell has the same direction as the cell before it.
     """
     height, width = size
     last = side * side - 1

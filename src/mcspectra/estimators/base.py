@@ -176,7 +176,7 @@ class AbstractEstimator(Drawable, ABC):
     def primary_integrand(self, technique: int = 0) -> Integrand:
         """Return the integrand g_t of the primary view. Later calls return the same object.
 
-        This object stores results of quadrature.
+        The integrand object stores results of quadrature.
         """
         if technique not in self._primaries:
             self._primaries[technique] = self._primary(technique)

@@ -12,8 +12,7 @@ The rate of channel c then depends only on f_c. `channel_estimators` makes four 
     One set of primary points is warped by each density, which also takes C n evaluations.
     The errors of the channels are correlated, so the noise is less colored.
 ``mis``
-    All points of all densities are used in all channels, weighted by the balance heuristic.
-    This takes C n evaluations.
+    All channels use all points of all densities by the balance heuristic, with C n evaluations.
 """
 
 from __future__ import annotations
@@ -144,7 +143,7 @@ def channel_estimators(
     -------
     dict
         The estimators ``one`` (if given), ``own``, ``shared`` and ``mis``, described in the module.
-        With n points per technique, ``one`` evaluates f n times and the others C n times.
+        With n points per technique, ``one`` evaluates f n times, each other estimator C n times.
         Therefore compare the estimators at equal numbers of evaluations, Σ counts · n.
 
     Examples

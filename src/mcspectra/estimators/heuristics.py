@@ -149,7 +149,7 @@ class Pilot(ABC):
         """Return f at k points, (k, channels); a scalar f has one channel."""
 
     def system(self, x: Array) -> Array:
-        """Return the integrands p_s p_t/q of A and f p_s/q of b at k points, (k, T, T + C)."""
+        """Return the integrands of A, p_s p_t/q, and of b, f p_s/q, at k points: (k, T, T + C)."""
         p = self.pdfs(x)
         q = self.shares @ p
         over = np.divide(p, q, out=np.zeros_like(p), where=q > 0)
@@ -376,7 +376,7 @@ class Optimal(_Piloted):
 
         α_t + n_t (f − Σ_s α_s p_s)/q,
 
-    This is the balance heuristic for f with Σ α_s p_s as a control variate.
+    The weighted value is that of the balance heuristic for f with the control variate Σ α_s p_s.
     In this form f may be 0, and each channel has its own α.
     If densities are (nearly) identical, A is singular. The solution of least norm is then used.
     All solutions have the same sum Σ α_s p_s.
@@ -459,7 +459,7 @@ class VarianceAware(_Piloted):
 class Residual(Derived):
     """The difference f − Σ α_t p_t between f and the control variate of the optimal weights.
 
-    This difference is the integrand in the domain view.
+    The difference f − Σ α_t p_t is the integrand in the domain view.
     """
 
     text = "{0.integrand.spec} less its control variate"

@@ -56,8 +56,8 @@ class Estimator(DomainEstimator):
     DensityError
         If p is zero at points where f is not (probed by `mcspectra.estimators.support`).
         Probes call f only where p is 0, at most a few thousand times. Probes may miss a region.
-        If probes miss such a region, the error is raised when a sample hits it;
-        without such a sample, the estimate is biased.
+        If probes miss a region where p is 0 and f is not, a sample in the region raises the error.
+        If no sample hits the region, the estimate is biased.
     ParameterError
         If the numbers of dims differ.
     """

@@ -73,11 +73,11 @@ class Mirrored(AbstractEstimator):
     A mirrored estimator with the sampler ``S`` has the same values as the inner estimator
     with the sampler ``S | mirror(mode=...)``. Use ``'fold'`` for the mode ``"integrand"``.
     In contrast, ``S | mirror(...) | shift`` shifts the points after folding.
-    Such a shift moves points across the jump between f(1) and f(0).
+    A shift after folding moves points across the jump between f(1) and f(0).
 
     In ``"random"`` mode the reflections are independent, and cause a part of the variance.
-    The part of the reflections is the variance of f over the images of a point, divided by n.
-    This part of the variance falls as 1/n for every sampler.
+    The reflections add the variance of f over the images of a point, divided by n.
+    The variance due to reflections falls as 1/n for every sampler.
 
     References
     ----------

@@ -4,9 +4,9 @@ As in renderers, counts are per technique: n light samples *and* n BSDF samples.
 In the one-sample model, each point selects its technique:
 
 I = (1/n) Σ_k w_t f/(P_t p_t), where technique t has the probability P_t.
-This estimator is described in [VeachGuibas1995]_ and in §9.2.4 of [Veach1997]_.
+The one-sample model is described in [VeachGuibas1995]_ and in §9.2.4 of [Veach1997]_.
 With the balance heuristic w_t = P_t p_t / Σ_s P_s p_s,
-it is the same as sampling from the mixture Σ_s P_s p_s.
+the one-sample estimator is the same as sampling from the mixture Σ_s P_s p_s.
 No other weights have less variance with random points (Theorem 9.4 of Veach).
 """
 
@@ -237,7 +237,7 @@ class OneSampleMIS(Combined):
     Notes
     -----
     The primary-space integrand usually jumps where the selected technique changes.
-    These jumps are normal to an axis. They make the rate of stratified points slower.
+    The jumps are normal to an axis, and make the rate of stratified points slower.
     `MultipleImportance` avoids these jumps, because each technique has its own point set.
 
     Examples
@@ -324,7 +324,7 @@ class OneSampleMIS(Combined):
         for t, density in enumerate(self.densities):
             own = carried_breaks(self.integrand, density, self.combination.breaks)
             for i, places in enumerate(own):
-                if i == axis:  # This interval selects technique t
+                if i == axis:  # This interval of the coordinate selects technique t
                     stretched = (self._borders[t] + b * self.probabilities[t] for b in places)
                     found[i].update(map(float, stretched))
                 else:

@@ -37,16 +37,15 @@ _CLUMPS = 4.0  # If the kurtosis is at most this, extreme values are not a tail
 _LEAST_POINTS = 3000  # With fewer points, the 256 farthest values are not a tail
 # Limits for the share of the variance that comes from values beyond all sampled values.
 # If g is bounded, values beyond the sampled values have a small share of the variance.
-# Each key is the number of farthest values to which a tail is fitted; the entry is the limit
+# The table has the limit for each number of farthest values to which a tail is fitted
 _BEYOND = {16: 0.005, 64: 0.02, 256: 0.15}
 # Largest allowed square of the standard error of log s².
 # With a larger error, s² has less than one degree of freedom.
 # The upper end of the interval of the variance would then be above 100 s²
 _MOST_ERROR = 2.0
-# Three limits for tails. If the tail index is above the first number,
-# the upper end of the variance accounts for the tail.
-# The second number is the standard error of a tail index that is fitted to 64 values.
-# If the tail index is above the third number, the values give no upper bound of the variance.
+# If the tail index is above `_TAILED`, the upper end of the variance accounts for the tail.
+# `_INDEX_ERROR` is the standard error of a tail index that is fitted to 64 values.
+# If the tail index is above `_MOST_INDEX`, the values give no upper bound of their variance.
 # At index ¼ the kurtosis is infinite. Take 1,000 values u^−0.3 as an example:
 # 85 % of the intervals from the kurtosis alone are correct, and 96 % with these limits.
 # Intervals for uniform, normal and exponential values stay the same.
@@ -121,7 +120,7 @@ class Measured:
         return Measured(value, value - half, value + half)
 
     def widened(self, factor: float) -> tuple[float, float]:
-        """Return the ends of the interval, widened by the factor."""
+        """Return the ends of the interval, widened by a given factor."""
         ends = (self.low, self.high)
         if self.log and min(self.value, *ends) > 0:
             low, high = (self.value * (end / self.value) ** factor for end in ends)
@@ -361,7 +360,7 @@ class Moments:
         If the tail index is above 0.05, the upper end is at least the quantile for values u^−k.
         The exponent k is the estimated tail index plus one standard error.
         With these constants, 93 to 97 % of the intervals from 20 or more values are correct.
-        This was tested by ``python -m benchmarks coverage``, for kurtoses up to 10.
+        The tests by ``python -m benchmarks coverage`` covered kurtoses up to 10.
         The tested laws were skewed, heavy-tailed, flat and two-peaked.
         As the number of values R grows, the interval depends less and less on these constants.
         """
@@ -434,7 +433,7 @@ class Moments:
         excess = far[1:] - far[0]
 
         # Some values lie on a grid, for example the fraction of points that hit a light.
-        # Such a value represents the grid cell around it.
+        # A value on a grid represents the grid cell around it.
         # Therefore the tail begins half a grid cell below the smallest value in the tail
         step = np.where(excess > 0, excess, np.inf).min(axis=0)
         grid = (excess[0] == 0) & (far[0] > 0) & np.isfinite(step)
@@ -496,8 +495,8 @@ def _outermost(values: Array, kept: int) -> Array:
 def variance_interval(variance: Array, relative_se: Array) -> Array:
     """Return a 95 % interval of a variance, (..., 2), from χ² quantiles.
 
-    The number of degrees of freedom is ν = 2/relative_se². For R normal values
-    ν is R − 1, and the interval is exact. For heavier tails ν is smaller.
+    The number of degrees of freedom is ν = 2/relative_se².
+    For R normal values, ν is R − 1, and the interval is exact. For heavier tails ν is smaller.
     """
     from scipy.special import gammaincinv
 

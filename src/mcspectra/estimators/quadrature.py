@@ -88,7 +88,7 @@ _GROWTH_LINES, _STEADY = 4, 0.02
 # Each number k stands for the distance 2^-k
 _FAR, _NEAR, _INSIDE = (30, 60, 90, 120), (20, 30, 40, 50), (8, 14, 20, 26)
 # The 256 largest values at the points of `probe` are stored.
-# A power law replaces the values whose rank is above 8
+# In the integral of g², a power law replaces the values whose rank is above 8
 _TOP, _RANK = 256, 8
 # The largest values follow a power law t^-a if the exponent a is above 0.1,
 # and if log(g_4/g_32) exceeds 0.6 log(g_32/g_256), where g_k has rank k.
@@ -191,7 +191,7 @@ def blindness(g: Integrand, means: Array, squares: Array) -> Array:
         Difference between the means and the integrals that a second rule computes.
         If the second rule does not resolve g, the error of this rule is added.
         The second rule is `mcspectra.integrands._quadrature.adaptive_integral`.
-        This rule also detects regions in which g differs from its values at the first rule's nodes.
+        The second rule also finds regions where g differs from values at the first rule's nodes.
         The result is 0 if the two rules agree and the second rule resolves g.
         The result is also 0 if the mean over all strata agrees with a closed form of ∫g.
     """
@@ -241,7 +241,7 @@ def moments(g: Integrand) -> tuple[Array, Array, Array, Array]:
 
             label, width = f"moments of {g.spec}", 2 * len(middle)
             both = Pointwise(g, centered, breaks, label, width)
-            if g.dims <= _LOOKED_DIMS and not over_domain:  # g is not cut at breaks in more dims
+            if g.dims <= _LOOKED_DIMS and not over_domain:  # in more dims, g is not cut
                 both._cache.breaks = found_breaks(g)
             found = integral_estimate(both)
             first, second = np.split(found.value, 2)
@@ -258,14 +258,14 @@ def moments(g: Integrand) -> tuple[Array, Array, Array, Array]:
 @final
 @dataclass(frozen=True)
 class Rule:
-    """A Gauss-Legendre rule: its order, its maximum number of evaluations, and a second order."""
+    """A Gauss-Legendre rule: its order, the largest number of evaluations, and a second order."""
 
     order: int
     most: float = MOST_EVALUATIONS
     against: int = 0
 
     def each(self, g: Integrand) -> int:
-        """Return the evaluations for one box. Closed-form moments take one at each corner."""
+        """Return the evaluations for one box. Closed-form moments take one evaluation a corner."""
         return int((2 if in_closed_form(g) else self.order) ** g.dims)
 
     def check(self, what: str, evaluations: float) -> None:
@@ -570,7 +570,7 @@ def growth(g: Integrand) -> Array:
     Here t is the distance to the end or break. The exponents have the shape (channels or 1,).
     The exponents are slopes of log |g| at the smallest distances on some lines.
     The last two slopes of a line must agree.
-    ∫g² diverges for a ≥ ½, and ∫g⁴ for a ≥ ¼. Integrands in closed form have no such poles.
+    ∫g² diverges for a ≥ ½, and ∫g⁴ for a ≥ ¼. Integrands in closed form do not have these poles.
     An integrand is not tested if it is costly or warped by a density.
     """
     return _growth(g)[0]

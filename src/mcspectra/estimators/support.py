@@ -14,7 +14,7 @@ A density may be 0 at single points, such as a power at 0 or a tent at its ends.
 No probe lies at these points. In 2-D and more, regions that contain no probe are missed.
 The search also misses a gap of the density if the warp has no gap there.
 `mcspectra.densities.NumericalDensity` computes a warp from a pdf.
-This computed warp has a gap wherever the density is 0 on an interval wider than 2^-18.
+The computed warp has a gap wherever the density is 0 on an interval wider than 2^-18.
 """
 
 from __future__ import annotations

@@ -76,8 +76,8 @@ class TailSettings:
     # Least exponent for which ∫f⁴ is infinite, so that the error of a variance is unknown: ¼
     infinite_error: float = 0.25
     # Largest exponent for which quantiles are computed.
-    # The interval of the mean is infinite if the exponent is larger
-    # and if the lower end of the exponent's interval exceeds `surely`.
+    # If the exponent is larger, the interval of the mean is infinite,
+    # provided that the lower end of the exponent's interval exceeds `surely`.
     # Among 2,700 integrals of exp(x + y), five had an exponent above `largest` by chance
     largest: float = 0.46
     surely: float = 0.25
@@ -322,13 +322,14 @@ def unsampled_share(estimator: AbstractEstimator, samples: int) -> float:
     estimator
         The estimator. Without a density, the returned share is 0.
     samples
-        Number N of samples in all realizations together. The density gives the region the
-        probability 1/N.
+        Number N of samples in all realizations together.
+        Under the density, the region of smallest p has the probability 1/N.
 
     Notes
     -----
-    The share is a mean over points of an additive recurrence, as many points as samples.
-    There are 4096 to 65,536 points, so the share costs no more than the simulation.
+    The share of ∫f²/p is a mean over points of an additive recurrence.
+    The number of points is the number of samples, but at least 4096 and at most 65,536.
+    Therefore the share costs no more than a simulation with as many samples.
     A region without any of these points counts as empty.
     Therefore, in many dims the returned share is more likely too small than too large.
     With several channels, the largest share of any channel is returned.

@@ -74,8 +74,8 @@ _LEAST_INSET = 2.0**-51  # Least distance to a corner, as a fraction of its coor
 # Near a corner, f may differ from its polynomial by this multiple of the last coefficients.
 # A larger difference indicates a jump
 _SMOOTH = 100.0
-# If this many probe points differ from the polynomials, their standard error replaces the
-# error that is estimated from the boxes
+# If this many probe points differ from the polynomials, the error is their standard error,
+# and not the error that is estimated from the boxes
 _LEAST_SEEN = 30
 _LOOKS = 2  # The second set of probe points is this many times as large as the first
 # Smallest size of a box as a fraction of its coordinates, and smallest size next to 0
@@ -204,7 +204,7 @@ def refined_coefficients(function: QuadratureIntegrand, m: Sequence[Array]) -> E
     """Return coefficients (U_0, …, U_{d−1}[, channels]) at all combinations of integers m[i].
 
     The first grid has 16 nodes per wavelength of the highest frequency, or 8 in three or more dims.
-    If that many nodes exceed 2^24 evaluations, the first grid has 4 nodes per wavelength.
+    If the nodes exceed 2^24 evaluations, the first grid has 4 nodes per wavelength.
     The grid has at least 256 nodes per axis (64 in 3-D, 32 in 4-D, 16 in more dims).
     The number of nodes is doubled until two grids agree to 1e-10 of the largest coefficient.
     Doubling also ends if the next grid would exceed 2^22 evaluations.
@@ -300,7 +300,7 @@ def adaptive_integral(
     The value with the smaller error is used.
 
     If boxes were divided only because of the probe, other regions may have been missed.
-    In this case, 2^18 other points correct the value and give its error.
+    In this case, the correction and its error come from 2^18 other points.
     """
     dims, method = function.dims, "adaptive Gauss-Legendre quadrature with a probe"
     order = _CELL_ORDER[dims]
@@ -341,7 +341,7 @@ def adaptive_integral(
         fine = (weights @ values * volume[:, None]).reshape(len(coarse), 2**dims, -1)
         better = fine.sum(axis=1)
 
-        # Divide boxes further if they changed by more than their share, and the budget allows it
+        # Divide boxes further if their integral changed by more than their share, within the budget
         scale = np.maximum(scale, np.abs(fine).sum(axis=(0, 1)))
         difference = np.abs(better - coarse)
         changed = (difference > _INTEGRAL_TOLERANCE * scale / len(coarse)).any(axis=1)
@@ -420,7 +420,7 @@ def search_breaks(
     spread = np.where(seen.std(axis=0) > 0.0, seen.std(axis=0), np.inf)
     lines = points[np.unique([0, 1, *seen.argmin(axis=0), *seen.argmax(axis=0)])]
     rows, steps = np.arange(len(lines))[:, None], (np.arange(_LINE) + math.sqrt(0.5)) / _LINE
-    # Each break is a tuple: whether it is a peak, its height times −1, its axis and its position
+    # Each break is described by a tuple: whether it is a peak, minus its height, axis and position
     found: list[tuple[bool, float, int, float]] = []
     for axis in range(dims):
 

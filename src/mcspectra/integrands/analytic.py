@@ -101,7 +101,7 @@ class Linear(Integrand):
         return _along_first_axis(self.gradient, self.dims)
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array]:
-        """Return f at the centers. The mean of f² adds Σ_i (g_i h_i)²/12 for sides h_i."""
+        """Return f at the centers of boxes. The mean of f² adds Σ_i (g_i h_i)²/12 for sides h_i."""
         mean = self._evaluate(0.5 * (lo + hi))
         return mean, mean**2 + ((hi - lo) ** 2 @ self._slopes**2) / 12.0
 

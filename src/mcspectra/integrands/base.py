@@ -144,7 +144,7 @@ class IntegrandCache:
         (`mcspectra.estimators.quadrature.beyond_points`).
     separable
         f as sums or products of functions of single axes, for each channel.
-        It is empty if f is no such sum or product (`mcspectra.prediction.separable.separated`).
+        It is empty if f has no such form (`mcspectra.prediction.separable.separated`).
     """
 
     integral: Estimate | None = None
@@ -332,7 +332,7 @@ class Integrand(Component, ABC):
         return None
 
     def _estimated_integral(self) -> Estimate | None:
-        """Return the integral by the integrand's own rule. Return None if it has no such rule."""
+        """Return the integral by the integrand's own rule, or None if there is no own rule."""
         return None
 
     def _fourier(self, m: Array) -> Array | None:  # noqa: ARG002
@@ -485,7 +485,7 @@ class Channel(Derived):
     Raises
     ------
     ParameterError
-        If f is scalar, has no such channel, or does not have three channels for the luminance.
+        If f is scalar, lacks the channel, or does not have three channels for the luminance.
     """
 
     text = "{0.integrand.spec}[{0.channel}]"

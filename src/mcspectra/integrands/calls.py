@@ -80,7 +80,7 @@ class Calls:
         One file can store only one function with one set of parameters.
     on_error
         ``"raise"``: an error is raised if f fails or gives NaN or infinity.
-        ``"skip"``: values at such points are NaN.
+        ``"skip"``: values are NaN at points where f fails or is not finite.
         If f fails on several points at once, f is called again for each of these points.
 
     Attributes

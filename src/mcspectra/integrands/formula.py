@@ -83,7 +83,7 @@ class Formula(Integrand):
     Raises
     ------
     ParameterError
-        If the text is not such a formula, or names a coordinate that `dims` does not include.
+        If the text is not a formula as above, or names a coordinate that `dims` does not include.
         If the value is not finite at four test points inside the cube.
 
     Examples

@@ -5,7 +5,7 @@ The matching density is ``environment`` of `mcspectra.densities.environment`.
 If points are sampled by luminance, the ratio L_c / luminance remains in each channel c.
 The ratio L_c / luminance jumps at the borders of colored pixels.
 With the channel's own density, f/p is proportional to the cosine between light and normal.
-This cosine is smooth except at the horizon.
+The cosine between light and normal is smooth except at the horizon.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ class Image(_Picture):
     ------
     ParameterError
         If neither or both of path and values are given, or if the channel does not exist.
-        If the pixels are not finite numbers of such a shape.
+        If the pixels are not finite numbers of shape (h, w) or (h, w, channels).
     FileFormatError
         If the file is missing or cannot be read.
     """

@@ -116,7 +116,7 @@ class SmoothedStep(Integrand):
 
     @property
     def breaks(self) -> Breaks:
-        """Those ends of the ramp that lie inside the domain."""
+        """Ends of the ramp that lie inside the domain."""
         inside = (knee for knee in self._ramp if 0.0 < knee < 1.0)
         return _on_axis(self.dims, self.axis, *inside)
 
@@ -161,7 +161,7 @@ class Disk(_Indicator):
 
     In 2-D, the integral and the coefficients are exact.
     If the faces of the domain cut the disk, its coefficients are integrals over chords.
-    These integrals have rounding accuracy.
+    The integrals over chords have rounding accuracy.
     In 3-D and more, the coefficients of a ball inside the domain are exact (Bessel functions).
     A ball that the faces cut needs quadrature. Balls do not wrap around.
 
@@ -343,7 +343,7 @@ def _quadrant(x: Array, y: Array) -> Array:
     x, y = np.clip(x, -1.0, 1.0), np.clip(y, -1.0, 1.0)
     k = np.sqrt(1.0 - y * y)
     inner = np.clip(x, -k, k)
-    strip = y * (inner + k)  # The chord at height y cuts the disk
+    strip = y * (inner + k)  # The horizontal chord at y cuts the disk
     below = _half_area(inner) - _half_area(-k) + strip
     caps = _half_area(np.minimum(x, -k)) + _half_area(np.maximum(x, k)) - _half_area(k)
     return np.asarray(np.where(y < 0, below, _half_area(x) + caps + strip))

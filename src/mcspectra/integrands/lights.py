@@ -44,7 +44,7 @@ class RectangleLight(Integrand):
     The light emits the same radiance L on both sides.
     θ is the angle from the receiver's normal. Below the receiver's horizon f is 0.
     θ' is the angle from the light's normal. V is 0 if an occluder hides the point, else 1.
-    The density ``spherical-rectangle`` samples these lights.
+    The density ``spherical-rectangle`` samples rectangular lights.
     For parallelograms, use the density ``spherical-triangle``.
 
     Attributes

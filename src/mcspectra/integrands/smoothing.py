@@ -2,7 +2,7 @@
 
 There are two methods. The first needs the signed distance σ(x) to an edge; f = 1 where σ < 0.
 The edge becomes the linear ramp ½ − σ/δ of width δ, clipped to [0, 1].
-This ramp is the average over edges that are moved by τ, with τ uniform in [−δ/2, δ/2].
+The ramp is the average over edges that are moved by τ, with τ uniform in [−δ/2, δ/2].
 Therefore the integral and the coefficients of the ramp are averages over moved edges.
 
 The second method averages an integrand over a box of side δ about x.
@@ -54,7 +54,7 @@ def smoothed(
         δ > 0: the width of the ramp across the edge, or the side of the box.
     method
         ``"distance"`` is a linear ramp across the edge.
-        The ramp applies to step, disk, half-space,
+        The ramp applies to step, disk and half-space,
         and to the discontinuous functions of [Christensen2018]_.
         ``"box"`` is the mean over a box. It applies to any f if δ ≤ 1.
         ``"auto"`` uses the distance if it is known, otherwise the box.
@@ -138,7 +138,7 @@ class EdgeSmoothed(Integrand):
 
     @property
     def fourier_source(self) -> str:
-        """How Fourier coefficients are computed for an edge, and averaged over edges."""
+        """Method of the Fourier coefficients: the one for an edge, and the average over edges."""
         if self.edge._fourier(np.zeros((1, self.dims))) is None:
             return super().fourier_source
         return f"{self.edge.fourier_source}, averaged over edges by Gauss-Legendre quadrature"

@@ -61,8 +61,7 @@ def warp_quality(density: Density | str, *, resolution: int = 256) -> xr.Dataset
     The smaller one of the left and the right difference is used: it does not cross a jump.
     Jumps are found by refinement (`mcspectra.quality.jumps`).
     Opposite sides of the square are not compared.
-    All figures refer to the unit square. For directions this is the lat-long square,
-    not the sphere.
+    All figures refer to the unit square. For directions, it is the lat-long square, not the sphere.
     """
     p = make_density(density) if isinstance(density, str) else density
     if not isinstance(p, Density):

@@ -44,7 +44,7 @@ _SURE = 2.24
 _HEAVY = 0.5  # tail index above which the variance is infinite
 _CARRIED = 0.05  # fireflies are reported if they hold more than this share of the variance
 _MOST = 0.5  # a cause with more than this share is called the main source of the variance
-# Large effect of a finding that changes the meaning of all numbers, for example a bias
+# Effect that is assigned to a finding, such as a bias, that changes the meaning of all numbers
 _SURELY = 100.0
 
 
@@ -252,7 +252,7 @@ def _share(share: float) -> str:
 
 
 def _commanded(found: dict[str, Any]) -> Iterator[_Finding]:
-    """Describe the error that was measured after a program."""
+    """Describe the error of frames that an external program (a denoiser) has filtered."""
     if "filter_command" not in found:
         return
     whole = found["samples"][-1]["picture_variance"]
@@ -607,7 +607,7 @@ def filter_table(found: dict[str, Any]) -> html.Table | None:
 
 
 def frame_layers(result: xr.Dataset) -> dict[str, Array]:
-    """Return EXR layers: the mean image, and quantities per pixel by name and samples."""
+    """Return EXR layers: the mean image, and maps of quantities for each number of samples."""
     maps = result.drop_vars(
         [n for n in result if not {"y", "x"} <= set(result[n].dims)] + ["image"]
     )

@@ -329,7 +329,7 @@ def map_summary(result: xr.Dataset) -> dict[str, Any]:
 def _subset(result: xr.Dataset) -> dict[str, float]:
     """Return the number of measured pixels, of all pixels, and the error of interpolation.
 
-    The factor is the median over interpolated pixels, for the last strategy of the first sampler.
+    The error factor is a median over interpolated pixels: last strategy, first sampler.
     """
     if "measured" not in result:
         return {}
@@ -433,7 +433,7 @@ def _sampler_answer(last: xr.Dataset, found: Mapping[str, Any]) -> str:
     """Name the best sampler, and the bounce and the decision that add most variance.
 
     A recommended sampler is significantly the best at more pixels than any other sampler.
-    It also has the least geometric mean of the variance over the pixels.
+    The recommended sampler also has the least geometric mean of the variance over the pixels.
     """
     names = list(map(str, last["sampler"].values))
     shares = found["best_sampler"][str(last["strategy"].item())]
@@ -507,7 +507,7 @@ def map_note(summary: Mapping[str, Any]) -> str:
 
 
 def map_sentences(result: xr.Dataset) -> Iterator[str]:
-    """Yield the findings of a map: answer, medians by strategy, their meaning, and their causes."""
+    """Yield the findings of a map: answer, medians of the strategies, explanations, and causes."""
     summary = map_summary(result)
     if "subset" in summary:
         yield subset_note(summary)

@@ -250,7 +250,7 @@ BODY
 
 def _latex(text: str) -> str:
     """Return a text for LaTeX with signs, indices, exponents and roots as mathematics."""
-    words = _ROOT.split(text)  # texts and exponents of n alternate
+    words = _ROOT.split(text)  # even items: texts; odd items: exponents of n
     words[::2] = [latex_maths(word.translate(LATEX_TEXT)) for word in words[::2]]
     words[1::2] = [f"$n^{{{power.replace('−', '-')}}}$" for power in words[1::2]]
     return "".join(words)

@@ -27,7 +27,7 @@ __all__ = [
 
 _TOGETHER = 0.3  # interactions with a smaller share of the variance are not reported
 _SHOWN = 0.005  # smallest share of the variance that is named
-_CHARGED = ("order", "roulette", "selection")  # kinds of changes of paths that affect their cost
+_CHARGED = ("order", "roulette", "selection")  # kinds of changes that affect the cost of paths
 _ABOUT_CHARGED = (
     "Costs are counted in random numbers: each turn of the integrator's loop (a ray and at most "
     "one shadow ray) uses the same number of them. A change that needs a pilot run is charged for "
@@ -88,7 +88,7 @@ def path_tables(tree: xr.DataTree) -> dict[str, html.Table]:
         columns = [found[v].values for v in ("anova_share", "total_share", "truncation_share")]
         columns[0] = columns[0][: len(names)]
         shown = list(zip(names, *columns, strict=True))
-        # Decisions recur at many bounces, so they have no order and no cumulative share
+        # A decision recurs at many bounces, so decisions have no order and no cumulative share
         if kind == "decision":
             shown = [(name, alone, total, np.nan) for name, alone, total, _ in shown]
         for name, *shares in shown:
@@ -249,7 +249,7 @@ def path_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
 
 
 def path_summary(tree: xr.DataTree) -> dict[str, Any]:
-    """Return all numbers of a pixel by analysis."""
+    """Return all numbers of a pixel, grouped by analysis."""
     curves = tree["convergence"].to_dataset()
     names = ("variance", "variance_ci", "mean", "rate", "rate_ci")
     rates = [

@@ -337,7 +337,7 @@ def _fastest(rows: list[SummaryRow]) -> str:
 
 
 def pixel_summary(tree: xr.DataTree) -> dict[str, Any]:
-    """Return all numbers of a pixel except its maps, by analysis."""
+    """Return all numbers of a pixel except its maps, grouped by analysis."""
     curves, techniques = tree["convergence"].to_dataset(), tree["techniques"].to_dataset()
     rates = [
         {"strategy": str(strategy), "sampler": str(sampler), "n": curves["n"].values}

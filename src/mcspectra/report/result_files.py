@@ -289,7 +289,7 @@ def _value(result: xr.Dataset, name: str) -> tuple[str, str]:
 
 
 def _curves(result: xr.Dataset, dims: tuple[str, ...]) -> html.Table:
-    """Return a table of values over `dims` in the first channel, with their methods."""
+    """Return a table of values over `dims` in the first channel, and of the methods used."""
     first = result.isel(channel=0) if "channel" in result.dims else result
     names = [
         str(name)

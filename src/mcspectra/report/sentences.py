@@ -179,8 +179,8 @@ def explain(row: SummaryRow, terms: xr.Dataset | None = None) -> str:
     Notes
     -----
     A term is said to add or remove variance only if its 95 % interval excludes 0.
-    The intervals of prediction and measurement are treated as independent. Their true difference
-    is known more precisely, because both come from the same realizations.
+    The intervals of prediction and measurement are treated as independent.
+    Their true difference is known more precisely, because both come from the same realizations.
     """
     as_instance("row", row, SummaryRow, "a row of mcspectra.studies.summarize")
     as_instance("terms", terms, xr.Dataset | None, "a dataset of mcspectra.variance_terms")
@@ -397,8 +397,8 @@ def _agreement(row: SummaryRow, terms: xr.Dataset) -> str:
     """Compare prediction and measurement: ``agrees``, ``less``, ``more``, ``open`` or empty.
 
     ``agrees`` means that prediction and measurement are close.
-    ``less`` and ``more`` mean a prediction that is too small or too large:
-    it is not close, and the interval of the ratio of both excludes 1.
+    ``less`` and ``more`` mean a prediction that is significantly too small or too large:
+    prediction and measurement are not close, and the interval of their ratio excludes 1.
     Otherwise the comparison is ``open``, or empty if an interval is unknown.
     """
     low, high = row.captured_low, row.captured_high

@@ -365,7 +365,7 @@ def _summary(
 
 
 def _stored(names: Iterable[str]) -> dict[str, str]:
-    """Map names in the store to full names. If two long names share a key, the first name wins."""
+    """Map names in the store to full names. If two names would be equal, the first is kept."""
     given = list(names)
     found: dict[str, str] = {}
     for key, name in zip(html.anchors(given), given, strict=True):
@@ -501,7 +501,7 @@ def _details(
             yield html.Paragraph(text=made[0], kind="heading")
             yield made[1]
 
-    # Show the figures with details, and the settings
+    # Show the detailed figures, and the settings of the analyses
     for summary, figures in details.items():
         if figures:
             yield html.Collapsible(summary=summary, blocks=(html.Figures(figures=tuple(figures)),))

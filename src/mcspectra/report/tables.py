@@ -41,7 +41,7 @@ _DRAWN = (
     "spectrum",
     "points",
     "pcf",
-)  # analyses for which the list of tables has no further entry
+)  # analyses that need no further table
 
 Rows = Iterator[Sequence[str | TableCell]]
 Analyses = Mapping[str, Any]
@@ -314,7 +314,7 @@ _TABLES: Mapping[
             "Ratio",
             "95 % interval",
             "Rate",
-            "Verdict",  # left out of the columns of words below, whose text may wrap
+            "Verdict",  # not among the columns of words below, so its text does not wrap
             "What to do",
         ),
         (0, 1, -1),

@@ -1,4 +1,4 @@
-"""Numba kernels that relax points by their cells or neighbors; arguments are not checked.
+"""Numba kernels that move points by their Voronoi cells or neighbors; arguments are not checked.
 
 Farthest points: the center of a largest empty disk is a corner of a Voronoi cell.
 Each cell starts as the square bounded by the bisectors between a point and its own images.
@@ -9,7 +9,7 @@ Notation for farthest points: n points in 2 dims. Buckets are described in `_spa
 Voronoi cells are stored like the cells of power diagrams (below).
 Each row of the array holes (n, 4) belongs to one Voronoi cell.
 The first two numbers of the row are the coordinates of the corner farthest from the cell's point.
-The other two are the squared distances of this corner and of the nearest neighbor.
+The other two numbers are the squared distances of this corner and of the nearest neighbor.
 
 Power diagrams: the cell of site i contains all x that satisfy the inequality
 |x − x_i|² − w_i ≤ |x − x_j|² − w_j for all sites j and their images.
@@ -18,10 +18,11 @@ No more sites are taken when the remaining sites are too far away to cut the cel
 
 Notation for power diagrams: n sites in 2 dims; points (n, 2) in [0,1), weights w (n,).
 The array sites (n, 3) holds points and weights in the order of the grid.
-A cell (K, 4) is a counterclockwise polygon relative to its site. Each row describes a corner.
+A cell (K, 4) is a counterclockwise polygon relative to its site.
+Each row describes a corner of the cell, and the edge from this corner to the next corner.
 The first two numbers of the row are x and y of the corner.
-The third is the distance of the site beyond the edge to the next corner.
-The fourth is the index of this site (−1 for an image of the cell's own site).
+The third number is the distance between the site and the neighbor site across the edge.
+The fourth number is the index of this neighbor (−1 for an image of the cell's own site).
 While a cell is cut, the array `spare` (K, 4) holds a copy of its corners.
 
 Gaussian blue noise: the energy of all pairs of points, and the gradient of the energy.
@@ -53,11 +54,11 @@ _CORNERS = 64  # largest number of corners of a Voronoi cell; six on average
 _LOAD = 2.0  # number of sites per cell of the grid; 1 to 3 take the same time
 _SOLVED = 1e-3  # relative residual of the linear equations; enough for Newton steps
 # A Newton step is at most this factor longer than the step before it.
-# A long trial step after a short one is usually rejected, because short steps come in series.
+# A long trial step after a short step is usually rejected, because short steps follow one another.
 _LONGER = 4.0
 _HALVINGS = 40
 _UNLIMITED = 2**62
-_PRODUCTS = 4  # work for each entry of a matrix-vector product; a corner of a cell counts 1
+_PRODUCTS = 4  # work per entry of a matrix-vector product; work per corner of a cell is 1
 
 
 @kernel
@@ -97,8 +98,8 @@ def _cut(
             count += 1
         if (u <= 0.0) != (v <= 0.0):
             # The border of the cell crosses the line x·d = level between these two corners.
-            # The new edge lies on this line. It starts where the border of the cell leaves the
-            # half-plane x·d ≤ level, and ends where the border enters the half-plane again
+            # On this line, the new edge starts where the border leaves the half-plane,
+            # and ends where the border of the cell enters the half-plane again
             t = u / (u - v)
             cell[count, 0] = spare[k, 0] + t * (spare[after, 0] - spare[k, 0])
             cell[count, 1] = spare[k, 1] + t * (spare[after, 1] - spare[k, 1])
@@ -120,7 +121,7 @@ def _farthest_corner(cell: Array, size: int) -> tuple[int, float]:
 
 @kernel
 def _measure(i: int, points: Array, buckets: Any, cell: Array, spare: Array, holes: Array) -> int:
-    # Compute Voronoi cell i and its row of `holes`; return the number of its corners.
+    # Compute Voronoi cell i and its row of `holes`; return the number of corners of the cell.
     side, _, head, chain = buckets
     size, near = 4, 1.0
     for k in range(4):
@@ -219,7 +220,7 @@ class Diagram(NamedTuple):
         The coupling of a face is length / (2 distance).
         If the weight of the neighbor grows by ε, the area of cell i shrinks by ε · coupling.
     work
-        Amount of work: the number of corners of the cell, summed over visited sites and grid cells.
+        Amount of work: each visit of a site or grid cell adds the number of corners of the cell.
     """
 
     areas: Array
@@ -352,7 +353,8 @@ def _divide(x: Array, diagonal: Array, out: Array) -> float:
 
 @kernel
 def _solve(diagram: Diagram, rest: Array) -> tuple[Array, int]:
-    # Return the change of weights that changes the areas by `rest` (overwritten), and the work.
+    # Return the change of weights that changes the areas by `rest`, and the work done.
+    # `rest` is overwritten.
     # The method is conjugate gradients for the Laplacian L of the neighbor graph with couplings.
     n = rest.size
     change, direction, image, diagonal = np.zeros(n), np.empty(n), np.empty(n), np.zeros(n)
@@ -404,7 +406,7 @@ def balance(
     steps: int,
     most_work: int = _UNLIMITED,
 ) -> Any:
-    """Return weights whose cells have areas `masses`, and their power diagram.
+    """Return weights for which the cells have areas `masses`, and the power diagram.
 
     Newton's method starts at `weights`, or at weights of 0 if `weights` leave a cell empty.
     The steps end after a given number, or when all areas are right within the tolerance.
@@ -440,7 +442,7 @@ def balance(
                 break
             length /= 2
         else:
-            break  # because of rounding errors, no length of the step improves the areas
+            break  # because of rounding errors, a step of any length does not improve the areas
         weights += length * change
         diagram, worst, square = trial, trial_worst, trial_square
     return weights, diagram
@@ -481,7 +483,7 @@ def _add_cell_pair(
 def near_energy(points: Array, cells: Array, offsets: Array, sigma: float, force: Array) -> float:
     """Return the energy of pairs of points (n, 3) up to 6 σ apart; unused dims are zeros.
 
-    `offsets` (K, 3) are steps from a cell to its neighbors. The first step is zero.
+    `offsets` (K, 3) are the steps from a cell to its neighbor cells. The first step is zero.
     Of two opposite steps, only one is listed, so each pair of cells is visited once.
     Steps may go around the torus several times, so that all periodic images of a point count.
     """

@@ -44,7 +44,7 @@ def _shuffle(k0: np.uint64, k1: np.uint64, start: int, order: Array) -> None:
 
 @kernel
 def fill_jittered(keys: Array, corners: Array, side: float, out: Array) -> None:
-    """Place one point in each cell, given lower corners (n·d,) and the side; out (R, n·d)."""
+    """Place one point in each cell, given corners (n·d,) and side of the cells; out (R, n·d)."""
     for r in range(out.shape[0]):
         k0, k1 = keys[r, 0], keys[r, 1]
         row = out[r]

@@ -15,8 +15,8 @@ Here k is the largest number with b^m 2^k ≤ 2^50. The result is (v' + (t + ½)
 The scrambled coordinate is uniform to 50 bits, and far from every multiple of b^-p.
 Therefore neither rounding nor ⌊x b^p⌋ in floating point moves the result to another interval.
 
-Random numbers with addresses below 2^62 or at least 2^63 are used for binary digits.
-Addresses from 2^62 to below 2^63 are used for the nodes of digit trees in other bases.
+Random numbers with indices below 2^62 or at least 2^63 are used for binary digits.
+Random numbers from index 2^62 to below 2^63 are used for the nodes of digit trees in other bases.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ _S11, _S21, _S32, _S43 = np.uint64(11), np.uint64(21), np.uint64(32), np.uint64(
 _S34 = np.uint64(34)
 _LOW32 = np.uint64(0xFFFFFFFF)
 _TO_53, _UNIT_53, _TO_32 = 2.0**53, 2.0**-53, 2.0**32
-_WORDS = 512  # number of words per block: 4 kB
+_WORDS = 512  # words in a block that is scrambled at once: 4 kB
 _TABLE = 1024  # number of entries in a table of digit groups: 8 kB
 _USED_UP = 2**32
 _LEAST, _FINEST = 2.0**32, 2.0**50
@@ -151,7 +151,8 @@ def _reversed(word: Any) -> Any:
 def _hashed(word: Any, add: Any, factor: Any, add_2: Any, factor_2: Any) -> Any:
     # Hash a reversed word so that every bit depends only on the bits below.
     # In the XOR of x and an even multiple of x, every bit depends only on the bits below.
-    # The same is true of the product (x + summand) · (odd factor). All numbers are uint32.
+    # In the product (x + summand) · (odd factor), every bit also depends on no higher bits.
+    # All numbers are uint32.
     x = np.uint32(word)
     x = np.uint32(x ^ np.uint32(x * np.uint32(0x3D20ADEA)))
     x = np.uint32(np.uint32(x + add) * factor)
@@ -182,7 +183,7 @@ def scramble_hashed(keys: Array, points: Array, out: Array) -> None:
         for start in range(0, n, _WORDS):
             words = block[: min(_WORDS, n - start)]
             for j in range(dims):
-                # Three separate loops, so that the compiler vectorizes the one that hashes words
+                # Three separate loops, so that the compiler vectorizes the loop that hashes words
                 add, factor, add_2, factor_2 = hash_keys[j]
                 for i in range(words.size):
                     words[i] = np.uint32(np.int64(one[start + i, j] * _TO_32))
@@ -272,7 +273,7 @@ def _read(x: float, scale: float, nudge: float) -> Any:
 
 @kernel
 def _middle(tail: float, unit: float) -> Any:
-    # Return the middle of an interval of length `unit` = 2^-k: the one that contains `tail`.
+    # Return the middle of the interval of length `unit` = 2^-k that contains `tail`.
     return (np.floor(tail / unit) + 0.5) * unit
 
 
@@ -368,8 +369,8 @@ def _invert_digits(images: Array, start: int, scale: float, tail: float, out: Ar
     table = np.zeros(size)
     width, weight = 1, base ** (places - 1)
     for k in range(low):
-        # table[v] is the sum of the images of the lower digits of v. It is needed for every new
-        # digit, and digit 0 overwrites it. Digit 0 therefore comes last
+        # table[v] is the sum of the images of the lower digits of v.
+        # Every new digit needs this sum, and digit 0 overwrites it. Digit 0 therefore comes last
         for digit in range(base - 1, -1, -1):
             image = np.float64(images[places - 1 - k, digit] * weight)
             for v in range(width):
@@ -453,11 +454,12 @@ def fill_nested(keys: Array, bases: Array, out: Array) -> None:
 @kernel
 def _image(k0: np.uint64, k1: np.uint64, node: Any, digit: int, base: int) -> int:
     # Return the image of a digit under the random permutation of a node.
-    # The Fisher-Yates algorithm permutes all digits by swaps; follow the given digit only.
+    # The Fisher-Yates algorithm permutes all digits by swaps.
+    # Here only the given digit is followed through the swaps.
     # A random number below c is the upper word of the product of c and 64 random bits.
     # The lower word of the product serves as the random bits of the next number.
-    # After each c, fewer of the 64 bits are random. New bits replace them before the product
-    # of the numbers c exceeds 2^32.
+    # With each number c, fewer of the 64 bits stay random.
+    # New bits replace them before the product of the numbers c exceeds 2^32.
     position, used, drawn = digit, 1, 0
     bits = mix_bits(k0, k1, node)
     for t in range(base - 1):
@@ -529,7 +531,7 @@ def _draw_triangle(k0: np.uint64, k1: np.uint64, number: int, base: int, out: Ar
 @kernel
 def _multiply(matrix: Array, base: int, v: int, out: Array) -> None:
     # Add the matrix times the digits of v to out (m,), without reduction modulo the base.
-    # Skip zero digits, such as all digits below the points of a net.
+    # Skip zero digits: all digits after the last digits of a net's points are zeros.
     inverse = 1.0 / base
     for c in range(out.size - 1, -1, -1):
         above = _quotient(v, inverse)

@@ -42,14 +42,14 @@ _AXES = 3  # largest number of axes of buckets and grids; with more, cells are m
 # The side of a cell is a quarter of the spacing of the points.
 # Therefore the point nearest to a place is usually less than 7 cells away.
 _REACH = 7
-_ROUNDING = 1e-9  # fraction of a cell added to bounds, because of rounding
+_ROUNDING = 1e-9  # fraction of a cell's side by which bounds are increased
 _FAR = 16.0  # larger than any squared distance in the domain, in up to 4 dims
 _SHARP = 1e-10  # tolerance of the center of a hole, relative to the hole's radius
 
 
 @kernel
 def empty_buckets(n: int, dims: int, side: int) -> Any:
-    """Return buckets without points, `side` cells per axis, for up to n points."""
+    """Return empty buckets for up to n points, with `side` cells per axis."""
     axes = min(dims, _AXES)
     return side, axes, np.full(side**axes, -1), np.full(n, -1)
 
@@ -208,7 +208,7 @@ def throw_set(disks: Any, k0: Any, k1: Any, at: int, points: Array) -> tuple[int
             if m == 0:
                 break
 
-        # Halve the remaining cells along every axis, and drop the children that a disk covers
+        # Halve the remaining cells along every axis, and drop the new cells that a disk covers
         children = np.empty((m << dims, dims), np.int64)
         kept = 0
         for i in range(m):
@@ -252,8 +252,7 @@ def throw_darts(
 @kernel
 def _lower_ceilings(x: Array, side: int, ceilings: Array) -> None:
     # Update the cells around a new point at x.
-    # The bound of a cell is an upper limit of the squared distance from any place in the cell
-    # to the nearest point.
+    # The bound limits the squared distance from any place in the cell to the nearest point.
     # Every place in a cell is at most half a diagonal farther from x than the cell's center is.
     # Cells more than `reach` cells away from x keep their bounds.
     dims = x.size
@@ -359,7 +358,7 @@ def fill_holes(points: Array, placed: int, wrap: bool) -> None:
     The method is branch and bound, on the torus or in the cube.
     Every place in a box is at most half a diagonal farther from all points than the box's center.
     Boxes wait in a heap, with the largest bound on top.
-    New points only lower bounds, so stale bounds are updated when their box is popped.
+    New points can only lower bounds, so outdated bounds are updated when their box is taken.
     """
     n, dims = points.shape
     buckets = empty_buckets(n, dims, max(1, int(n ** (1.0 / dims))))
@@ -382,7 +381,7 @@ def fill_holes(points: Array, placed: int, wrap: bool) -> None:
         _pop(heap, size, box)
         size -= 1
         _set_bound(box, points, buckets, wrap)
-        if size > 0 and box[0] < heap[0, 0]:  # the bound was stale: push the box again
+        if size > 0 and box[0] < heap[0, 0]:  # an outdated bound: put the box back
             _push(heap, size, box)
             size += 1
         elif box[1] > _SHARP * box[0]:

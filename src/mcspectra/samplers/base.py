@@ -76,7 +76,7 @@ class Sampler(Component, ABC):
     structure
         The structure that randomizations of this sampler must preserve.
     sequence
-        Whether the first k of n points equal the set of k points, and each such prefix is good.
+        Whether the first k of n points are the set of k points, and well distributed for every k.
     antithetic
         Whether points come in pairs that are reflected through the center of a cell.
     independent
@@ -174,7 +174,7 @@ class Sampler(Component, ABC):
         """Return the joint distribution of the points of one realization of `n` points.
 
         All predictions follow from this joint distribution, the law of the sampler.
-        They are closed forms of spectra and covariances, exact variances, and rates.
+        Predictions are closed forms of spectra and covariances, exact variances, and rates.
         A prediction is refused if the law is not known well enough.
         See `mcspectra.samplers.law`.
 
@@ -265,7 +265,7 @@ class Sampler(Component, ABC):
         """Make realizations first … first + count − 1: float64 (count, n, dims)."""
 
     def _before(self, randomization: Randomization) -> Sampler:
-        """Return the sampler to which `randomization` is applied; given sets may be reused."""
+        """Return the sampler that `randomization` is applied to; given sets may then be reused."""
         del randomization
         return self
 
@@ -412,7 +412,7 @@ class Randomized(Sampler):
     base: Sampler
     steps: tuple[Randomization, ...]
     _inner: ClassVar[Sampler]
-    """The sampler that the last step is applied to."""
+    """The sampler to which the last randomization of the chain is applied."""
 
     def __post_init__(self) -> None:
         # Derive the declared properties from the inner sampler and the last randomization
@@ -442,7 +442,7 @@ class Randomized(Sampler):
 
     @property
     def plain(self) -> Sampler:
-        """The sampler that the first step is applied to."""
+        """The sampler to which the first randomization of the chain is applied."""
         return self.base
 
     @property

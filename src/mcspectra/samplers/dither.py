@@ -11,12 +11,12 @@ Every frame is then blue in space, and every pixel is blue in time.
 
 In the kernels, ``pattern`` bool (T·s, s) is true at the points. Its edges join as on a torus.
 The rows of frame t are t·s … t·s + s − 1; sets and dither masks have one frame.
-``energy`` float64 (T·s, s) is the sum of Gaussians around the ones.
+``energy`` float64 (T·s, s) is the sum of Gaussians around the cells that contain a one.
 ``weights`` is a tuple: one Gaussian along an axis of space (2·reach + 1,), and one over time (T,).
 ``heads`` int64 (2, T·s) holds two column numbers for each row of the pattern:
-the column of the one with the highest energy (tightest cluster),
-and the column of the zero with the lowest energy (largest void).
-A column number is −1 if the row has no ones, or no zeros.
+the column of the cell with a one at which the energy is highest (tightest cluster),
+and the column of the cell with a zero at which the energy is lowest (largest void).
+A column number is −1 if the row of the pattern has no ones, or no zeros.
 A ``grid`` is the tuple of the arrays ``pattern``, ``energy`` and ``heads``.
 The cell in row i and column j has the number i·s + j.
 Arrays ``points`` float64 (s, s, 2) have one point in each of s × s cells, in units of cells:
@@ -68,7 +68,7 @@ _CLUSTER, _VOID = 0, 1
 _REPELLING = 0.5  # width in cells of the Gaussians by which points repel each other
 _REACH = 2  # number of cells on either side whose points contribute to the energy
 _REPORTS = 10
-_LAST_STEP = 0.05  # size of random steps at the end, in cells
+_LAST_STEP = 0.05  # size of the random moves in the last phase, in cells
 
 
 def dither_mask(size: int, keys: Array) -> Array:
@@ -228,7 +228,7 @@ def _random_grid(k0: np.uint64, k1: np.uint64, ones: int, frames: int, side: int
 
 @kernel
 def _start(grid: Any) -> Any:
-    # Fill energy and heads of a pattern that has ones; return the weights.
+    # Compute energy and heads of a pattern that has ones; return the weights of the Gaussians.
     pattern, energy, heads = grid
     (rows, side), cells = pattern.shape, np.flatnonzero(pattern)
     frames = rows // side
@@ -326,7 +326,7 @@ def _rank_all(grid: Any, order: Array) -> None:
         order[rank] = _head(_VOID, filled)
         _flip(order[rank], filled, weights)
 
-    # Above half, zeros are the minority; set the tightest cluster of zeros next
+    # If more than half of the cells are ones, set the tightest cluster of zeros next
     rest = order[half:]
     pattern[:] = ~first
     _rank_ones(grid, rest)

@@ -40,7 +40,7 @@ _SET_ELSEWHERE = ("dimension", "replications", "seed")  # arguments that QmcpySa
 _UNBIASED = ("Halton", "LatinHypercube", "Sobol")  # scrambled engines of scipy with uniform points
 # Values of QMCPy's argument `randomize` with which points are uniform
 _UNIFORM = ("TRUE", "SHIFT", "DS", "LMS DS", "DP", "LMS DP", "NUS")
-_NOT_POINTS = ("DummySampler", "MPMC")  # MPMC downloads its points
+_NOT_POINTS = ("DummySampler", "MPMC")  # the class MPMC downloads its points
 _TABLES = {"generating_matrices": "generating_matrices", "generating_vector": "generating_vectors"}
 """Options of QMCPy that name a file, and the folder with QMCPy's own files."""
 _TEXT_RATIO = 16  # Bytes of memory per byte of a table file

@@ -630,7 +630,7 @@ def printed_points(sampler: Any, values: Mapping[str, int], count: int, place: s
     Parameters
     ----------
     sampler
-        A component with the fields run, dims and timeout.
+        A sampler or other component with the fields run, dims and timeout.
     values
         Values of the placeholders.
     count
@@ -643,7 +643,7 @@ def printed_points(sampler: Any, values: Mapping[str, int], count: int, place: s
     ParameterError
         If the program does not exist, takes too long, fails, or prints too much.
     FileFormatError
-        If it prints something other than finite numbers, or sets of different dims.
+        If the program prints something other than finite numbers, or sets of different dims.
     """
     words = [
         PLACEHOLDER.sub(lambda found: str(values[found[1]]), word) for word in words_of(sampler.run)

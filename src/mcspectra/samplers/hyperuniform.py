@@ -349,8 +349,8 @@ class Determinantal(Sampler):
 
 @kernel
 def _add_block(re: Array, im: Array, vr: Array, vi: Array, cr: Array, ci: Array) -> float:
-    # Project a feature vector onto one block of basis vectors: write the complex coefficients to
-    # cr and ci, and return the sum of their squared absolute values.
+    # Project a feature vector onto one block of basis vectors. Write the coefficients to cr and ci,
+    # and return the sum of their squared absolute values.
     cr[:] = 0.0
     ci[:] = 0.0
     for k in range(re.size):
@@ -386,8 +386,8 @@ def _append(re: Array, im: Array, basis: tuple[Array, Array], i: int, cr: Array,
 
 @kernel
 def _draw(k0: np.uint64, k1: np.uint64, m: Array, basis: tuple[Array, Array], out: Array) -> None:
-    # Draw one realization by rejection. After a point is accepted, other proposals are kept:
-    # a later point needs the same tests of a proposal, and further ones.
+    # Draw one realization by rejection. Proposals that were not rejected are kept for later points:
+    # the tests for an earlier point are also needed for a later point.
     n, dims = out.shape
     x, most, within = np.empty((_BATCH, dims)), np.empty(_BATCH), np.empty(_BATCH)
     re, im = np.empty((_BATCH, n)), np.empty((_BATCH, n))

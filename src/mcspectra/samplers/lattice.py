@@ -141,7 +141,7 @@ def nested_lattices(sampler: Sampler, n: int, parts: int, *, at_once: bool = Fal
     Parameters
     ----------
     sampler
-        A `Rank1Lattice` with randomizations. If it has a vector, it is returned as it is.
+        A `Rank1Lattice` with randomizations. A sampler with a given vector is returned unchanged.
     n, parts
         Number of points n, a multiple of `parts`.
         By default, `parts` is a power of two.

@@ -6,9 +6,9 @@ The variance of an estimator combines the spectrum of its integrand with the sam
 
 The covariance C_ml is a property of the sampler's law.
 A sampler states its law once, in `Sampler.law`. All else is computed by functions of the law.
-Such functions compute closed forms, exact variances, predictions and rates.
-Another function of the law chooses the orthonormal basis that fits the sampler.
-Each function chooses a formula by the class at the root of a law, and calls itself on subtrees.
+The functions of laws compute closed forms, exact variances, predictions and rates.
+Another function of laws chooses the orthonormal basis that fits the sampler.
+Each function chooses a formula by the outermost class of a law, and calls itself on inner laws.
 No function tests a sampler's name.
 
 A law is a small tree of frozen classes. Leaves describe how points are drawn:
@@ -88,7 +88,7 @@ __all__ = [
 
 
 _MOST_TERMS = 2**32
-"""Largest number of terms of a sum over points and frequencies: about half a minute."""
+"""Largest number of terms of a sum over points and frequencies. The sum takes half a minute."""
 _MOST_COUNTS = 2**28
 """Largest number of comparisons of digits: the number of points times levels of digits.
 
@@ -148,7 +148,7 @@ class Law(ABC):
         return replace(self, source=source)
 
 
-# Leaves of the tree of laws: how points are drawn before any randomization
+# Basic laws: how points are drawn before any randomization
 
 
 @final
@@ -202,7 +202,7 @@ class _Point(Motif):
         return np.asarray(np.prod(self.axis(a), axis=-1))
 
     def second(self, a: Array, b: Array) -> Array:
-        """Return ⟨M(a) conj M(b)⟩, the transform at a − b, because the motif is a single point."""
+        """Return ⟨M(a) conj M(b)⟩: for one point, the Fourier transform of its density at a − b."""
         return self.mean(a - b)
 
 
@@ -461,8 +461,8 @@ class Fixed(Law):
                 found[at] = np.sum(np.bincount(cells).astype(float) ** 2) / self.n
                 return
             for level in range(levels + 1):
-                # Convert the first digits to whole numbers. The small summand `nudge` makes sure
-                # that k/b^level has the digits of k, even if it was rounded down
+                # Convert the first digits to whole numbers.
+                # Because of `nudge`, k/b^level has the digits of k, even if it was rounded down
                 base, scale = bases[axis], float(bases[axis] ** level)
                 nudge = 0.0 if base & (base - 1) == 0 else scale * 2.0**-50
                 digits = np.floor(points[:, axis] * scale + nudge)
@@ -592,7 +592,7 @@ class Unknown(Law):
         return self.is_uniform
 
 
-# Operators in the tree of laws: how a set of points is randomized
+# Operators on laws: how a set of points is randomized
 
 
 @final
@@ -750,7 +750,7 @@ def scrambled(law: Law, kind: Scramble, bases: Sequence[int], *, shifts: bool = 
     """Return the law after the digits in the given bases are randomized.
 
     The law of strata does not change if the sides of the strata are powers of the base.
-    This holds for strata of the domain and of single axes:
+    In this case, the law does not change for strata of the domain and of single axes:
     scrambling maps strata to strata, and points are already uniform within a stratum.
     Samplers refuse scrambles that break their strata.
     """
@@ -770,7 +770,7 @@ def as_scrambled(law: Law) -> Law:
 
     The second digits are permuted within each first digit [Tang1993]_.
     Nested scrambling of one realization therefore has the same law as the sampler.
-    If the set is not such an orthogonal array, its law is returned unchanged.
+    If the set is not an orthogonal array with s parts per stratum, its law is returned unchanged.
     """
     if not isinstance(law, PairedAxes) or law.base is None or law.source is None:
         return law

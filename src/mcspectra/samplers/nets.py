@@ -324,8 +324,9 @@ def _irreducible() -> tuple[int, ...]:
     return tuple((np.flatnonzero(~composite[2:]) + 2).tolist())
 
 
-# Columns of U in `JoinedPairs`, as numbers whose lowest bit is row 0. One U serves all counts of
-# Sobol' points. The matrices of Larcher and Pillichshammer depend on m, so each m has its own U
+# Columns of the matrices U in `JoinedPairs`, as numbers whose lowest bit is row 0.
+# One matrix U serves all counts of Sobol' points.
+# The matrices of Larcher and Pillichshammer depend on m, so each m has its own matrix U
 _LINK = (1, 3, 5, 14, 16, 49, 122, 170, 459, 612)
 _LARCHER_LINKS = (
     (),
@@ -370,12 +371,12 @@ class JoinedPairs(_BinaryNet):
 
     For Sobol' points, U is upper triangular, so it does not depend on the number of points.
     Its first ten columns are the best of 3000 random choices.
-    These columns give the least quality parameter t: 1, 2 and 3 for 16, 64 and 256 points.
-    For Larcher and Pillichshammer's net of 2^m points, U is the best of 80 to 3000 random
-    matrices, for m up to 16.
+    The ten columns give the least quality parameter t: 1, 2 and 3 for 16, 64 and 256 points.
+    For Larcher and Pillichshammer's net of 2^m points, with m up to 16,
+    the matrix U is the best of 80 to 3000 random matrices.
     The best U has the smallest variance of a digital shift in four dims.
-    This variance is summed over the dual net. A Walsh function has the weight Π_i 4^-a_i,
-    where a_i is the number of binary digits of its index k_i.
+    The variance of the digital shift is a sum over the dual net.
+    In this sum, a Walsh function has the weight Π_i 4^-a_i, where index k_i has a_i binary digits.
     """
 
     max_dims: ClassVar[int | None] = 4
@@ -465,7 +466,7 @@ class Faure(_AnyBaseNet):
     Attributes
     ----------
     base
-        A prime, at least `dims`; by default the smallest such prime.
+        A prime, at least `dims`; by default the smallest prime that is at least `dims`.
 
     Notes
     -----

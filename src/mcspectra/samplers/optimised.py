@@ -2,7 +2,7 @@
 
 The function `minimize` is limited-memory BFGS with reproducible bits [Nocedal1980]_.
 Linear algebra libraries may sum in another order on other numbers of threads or processors.
-This module uses no such library: NumPy computes all sums in a fixed order.
+This module uses no linear algebra library: NumPy computes all sums in a fixed order.
 Therefore a set of points depends only on its random numbers (docs/decisions/0015).
 """
 

@@ -28,7 +28,8 @@ __all__ = ["LatinHypercube", "NRooks", "OrthogonalArray"]
 class LatinHypercube(Sampler):
     """Each coordinate has n strata in its own random order, with one jittered point in each.
 
-    Any dims and any count. With strength 2, counts are p² for primes p ≥ d − 1, up to 1024 dims.
+    With strength 1, any dims and any count.
+    With strength 2, counts are p² for primes p ≥ d − 1, in up to 1024 dims.
 
     Attributes
     ----------

@@ -5,7 +5,7 @@ A dart becomes a point if all earlier points are at least r away.
 On the torus, the distribution of sets is invariant under translation, so every point is uniform.
 For "exact" Poisson disks, n determines r in advance, and dart throwing stops at the n-th point.
 If a set jams earlier (see `PoissonDisk.radius`), it is discarded and a new set is started.
-This restart keeps the distribution invariant under translation.
+Starting a new set keeps the distribution invariant under translation.
 
 Darts are thrown only where they can be accepted, in the cells of a grid.
 The cells have diagonal r, so that each cell has at most one point.
@@ -45,12 +45,12 @@ from mcspectra.samplers.law import Law, Stationary, Unknown
 __all__ = ["DENSEST", "BestCandidate", "DartThrowing", "PoissonDisk", "densest_distance", "thrown"]
 
 Disks: TypeAlias = tuple[float, int, int, Array, bool, int]
-"""Radius, cells per axis, reach of a disk, touched cells, whether on torus, darts per cell."""
+"""Disks and grid: radius, cells per axis, reach of a disk, touched cells, torus or not, darts."""
 
 Throw: TypeAlias = Callable[[Any, Any, int, Array], tuple[int, int]]
 """Function that fills an array of points (n, d).
 
-The other arguments are the keys of a realization, and the index of the next random number.
+Further arguments are the keys of a realization, and the index of the next random number.
 The function returns the number of points placed, and the new index."""
 
 DENSEST = (1.0, 2.0 / 3.0**0.5, 2.0**0.5, 2.0, 2.0 * 2.0**0.5, 8.0 / 3.0**0.5, 8.0, 16.0)
@@ -60,16 +60,19 @@ The packings are line, hexagons, fcc, D4, D5, E6, E7 and E8. They are listed in 
 [Conway, Sloane (1999), "Sphere Packings, Lattices and Groups"]."""
 
 _DEFAULT_RADIUS = (0.7, 0.75, 0.75, 0.75)
-"""Slightly below the radius at which darts jam: 0.748, 0.777, 0.803, 0.806 [Torquato2006]_."""
+"""Default relative radii in 1 to 4 dims.
 
-_FIRST_RADIUS = (0.755, 0.785, 0.81, 0.815)  # first radius tried for maximal sets
+The default radii are slightly below the jamming radii 0.748, 0.777, 0.803, 0.806 [Torquato2006]_.
+"""
+
+_FIRST_RADIUS = (0.755, 0.785, 0.81, 0.815)  # first relative radius for maximal sets
 # Ratio of successive radii. In 2-D, each larger radius has room for 2 % fewer points.
 _NEXT_RADIUS = 1.01
 _MOST_MAXIMAL = 3  # largest number of dims: 1000 points take 0.8 s in 3-D, a minute in 4-D
 # Smallest allowed radius. Points with a smaller minimum distance are hardly better than random.
 _LEAST_RADIUS = 0.25
-_OFFSETS = 1  # label of the stream that translates maximal sets
-_TRIALS = 100_000  # number of misses in a row after which less than 1/10,000 is uncovered
+_OFFSETS = 1  # label of the random stream that translates maximal sets on the torus
+_TRIALS = 100_000  # misses in a row after which less than 1/10,000 of the domain is uncovered
 
 
 @final
@@ -269,7 +272,7 @@ def thrown(
     Raises
     ------
     CountError
-        If a set jams in all attempts; the message ends with the advice.
+        If a set jams in all attempts; the message ends with the given advice.
     """
     out = np.empty((len(keys), n, sampler.dims))
     for own, points in zip(keys, out, strict=True):

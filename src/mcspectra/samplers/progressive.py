@@ -169,7 +169,7 @@ def pairings() -> Array:
     The basis of the polynomials is 1, t, b, b·t, b², b²·t, … with b = t² + t.
     The digits of x are the polynomial's coefficients in powers of t.
     The digits of y are its coefficients in powers of t + 1.
-    Such x and y are the first two coordinates of Sobol' points.
+    The numbers x and y with these digits are the first two coordinates of Sobol' points.
 
     Multiples of b^m do not change the first m digits of x or y.
     Each block of 4^m points therefore has one point in each of 2^m × 2^m cells.
@@ -230,7 +230,7 @@ def _fill_pmj(keys: Array, out: Array) -> None:
         while 1 << level < n:
             # For each point of the pass, choose a quarter of its cell: column and row.
             # The second point of a cell is diagonal to its first.
-            # The third point takes one of the other two quarters.
+            # The third point of a cell takes one of the two quarters that are still empty.
             size, side = 1 << level, level // 2 + 1
             columns, cells, shift = 1 << side, 1 << (2 * side - 2), np.uint64(53 - side)
             to = np.empty((2, size), np.int64)
@@ -269,7 +269,7 @@ def _pair_energy(dx: float, dy: float) -> float:
 @kernel
 def _gain(i: int, axis: int, bit: Any, members: Any, words: Array, owner: Array) -> float:
     # Return the decrease of the energy of point i if `bit` is flipped in all words of a strip.
-    # `members` is the pair (strip, shift).
+    # The pair `members` contains the numbers `strip` and `shift`, which define the strip.
     # A coordinate `word` lies in the strip if its leading bits, word >> shift, equal `strip`.
     # owner (columns, rows) is the point in each cell.
     strip, shift = members
@@ -289,7 +289,7 @@ def _gain(i: int, axis: int, bit: Any, members: Any, words: Array, owner: Array)
             there = np.float64(word) * _UNIT_53
             far = np.float64(words[1 - axis, other]) * _UNIT_53 - across
             before = _pair_energy(there - here, far)
-            # If the other point lies in the strip as well, the flip moves both points
+            # If the other point of the pair also lies in the strip, the flip moves both points
             if word >> shift == strip:
                 there = np.float64(word ^ bit) * _UNIT_53
                 gain += 0.5 * (before - _pair_energy(there - moved, far))

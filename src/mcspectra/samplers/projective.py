@@ -11,7 +11,7 @@ Therefore d conditions on partial sums, g_1² + … + g_k² ≥ r_k², check all
 The projections on single axes reject most darts, but the coordinates of darts are independent.
 Each coordinate is therefore drawn until it is free on its own axis.
 The projections on two or more axes are checked afterwards.
-This order saves time and does not change the distribution of the points.
+Checking in this order saves time and does not change the distribution of the points.
 On the torus the law is invariant under translation, so every point is uniform.
 """
 
@@ -87,7 +87,7 @@ class ProjectiveBlueNoise(Sampler):
 def _free_coordinate(
     k0: Any, k1: Any, at: int, radius: float, column: Array, cells: Array
 ) -> tuple[float, int]:
-    # Draw x until no point is nearer than `radius` on this axis. Return −1 if no such x is found.
+    # Draw x until no point is nearer than `radius` on this axis; −1 after too many draws.
     # `cells` has the number of the point in each cell of the axis, −1 if there is none.
     # A cell is at most as large as the radius, and larger than half the radius.
     side = cells.size

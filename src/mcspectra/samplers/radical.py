@@ -53,7 +53,7 @@ class RadicalInverses(FixedSet):
         return int(self.scramble != "none")
 
     def draw_nested(self, n: int, stream: Stream, first: int, count: int) -> Array:
-        """Draw points with nested scrambling, from the top of digit trees: (count, n, dims)."""
+        """Draw points with nested scrambling, each from an earlier point: (count, n, dims)."""
         return _nested(self.digit_bases, n, stream.keys(first, count))
 
     def as_chain(self, n: int) -> Sampler:  # noqa: ARG002

@@ -1,7 +1,7 @@
 """Randomizations that move all points of a set: shifts, rotations, mirror images, pixels.
 
 A reflection is u → 1 − 2^-53 − u, because 1 − u would leave [0,1) for u = 0.
-The reflection is one to one on the multiples of 2^-53, and float64 points are such multiples.
+The reflection is one to one on multiples of 2^-53. The float64 points are multiples of 2^-53.
 """
 
 from __future__ import annotations
@@ -269,7 +269,7 @@ def _clip_all(keys: Array, points: Array, out: Array) -> None:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Mirror(Randomization):
-    """Mirroring: put samples into a random mirror image of the integrand, into all, or fold them.
+    """Mirroring: put samples into one random mirror image of the integrand, into all, or fold them.
 
     Attributes
     ----------
@@ -282,7 +282,7 @@ class Mirror(Randomization):
     -----
     Reflections at its upper faces extend an integrand f on [0,1)^d to a function g on [0,2)^d:
     for k ∈ {0,1}^d, g(k + x) = f(x reflected in the coordinates with k_j = 1).
-    This function is continuous across all faces and has period 2.
+    The function g is continuous across all faces and has period 2.
     A sample x can be placed at k + x for one random image k, or for all images.
     Alternatively, the whole set can be stretched over [0,2)^d.
     The randomized points are the arguments at which f is evaluated.
@@ -419,8 +419,8 @@ class Decorrelate(Randomization):
     Variances over the pixels are variances within an image.
     Variances over the pixels do not converge to variances over seeds.
 
-    At each pixel a mask gives one number per dim, which is enough for shift,
-    and for digital-shift in base 2.
+    At each pixel, a mask gives one number per dim.
+    One number per dim is enough for shift, and for digital-shift in base 2.
     For every mask, the points in a single pixel are uniformly distributed.
     In each dim, the shifts of the width² pixels of a blue-noise mask are stratified:
     if [0,1) is divided into width² equal intervals, each interval contains one shift.

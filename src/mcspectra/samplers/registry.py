@@ -146,7 +146,10 @@ def _from_object(source: Any, dims: int | None) -> Sampler:
 
 
 def _built(registry: Registry, call: Call, dims: int | None = None) -> Any:
-    """Build a sampler or a randomization; the error explains if one was given for the other."""
+    """Build a sampler or a randomization from a call.
+
+    The error explains if a spec has a sampler in the place of a randomization, or the reverse.
+    """
     first = registry is SAMPLERS
     if first and call.name in RUN_CODE:
         from mcspectra.samplers.external import check_code

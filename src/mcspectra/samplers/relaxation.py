@@ -45,11 +45,11 @@ _BALANCED = 1e-3  # allowed relative error of the cells' areas while points move
 # With areas accurate to 1e-9, the error of the transport cost is about (1e-9)²
 _EXACT = 1e-9
 # Largest accepted relative error of the areas if rounding prevents a smaller one.
-# The transport cost then has an error of 1e-6
+# If the areas have this error, the transport cost has an error of 1e-6
 _CLOSE = 1e-4
 # Largest number of visits (see `kernels.Diagram`) for a transport cost; takes some seconds.
-# 8192 random points take 2^24 visits. If all points lie in one quarter of the square, they
-# take more than 2^30.
+# 8192 random points take 2^24 visits.
+# If all points lie in one quarter of the square, they take more than 2^30 visits.
 _MOST_WORK = 2**32
 _REPORTS = 50
 _CHUNK = 4096  # number of moves between reports of progress
@@ -176,9 +176,8 @@ def relax(
 def transport_cost(points: object) -> float:
     """Return the cost of transporting the uniform density to the points, with equal masses.
 
-    The unit square is partitioned into equal parts, one for each point.
-    The cost W₂² is the mean square distance on the torus from a place to the point of its part,
-    for the best partition.
+    The unit square is partitioned into equal parts, one for each point, with the least cost.
+    The cost W₂² is the mean square distance on the torus from a place to the point of its part.
     In 1-D it is computed by sorting, in 2-D by the power diagram with equal areas.
     A square grid has n · cost = 1/6. The lower bound is the cost of a hexagonal grid:
     n · cost = 0.1604 (5/(18√3)).
@@ -235,7 +234,7 @@ class GaussianBlueNoise(OptimisedSampler):
     Attributes
     ----------
     sigma
-        σ as a multiple of the mean distance n^(−1/d).
+        σ as a multiple of the mean distance n^(−1/d) between points.
         A larger σ removes more low frequencies and takes more iterations.
     iterations
         Largest number of descent steps.
@@ -316,7 +315,8 @@ class FarthestPoint(PlaneSampler, OptimisedSampler):
     """Farthest-point optimized points: minimum distance near the densest packing (2-D torus).
 
     The points start at random. Each point in turn moves to the center of the largest empty disk.
-    This center is the place farthest from all other points. The minimum distance never decreases.
+    The center of this disk is the place farthest from all other points.
+    The minimum distance of the points never decreases.
     One sweep over n points takes O(n²) with a small constant: 1024 points and 30 sweeps take 2 s.
 
     Attributes

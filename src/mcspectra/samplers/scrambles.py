@@ -26,7 +26,7 @@ from mcspectra.samplers.radical import RadicalInverses
 
 __all__ = ["DigitalShift", "Lms", "Owen", "Permute"]
 
-# The random keys of the jitter differ from the keys of the shift by this number (XOR)
+# XOR with this number turns the random keys of the shift into the random keys of the jitter
 _JITTER = 0x6A09E667F3BCC908
 _BELOW_ONE = 1.0 - 2.0**-53
 
@@ -77,7 +77,7 @@ class _OfDigits(Randomization):
         return self if self.base is not None or set(bases) == {2} else replace(self, base=bases)  # type: ignore[type-var]
 
     def counts_near(self, sampler: Sampler, n: int) -> tuple[int | None, int]:
-        """For strata, allow only powers of the base, so that sides of strata are also powers."""
+        """For strata, allow only counts that are powers of the base: sides are then also powers."""
         if not sampler.powers_only:
             return sampler._counts_near(n)
         base, places = self._bases(sampler.dims)[0], 0
@@ -136,7 +136,7 @@ class _OfDigits(Randomization):
 
 
 def _places(n: int, base: int) -> int:
-    """Return the least number of digits that n numbers have in a base."""
+    """Return the least number of digits that can write n different numbers in a base."""
     places = 0
     while base**places < n:
         places += 1
@@ -144,7 +144,7 @@ def _places(n: int, base: int) -> int:
 
 
 def _powers_possible(sampler: Sampler, base: int, exponents: range) -> Iterator[int]:
-    """Yield powers of `base` that the sampler can make, in the order of the exponents."""
+    """Yield the powers of `base` that are counts of the sampler, in ascending order."""
     powers = (base**k for k in exponents if base**k <= MAX_COUNT)
     return (n for n in powers if n in sampler._counts_near(n) and sampler.digit_strata(n, base))
 
@@ -189,17 +189,17 @@ class DigitalShift(_OfPlaces):
     base
         Base of the digits, one number or one per dim; by default the sampler's base, else 2.
     jitter
-        Whether the digits beyond those of n numbers are random for each point by itself.
+        Whether each point has its own random digits after the first m, the smallest m with b^m ≥ n.
         Points of nets then keep their elementary intervals, and fill these intervals uniformly.
 
     Notes
     -----
     Without `jitter`, all points have one offset in their elementary intervals.
-    The variance of smooth functions is then that of a shifted grid.
+    The variance of smooth functions is that of a shifted grid.
     With `jitter`, the variance is at most that of stratified points.
     The relative places of points in the net stay the same.
     If the points of a net are far apart, as in larcher-pillichshammer, they stay far apart.
-    The net then has less variance than with owen, which does not keep points apart.
+    Nets with points far apart have less variance than with owen, which does not keep them apart.
 
     References
     ----------
@@ -291,7 +291,7 @@ class Owen(_OfDigits):
     The seed is longer than in these hashes: 126 random bits for two rounds.
     Each round has a random summand and a random odd factor.
 
-    Halton, hammersley and van-der-corput points are drawn from the top of their trees of digits.
+    Halton, hammersley and van-der-corput points are drawn and scrambled in one step.
     Each point derives from the earlier point with which it shares the most digits [Helmer2021]_.
 
     References

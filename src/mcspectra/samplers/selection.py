@@ -27,7 +27,7 @@ _PARTS: dict[Structure, Structure] = dict.fromkeys(Structure, Structure.NONE) | 
 """Structures that a subset of the points keeps: minimum distances remain, full strata do not."""
 
 _MOST_MADE = 2**27
-"""Largest number of coordinates of a set from which a part is taken: 1 GiB."""
+"""Largest number of coordinates of a set from which points are selected: 1 GiB."""
 
 
 @final
@@ -150,7 +150,7 @@ class Skip(Randomization):
         return Randomization.fit(self, sampler)
 
     def law_of(self, law: Law, n: int) -> Law:
-        """Return the law; a run of a fixed sequence is a fixed set."""
+        """Return the law. Points of a fixed sequence are fixed, even if some are skipped."""
         if isinstance(law, Independent):
             return Independent(n=n, dims=law.dims)
         if isinstance(law, Fixed):

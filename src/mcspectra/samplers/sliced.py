@@ -27,7 +27,8 @@ class SlicedOptimalTransport(OptimisedSampler):
     Attributes
     ----------
     iterations
-        Number of iterations. In each one, all points move once, by a mean over random directions.
+        Number of iterations. In each iteration, every point makes one move:
+        the mean of its moves along all random directions.
     directions
         Number of random directions per iteration.
     sets
@@ -64,7 +65,7 @@ class SlicedOptimalTransport(OptimisedSampler):
         normals = np.empty((1, self.directions * self.dims))
         for i in range(self.iterations):
             fill_normals(keys[None], used, normals)
-            used += normals.size + 1  # an odd number of normals uses up one more number
+            used += normals.size + 1  # an odd number of normals takes one more random number
             directions = normals.reshape(self.directions, self.dims)
             directions = directions / np.sqrt(np.sum(directions**2, axis=1))[:, None]
 

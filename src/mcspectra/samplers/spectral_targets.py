@@ -40,11 +40,11 @@ _REACH = 2.0  # largest |m|/√n at which power is matched
 _PCF_REACH = 4.0
 _TRIED = np.linspace(0.0, 6.0, 601)  # places at which transforms of targets are checked
 _LINE = np.linspace(0.0, 2 * _PCF_REACH, 1601)  # tabulated values of |m|/√n
-_NEGATIVE = -1e-6  # values below this count as negative; quadrature errors are 1e-9
+_NEGATIVE = -1e-6  # Values below this limit count as negative; quadrature errors are 1e-9.
 _LARGEST_STEP = 1 / math.sqrt(math.pi)
 _MOST_KNOTS, _LARGEST_PLACE = 200, 4.0
 _EPS = 1e-9  # tolerance of the non-uniform transforms
-_NODES = 48  # number of Gauss-Legendre nodes per piece; enough for J0 up to 2π·4·4
+_NODES = 48  # number of Gauss-Legendre nodes per linear piece; enough for J0 up to 2π·4·4
 
 
 class _MatchedSampler(PlaneSampler, OptimisedSampler):

@@ -519,8 +519,8 @@ class Hexagonal(PlaneSampler, FixedSet):
     The set is deterministic.
     On a square torus no hexagonal array is exactly regular, because b = a/√3 would be needed.
     The chosen b differs from a/√3 by at most ½. There are two distances between neighbors.
-    At the first six counts, the larger distance is 1.41, 1.12, 1.11, 1.12, 1.03 and 1.12 times
-    the smaller distance. The ratio is at most 1.06 for n ≥ 56 and 1.02 for n ≥ 780.
+    At the first six counts, the ratio of the distances is 1.41, 1.12, 1.11, 1.12, 1.03 and 1.12.
+    The ratio of the two distances is at most 1.06 for n ≥ 56 and 1.02 for n ≥ 780.
 
     References
     ----------
@@ -574,7 +574,7 @@ def nearly_square(n: int) -> int:
     return int(found[0]) if found.size else 0
 
 
-@lru_cache(maxsize=2)  # analyses draw many blocks of the same n
+@lru_cache(maxsize=2)  # an analysis draws many blocks of realizations with the same n
 def corners(sides: tuple[int, ...]) -> Array:
     """Return the lower corners of the cells in row-major order: float64 (cells, d), read-only."""
     out = np.zeros((math.prod(sides), len(sides)))
@@ -619,7 +619,7 @@ class SharedCells(Sampler):
     The grid has W n cells, and each of these cells is in exactly one of the W sets.
     A realization draws one offset, a uniform point of a cell.
     The point of each cell is at the drawn offset, possibly reflected along some axes.
-    Every point is uniform on [0,1)^d for any sets, so estimates are unbiased.
+    Every point is uniform on [0,1)^d for any choice of the sets, so estimates are unbiased.
     The function `design` computes sets of cells for this sampler.
 
     Attributes

@@ -3,7 +3,7 @@
 The function `assert_same_image` compares renders with a reference, to test a renderer.
 
 The module `mcspectra.testing.strategies` makes random components for property-based tests.
-It needs the package Hypothesis.
+The random components need the package Hypothesis.
 """
 
 from mcspectra.testing.contract import (

@@ -63,8 +63,8 @@ _QUADRATURE_DIMS = 3
 _MISSED = 20.0
 _FREQUENCIES = ((1,), (-3,), (0, 2), (1, -1), (4, 7), (2, 1, 0), (0, -1, 3))
 _SEED = 7
-_NEED_SECONDS = 0.1  # time limit for `need`, which studies call for each cell
-_SIZE = 2  # number of blocks per chunk
+_NEED_SECONDS = 0.1  # time limit for `need`; a study calls it often
+_SIZE = 2  # number of blocks in a chunk of an analysis
 
 
 class BrokenContract(McspectraError, AssertionError):
@@ -416,7 +416,7 @@ def check_analysis(analysis: Analysis, estimator: Any = None, sampler: Any = "ji
     BrokenContract
         If an option has no description, a reserved name, or a default outside its limits.
         If `need` raises an error, is slow or is not finite.
-        If keys repeat, or if `part` lacks a key.
+        If keys of reductions repeat, or if `part` lacks a key.
         If states change when they are stored as bytes.
         If results depend on chunks, differ for the same seed, or have undeclared variables.
 
