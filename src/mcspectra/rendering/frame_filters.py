@@ -334,7 +334,7 @@ class Filtered:
 def filtered_of(
     chains: Sequence[Chain], left: Array, noise: Array, scale: float, resolved: bool
 ) -> Filtered:
-    """Return the variance after each chain of filters. Its interval comes from the sequences.
+    """Return the variance after each chain of filters, with intervals from the spread of sequences.
 
     Parameters
     ----------
@@ -357,7 +357,7 @@ def filtered_of(
         own = left[:, k]
         values[:, k] = scale * (2.0 * own @ memory - own[:, 0] * memory[0])
         mean = own.mean(axis=0)
-        # Number of independent frames whose mean square has the same error as that of the sequence
+        # Number of independent frames whose mean square is as accurate as that of the sequence
         filtered = np.convolve(_mirrored(memory), _mirrored(mean), "same")
         fade = 1.0 - np.abs(np.arange(1 - times, times)) / times
         relative = filtered / (filtered[times - 1] or 1.0)

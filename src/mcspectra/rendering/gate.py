@@ -338,7 +338,7 @@ def _why(ours: FrameSet, theirs: FrameSet, contrast: Contrast) -> str | None:
 @final
 @dataclass(frozen=True, kw_only=True)
 class _Result:
-    """Outcome of the tests, and numbers of the whole image. Frames were divided by `scale`."""
+    """Results of the tests, and numbers for the whole image. All frames were divided by `scale`."""
 
     outcome: Outcome
     method: str
@@ -373,7 +373,7 @@ def _result(case: _Case, level: float, rng: int) -> _Result:
                 outcome=outcome, method=method, levels=levels, noise_ratio=ratio, scale=scale
             )
         # If the noise of the sets differs, their frames are not exchangeable.
-        # Tests of means would not be exact; only the tests of the noise are
+        # Tests of means would not be exact; only the tests of the noise remain exact
         means = cautious(levels, contrast, level, alike=False, noise=False)
         noise = [each for each in outcome.tests if each.name not in _MEANS]
         both = [*means.tests, *noise]
@@ -430,9 +430,9 @@ def _empty(case: _Case) -> _Result:
 
 
 def _trend(source: Source, ours: FrameSet, read: FrameReader) -> list[tuple[int, float, float]]:
-    """Compare image means at other numbers of samples with the chosen number, by Welch's test.
+    """Compare the image mean at other numbers of samples with the chosen number, by Welch's test.
 
-    Returns samples per pixel, relative difference and p-value for each other number.
+    Returns samples per pixel, relative difference and p-value for each other number of samples.
     """
     from scipy.special import stdtr
 

@@ -88,7 +88,7 @@ class FrameSet:
         return len(self.names)
 
     def only(self, frames: Sequence[int]) -> FrameSet:
-        """Return the set with some of its frames, in this order."""
+        """Return a set of the frames with the given indices, in the given order."""
         chosen = list(frames)
         return replace(
             self,

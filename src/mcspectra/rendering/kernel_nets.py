@@ -185,7 +185,7 @@ def _hashed(x: Any, *keys: tuple[Any, Any]) -> Any:
 
 
 def _shifted(module: Any, word: Any, key: Any, index: Any, last: int) -> Any:
-    """Shift the first m digits of a word by a random key, and append digits of the point's own."""
+    """Shift the first m digits of a word by a random key; random digits of each point follow."""
     own = module.UInt32(mix_bits(module, key, ~key, index) >> 16)
     return ((word ^ module.UInt32(key >> 32)) & last) | (own & module.UInt32(0xFFFFFFFF ^ last))
 
@@ -281,7 +281,7 @@ class JointPoints:
         self.dims, self._sets, self._made = sets.dims, sets, coordinates
 
     def at(self, pixel: Any, index: Any) -> JointPoints:
-        """Return the points with other indices, or at other pixels, of the same joint sets."""
+        """Return points of the same joint sets with other indices, or at other pixels."""
         return self._sets.at(pixel, index)
 
     def draw(self, dims: int, _: Any, start: Any, __: Any, ___: Any = True) -> list[Any]:

@@ -359,7 +359,7 @@ class Receivers:
         Code of what each pixel shows, int8 (P,); `RECEIVER` means a lit surface.
     pixels
         Pixels that show a lit surface, whose light is estimated.
-        If only one pixel shows a lit surface, it is listed twice, for equal rounding of sums.
+        A single pixel is listed twice, because a sum over one pixel would be rounded differently.
     """
 
     def __init__(self, lighting: Lighting, pixels: Array) -> None:
@@ -407,7 +407,7 @@ class Receivers:
             return chooses_lobe(self._gathered(lane // tries), u)
 
     def _look(self, pixels: Array) -> tuple[Array, Any]:
-        """Return status and first hits of pixels. Pixels are data, so that all share one kernel."""
+        """Return status and first hits of pixels. One kernel serves all pixels."""
         import drjit
 
         mitsuba, scene = load_mitsuba(), load_scene(self._lighting.scene)
@@ -551,7 +551,7 @@ class _Grid:
     method: str
     count: int
     samples: Array = field(repr=False)
-    power: Array | None = field(repr=False, default=None)  # the index is the frequency m
+    power: Array | None = field(repr=False, default=None)  # power at each frequency m
     power_se: Array = field(repr=False, default_factory=lambda: np.zeros(()))
     gains: Array | None = field(repr=False, default=None)  # gains Γ_l for levels l = (i, j)
 

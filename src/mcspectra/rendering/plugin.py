@@ -173,7 +173,7 @@ def joint_sampler(pair: Sampler, dims: int) -> Sampler:
     """Return a sampler of sets in more dims, for numbers that come jointly from one set.
 
     For `JOINT_DIMS` dims, two copies of a randomized binary net are joined (`JoinedPairs`).
-    For other numbers of dims or other samplers, the sampler itself is used in `dims` dims.
+    For other samplers or other numbers of dims, the sampler draws the `dims` dims by itself.
     """
     net = net_of(pair) or shifted_net_of(pair)
     if net is None or dims != JOINT_DIMS:

@@ -397,7 +397,7 @@ class Dask:
     def _send(self, pending: _Pending) -> None:
         serial = next(self._serials)
         # Dask groups tasks by the first entry of their keys, and keeps statistics of each group.
-        # The first entry is the same for all tasks of a study, so there is only one group
+        # All tasks of a study have the same first entry, so dask has only one group of tasks
         key = (self._name, pending.task.key, str(serial))
         arguments = (self._compute, self._text, pending.task, self._options.time_limit)
         future = self._client.submit(compute_elsewhere, *arguments, key=key, pure=False, retries=0)
