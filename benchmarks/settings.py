@@ -1,4 +1,4 @@
-"""Count the right cases with each setting of an algorithm halved, unchanged and doubled.
+"""Count correct diagnoses with each setting of an algorithm halved, unchanged and doubled.
 
 Without a flag, the benchmark tests `CauseSettings` and its parts.
 Each case has two seeds and 8,192 evaluations.
@@ -275,7 +275,7 @@ def main(*only: str) -> None:
     ]
 
     def right(settings: CauseSettings, *, again: bool) -> str:
-        """Count cases with the right cause, and also right poles if settings of poles changed."""
+        """Count cases with the right cause; for changed settings of poles, also count right poles."""
         count = 0
         for (e, sampler, causes, seed), seen in zip(given, usual, strict=True):
             try:

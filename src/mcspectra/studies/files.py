@@ -360,7 +360,7 @@ def study_of(table: Mapping[str, Any], source: str = "study") -> StudyConfig:
                 )
             if id(samplers) not in seen and len(set(samplers)) < len(samplers):
                 raise ConfigError(f"{shown(entry.name)} lists a sampler twice.")
-            Check each list of samplers once, because most estimators share the same list
+            seen.add(id(samplers))  # Check a list once: most estimators share it
         for estimator in config.estimators:
             for complaint in _complaints(estimator):
                 raise ConfigError(f"the estimator {shown(estimator.name)} {complaint}")
@@ -437,7 +437,7 @@ def planned_groups(study: Mapping[str, Any]) -> dict[str, tuple[Names, Names]]:
     Returns
     -------
     dict
-        A path is estimator/sampler/analysis. The keys of the result are names of estimators or scenes.
+        A path is estimator/sampler/analysis. Keys of the result are names of estimators or scenes.
         Each value is a pair of lists: the names of the samplers and of the analyses.
         Companions, which are analyses that always run with another analysis, are included.
     """

@@ -1031,7 +1031,7 @@ class Ledger:
             self.damaged["recorded tasks and failures"] = error.reason
 
     def _cell_rows(self, place: int) -> tuple[list[tuple[Any, ...]], list[tuple[Any, ...]]]:
-        """Return a cell's rows of the tables ``cells`` and ``results``; none if one row is damaged."""
+        """Return a cell's rows of tables ``cells`` and ``results``; none if a row is damaged."""
         with self._guard, contextlib.suppress(_Damaged):
             self._rows("BEGIN")  # A commit between the two reads would look like damage
             try:

@@ -307,7 +307,7 @@ def study_status(folder: str | Path, *, verify: bool = False) -> StudyStatus:
                 with contextlib.suppress(*_MALFORMED, RecursionError):
                     note = StudyNote.of(study_of(study), ledger.study.inputs)
                     refusal = ledger.refusal(note, paths)
-                    if note.study_hash != ledger.study.study_hash:  # The text of the study or its hash was forged
+                    if note.study_hash != ledger.study.study_hash:  # Forged text or hash
                         found.damaged["the header"] = (
                             "it names another study than the stored text, so that --resume may "
                             "refuse the folder"

@@ -388,7 +388,7 @@ class Schedule:
 
 
 def _turn(cell: StudyCell) -> tuple[bool, float]:
-    """Return the sort key: cells with pictures by ascending cost, then others by descending cost."""
+    """Return the sort key: cells with pictures by ascending cost, others by descending cost."""
     pictured = type(cell.analysis).pictured
     return not pictured, cell.need.cost if pictured else -cell.need.cost
 
