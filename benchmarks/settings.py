@@ -275,7 +275,7 @@ def main(*only: str) -> None:
     ]
 
     def right(settings: CauseSettings, *, again: bool) -> str:
-        """Count cases with the right cause; for changed settings of poles, also count right poles."""
+        """Count cases with the right cause; with changed settings of poles, also right poles."""
         count = 0
         for (e, sampler, causes, seed), seen in zip(given, usual, strict=True):
             try:
