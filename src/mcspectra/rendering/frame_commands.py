@@ -124,7 +124,7 @@ def denoised(
     ------
     ParameterError
         If the program fails, takes longer, or writes no frame of the size of its input.
-        If it needs sequences and there are none.
+        If the program needs sequences and there are none.
     """
     files, times = group.files, group.times
     count = len(files) // times

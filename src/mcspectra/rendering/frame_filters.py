@@ -243,7 +243,7 @@ def curve_filters(height: int, width: int, times: int) -> dict[str, dict[float, 
     found = {"sigma": {g.sigma: Chain((g,)) for g in gaussians if 2 * g.weights().size <= side}}
     if times > 1:
         # Leave out filters whose weights reach far beyond the length of the sequence.
-        # The correlations of errors at such long lags are unknown
+        # Correlations of errors at lags beyond the end of the sequence are unknown
         known = (a for a in _ALPHAS if (1 - a) ** times < _LEFT_OUT)
         found["alpha"] = {alpha: Chain((Ema(alpha=alpha),)) for alpha in known}
     return {name: chains for name, chains in found.items() if len(chains) > 1}

@@ -146,12 +146,13 @@ def frames(
         Program that filters one frame, such as ``"denoise {input} -o {output}"``.
         The program runs on every frame that has the most samples, without a shell.
         A program with ``{inputs}`` and ``{outputs}`` gets the folder of one sequence.
-        Its frames have the names ``0000.exr``, ``0001.exr`` …, and so must the output.
+        The frames in this folder are called ``0000.exr``, ``0001.exr`` and so on.
+        The program must give the same names to its output files.
     filter_timeout
         Longest time of one run of the program, in seconds.
     reference
         File with the true image, which counts as exact.
-        Sequences may have one for each frame, such as ``"truth/t{frame}.exr"``.
+        Sequences may have one such file per frame, such as ``"truth/t{frame}.exr"``.
     flip
         Whether to compute FLIP if its package is installed. It takes longer than all other steps.
 
@@ -179,7 +180,7 @@ def frames(
         ``effective_frames(n)`` and ``pixel_effective_frames(n, y, x)``.
         After a moving average: ``average_variance(n, alpha)`` and ``average_ratio(n, alpha)``.
         A command gives ``denoised_variance`` and ``denoised_square``, the mean squared bias.
-        For sequences it also gives ``denoised_boiling`` and ``denoised_correlation(lag_t)``.
+        For sequences, it also gives ``denoised_boiling`` and ``denoised_correlation(lag_t)``.
         A reference gives ``bias_z(y, x)`` and ``squared_bias(n)``.
         The relative bias, relMSE and SMAPE are given by tile: ``tile_bias(n, tile_y, tile_x)``.
         For the whole image, the relative bias, relMSE and SMAPE are named like ``image_bias(n)``.
@@ -205,7 +206,7 @@ def frames(
     Memory is about 45 planes of float64 (3 GB at 3840 × 2160), including the result.
     The memory does not depend on the number of frames.
     Transforms of one sequence are kept in a temporary file if they exceed 0.5 GB.
-    These files have about 12 bytes for each pixel of each frame of a sequence.
+    A temporary file has about 12 bytes for each pixel of each frame of a sequence.
 
     The error after a linear filter K is ∫ |K(ν)|² P_err(ν) dν, from the measured spectrum.
     See `mcspectra.rendering.frame_filters` for the treatment of borders.
@@ -926,7 +927,7 @@ def _drift(
         Image mean of each frame, in order.
     gained
         For each frame, the sum of squared deviations due to a change of brightness.
-        Such a change multiplies all pixels by the same factor.
+        A change of brightness multiplies all pixels by the same factor.
     squares
         Sum of squared deviations over pixels and frames.
     chance

@@ -117,8 +117,8 @@ def gate(
     Notes
     -----
     Frames of one renderer with different seeds are exchangeable.
-    The tests exchange frames between the two sets, and compare the largest test statistic
-    with its values after such relabelings of the frames.
+    The tests exchange frames between the two sets; each exchange is a relabeling.
+    The tests compare the largest test statistic with its values after many relabelings.
     For any noise, the probability of a false alarm is at most `level` [WestfallYoung1993]_.
     For the level 0.01, the tests need 5 new frames and 5 reference frames, or 3 and 7, or 1 and 99.
     If the frames form pairs with equal seeds, the tests need 8 pairs.

@@ -6,8 +6,8 @@ Coordinate j of point i: XOR those columns of generator matrix j that the bits o
 The nested uniform scrambling is the hash of ``owen(method='hash')``.
 The class `NetPoints` computes the points of the sampler from its keys, rounded to float32.
 Renderers request one or two numbers at a time and need point sets in a random order.
-These sets (`Pads`) are scrambled by one round of the hash with 63 random bits,
-and the order of their points is random.
+The sets for such requests (`Pads`) are scrambled by one round of the hash.
+Each scramble takes 63 random bits, and the order of the points is random.
 Nets with ``digital-shift(jitter=True)`` are shifted instead, by m random bits per coordinate.
 """
 

@@ -6,7 +6,7 @@ Only one number per lane is copied, so memory does not grow with the number of s
 A lane has the same bits no matter which other lanes are computed.
 One evaluation gives two estimates of a technique, without and with the weight of MIS.
 With one lane per sample instead, the program would take 2 to 3 times as long.
-This was measured on two cores with Veach's scene.
+These times were measured on two cores with Veach's scene.
 
 Predictions
 -----------
@@ -32,7 +32,7 @@ The variance of g is the sum of σ²_l, the parts that depend on l_j bits of coo
 The parts come from means over blocks of a grid with a random point in each cell.
 
 The last three predictions take their standard errors from grids with half the resolution.
-Other samplers have no prediction, because these formulas ignore the cross term of the variance.
+Other samplers have no prediction, because the formulas ignore the cross term of the variance.
 
 No prediction detects a light that is so rare that no sample hits it.
 If one technique hits significantly more light (`surely`) than another technique,

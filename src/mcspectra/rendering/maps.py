@@ -812,7 +812,7 @@ def _predicted(maps: Maps, largest_se: float, missed: Array) -> dict[str, Array]
 
     The interval combines the errors of both variances.
     The ratio is NaN if hardly any samples of the measurement or of the prediction hit a rare event.
-    In this case, the variances and their errors are mostly far too small.
+    With so few hits, variances and their errors are mostly far too small.
     """
     predicted, measured = maps.predicted, maps.variance[:, -1]
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -5,7 +5,7 @@ Method
 An integrator requests random numbers from a sampler.
 Our sampler answers these requests in order with the D coordinates of a point u.
 The radiance is therefore a function of u in [0,1)^D.
-Its integral over the cube is the mean over a pixel with a box filter.
+The integral of the radiance over the cube is the mean over a pixel with a box filter.
 The first coordinates choose the position in the pixel, the point on the lens and the time.
 Mitsuba's own rendering loop has the same order.
 The sampler advances for each request, even if a path does not need the number.

@@ -701,7 +701,7 @@ def expand_grids(table: dict[str, Any], source: str = "study") -> dict[str, Any]
         A table ``grid`` at the top applies to the whole study.
         A table ``grid`` in an estimator applies to that estimator and takes precedence.
         The table of an analysis at the top may have placeholders.
-        Such a table is copied into each estimator that has no table of the analysis.
+        A table with placeholders is copied into each estimator that has no table of the analysis.
     source
         Name of the study in messages.
 

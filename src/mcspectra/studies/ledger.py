@@ -941,8 +941,9 @@ class Ledger:
                 failed[change.path] = change.failure
             else:
                 recorded += 1
-        # Compare the tally with the finished cells that were found. Readers skip this test:
-        # they checked the list of cells before, and a writer may have changed the tally since then
+        # Compare the tally with the finished cells that were found.
+        # Readers skip this test, because they have already checked the list of cells.
+        # Since then, a writer may have changed the tally
         still = self._lock is not None or self._salvaged
         if still and len(self.damaged) == before and tally.digest != self.tally.digest:
             self.damaged["list of cells"] = "finished cells are missing in it"

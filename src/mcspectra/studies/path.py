@@ -274,7 +274,7 @@ def shares_by_light(f: PathPixel, paths: int, stream: Stream) -> xr.Dataset | No
         ``light_probability``, the current selection probability of the light;
         ``light_selection``, its improved selection probability.
         ``selection_ratio``: variance with the improved selection over that with the current one.
-        Both variances are measured with new random paths.
+        Variances with both selections are measured with new random paths.
         None for one light, for more than 64 lights, or for a pixel without noise.
 
     Raises

@@ -223,7 +223,7 @@ class _Active:
         """Pass the sums of a finished step to the analysis, and start its next step.
 
         If the sums of the next steps are already stored, the analysis gets these sums too.
-        This ends at the first step that has to be computed.
+        The first step whose sums are not all stored has to be computed.
         """
         try:
             while True:
