@@ -233,7 +233,7 @@ def stages() -> None:
     cell = MomentsCell((estimator,), mcs.sampler("random", dims=1), 1, Stream.from_rng(0))
 
     def search(values: Array, settings: StageSettings) -> tuple[int, float, int]:
-        """Return number of realizations, variance and number of stages of a search."""
+        """Return the number of realizations, the variance and the number of stages of a search."""
         steps, count = cell.until_precise(0, 0.1, len(values), settings), 0
         wanted = next(steps)
         while True:

@@ -71,7 +71,7 @@ class SamplesPerPixel:
     spp
         Samples per pixel (height, width), whole numbers from `least` to `most`.
     low, high
-        Ends of their 95 % intervals (height, width), within the same limits.
+        Ends of the 95 % intervals of `spp` (height, width), within the same limits.
     target
         Relative error σ / mean that pixels should reach.
     least, most

@@ -37,7 +37,7 @@ from mcspectra.rendering.techniques import check_finite, chosen_channel, lane_su
 __all__ = ["OWN_SAMPLER", "Film", "RenderedPixels", "chosen_tiles", "pixels_of", "preview"]
 
 OWN_SAMPLER = "scene's own"
-"""Stands for the sampler of the scene's own camera."""
+"""A value that stands for the sampler of the scene's own camera."""
 
 _LANES = 2**20  # samples in one wavefront, which take some 100 MiB
 # Most pixels of a preview, paths per pixel, and random numbers per path; further numbers are hashed

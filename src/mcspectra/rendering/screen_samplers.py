@@ -565,7 +565,7 @@ class Tiles(ScreenSampler):
         For a list of files, the mask has the channels of all files, in the order of the list.
 
         * PNG: one picture per frame, sorted by the numbers in the names.
-          Spatio-temporal masks are often published so, as in ``stbn_vec2_2Dx1D_128x128x64_*``.
+          Spatio-temporal masks are often published as PNG, as in ``stbn_vec2_2Dx1D_128x128x64_*``.
           Level k of L becomes (k + ½)/L, for 256 or 65,536 levels. Alpha is not used.
         * ``.npy``: shape (frames, height, width, channels), or (height, width, channels), or
           (height, width) for one channel. Floats lie in [0,1).
