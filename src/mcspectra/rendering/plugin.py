@@ -421,7 +421,7 @@ class _DeviceSets:
 class _TablePads:
     """Tables of point sets: 1-D sets answer requests for one number, 2-D sets those for two.
 
-    The number of a set is the pixel plus an offset; each request of a pixel has another offset.
+    The number of a set is the pixel plus an offset; each request of a pixel has a different offset.
     """
 
     def __init__(self, module: Any, sets: PaddedSets, stream: Stream, rounds: Rounds) -> None:

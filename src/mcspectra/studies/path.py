@@ -409,8 +409,7 @@ def path_remedies(
     attempt("given", "as given", "change nothing")
 
     # Try other samplers, random numbers in the last coordinates, and another order of coordinates.
-    # The new order assigns the best coordinates of the points to the numbers
-    # that have the largest shares of the variance
+    # Random numbers with the largest shares of the variance get the best coordinates of the points
     for spec in dict.fromkeys(samplers):
         if spec != sampler.spec:
             attempt("sampler", spec, f"sample with {spec}", spec=spec)

@@ -295,7 +295,7 @@ class Schedule:
         """Return the next task; None if all are handed out, or results must arrive first.
 
         If an earlier run recorded all of a cell, the cell is restored, and None is returned.
-        Take the cell's result from `settled` before the next call, so that only one result is in memory.
+        Take the result from `settled` before the next call, so that only one result is in memory.
         """
         while True:
             for active in self._active.values():
