@@ -2,7 +2,7 @@
 
 The benchmark has sixty estimators with and without importance densities.
 The estimators include multiple importance sampling, pixels of scenes, and light paths.
-Each function of the package searches for the best set-up at 4,096 evaluations.
+Profile and remedies search for the best set-up with 4,096 evaluations.
 Brute force then measures the RMSE of the given and of the recommended set-ups.
 Brute force makes 1,000 new estimates for each set-up, but only 200 for pixels and paths.
 A function agrees with brute force under these conditions:

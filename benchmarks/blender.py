@@ -25,10 +25,10 @@ SAMPLES, FRAMES = (4, 16, 64), 8
 SIZE = (96, 64)
 MEASURED, HELD = 24, 48  # number of frames for predictions, and of other frames
 SEEDS, HELD_SEEDS, TIMES = 4, 8, 12
-# Only this number of columns of the sequences is compared.
+# Only this number of columns of each frame of a sequence is compared.
 # In the other columns, 60 pixels of the light's reflection make half of the variance
 COLUMNS = 60
-PAIRS, EACH = 50, 8  # number of clean pairs of the gate, and of frames of each set
+PAIRS, EACH = 50, 8  # for the gate: number of pairs of sets, and of frames of a set
 INSTALL = (
     "Not run: Blender is not found. Put blender on the path, or run `pip install bpy` in a Python "
     "of the version that bpy needs, and name that Python in BLENDER_PYTHON."

@@ -2,8 +2,8 @@
 
 The reference draws and transforms the points, and does nothing else.
 Every analysis of spectra must draw and transform its points.
-The seconds are the least of all rounds. The ratio is the median of the ratios of each round.
-The ratio of least times is also printed, because the machine may have been busy.
+The printed seconds are the shortest time of all rounds. The ratio is the median over the rounds.
+The ratio of the shortest times is also printed, because the machine may have been busy.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 The task has five counts from 16 to 4096, 1000 realizations, two integrands and one thread.
 The fused loop is written for this one task, and has no array of points or values.
 The loop evaluates both integrands at each point.
-It uses the package's own generator, and sums only the estimates and their squares.
+The loop uses the package's own generator, and sums only the estimates and their squares.
 """
 
 from __future__ import annotations

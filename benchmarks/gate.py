@@ -5,8 +5,9 @@ The flags ``--alarms``, ``--power``, ``--fp16`` and ``--speed`` print one table 
 Frames of a Cornell box with a glass sphere come from Mitsuba's path tracer, at 64 × 64 pixels.
 Every pair of sets is drawn anew from a library of frames.
 Frames of a faulty renderer are combinations of frames of whole paths and of direct light.
-Other tests get the same samples. Their thresholds are set on 1,000 clean pairs, so that they have
-the same rates of false alarms as the gate. The denoiser is an à-trous filter with edge stops.
+Other tests get the same samples.
+With thresholds set on 1,000 pairs of equal sets, they raise as many false alarms as the gate.
+The denoiser is an à-trous filter with edge stops.
 """
 
 from __future__ import annotations
@@ -83,7 +84,7 @@ def _library(depth: int, sampler: dict[str, Any], count: int) -> Array:
 def _samples(depth: int, count: int) -> Array:
     """Return the luminance of independent samples of each pixel (sample, y, x), in large batches.
 
-    Samples of equal number have the same path, up to the smaller of two depths.
+    Sample k has the same path for two different depths, up to the smaller depth.
     """
     import drjit as dr
     import mitsuba as mi
@@ -297,7 +298,7 @@ def _power(whole: Array, light: Array, trials: int) -> None:
 
 
 def _shares(hits: Array) -> str:
-    """Return the shares of hits (trial, level) in %, by level."""
+    """Return the share of detections among the trials in %, by level; hits are (trial, level)."""
     return " / ".join(f"{100 * share:.0f}" for share in hits.mean(axis=0))
 
 

@@ -5,7 +5,7 @@ light sampling and BSDF sampling, each with and without the weights of MIS.
 Mitsuba's kernels read random numbers and first hits from tables that exist before the measurement.
 A kernel processes all samples in parallel, and sums over the samples of a pixel.
 The raw calls copy results to NumPy, without statistics.
-The map loops over samples, and evaluates a technique once for plain and weighted estimates.
+The map loops over samples. One evaluation gives both the plain and the weighted estimate.
 The line "kernels alone" measures the map's loops without its statistics.
 ``--full`` maps 256 × 170 pixels without predictions and compares with the raw calls alone.
 This map takes minutes. The default map is smaller.
@@ -47,7 +47,7 @@ def main(*flags: str) -> None:
             ("kernels alone", raw.loops),
         ]
     seconds = dict.fromkeys([name for name, _ in works], float("inf"))
-    for _ in range(1 if full else ROUNDS):  # each round times all works: the load varies
+    for _ in range(1 if full else ROUNDS):  # time all in each round: the load varies
         for name, work in works:
             start = time.perf_counter()
             work()

@@ -2,7 +2,7 @@
 
 Without a flag, a crop of 240 × 135 pixels is mapped (paths of depth 6, n = 4, 16 and 64).
 The same samples are rendered by ``mi.render`` with the stock sampler, in turn with the map.
-``--adaptive`` compares images with samples per pixel of a map with equal samples at equal cost.
+``--adaptive`` compares images of equal cost: samples per pixel by a map, and equal samples.
 ``--dry-run`` compares estimated times of maps and images with measured ones.
 """
 

@@ -35,7 +35,7 @@ AGAINST_NUMPY = {
     "rank1-lattice(vector=[1, 19463]) | shift": "",
     "kronecker | shift": "",
 }
-"""Specs of samplers. NumPy's time should be at least this number times our time."""
+"""Specs of samplers, each with the least allowed ratio of the time of NumPy to our time."""
 
 
 def main() -> None:

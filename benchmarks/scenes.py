@@ -7,7 +7,7 @@ The ratio of a scene is the geometric mean over its pixels.
 The predicted winner is wrong if the two intervals lie on opposite sides of 1.
 ``python -m benchmarks scenes --profile`` checks the samples per pixel that a profile states.
 ``python -m benchmarks scenes --bias`` tests renders against reference images with variances.
-``python -m benchmarks scenes --joint`` compares numbers of joint dims and other points.
+``python -m benchmarks scenes --joint`` compares several numbers of joint dims and another sampler.
 The option ``--scene=NAME`` limits each of these commands to one scene.
 """
 

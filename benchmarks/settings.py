@@ -1,4 +1,4 @@
-"""Count the right cases with each setting of an algorithm halved, unchanged and doubled.
+"""Count correct diagnoses with each setting of an algorithm halved, unchanged and doubled.
 
 Without a flag, the benchmark tests `CauseSettings` and its parts.
 Each case has two seeds and 8,192 evaluations.
@@ -233,7 +233,7 @@ def stages() -> None:
     cell = MomentsCell((estimator,), mcs.sampler("random", dims=1), 1, Stream.from_rng(0))
 
     def search(values: Array, settings: StageSettings) -> tuple[int, float, int]:
-        """Return number of realizations, variance and number of stages of a search."""
+        """Return the number of realizations, the variance and the number of stages of a search."""
         steps, count = cell.until_precise(0, 0.1, len(values), settings), 0
         wanted = next(steps)
         while True:
@@ -275,7 +275,7 @@ def main(*only: str) -> None:
     ]
 
     def right(settings: CauseSettings, *, again: bool) -> str:
-        """Count cases with the right cause, and also right poles if settings of poles changed."""
+        """Count cases with the right cause; with changed settings of poles, also right poles."""
         count = 0
         for (e, sampler, causes, seed), seen in zip(given, usual, strict=True):
             try:

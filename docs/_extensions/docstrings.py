@@ -21,7 +21,7 @@ _WORK = re.compile(r"^(\s*)\.\. (\[\w+\])(?= )")
 
 
 def escaped(line: str) -> str:
-    """Escape bars, stars and trailing underscores that are mathematics in one line."""
+    """Escape the bars, stars and trailing underscores in a line, because they are mathematics."""
     prefix = _PREFIX.match(line)
     start = prefix.end() if prefix else 0
     parts = _MARKUP.split(line[start:])

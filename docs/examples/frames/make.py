@@ -1,7 +1,8 @@
 """Render the frames of this folder: Mitsuba's Cornell box, one seed for each frame.
 
-Run it from the root of the repository: ``python docs/examples/frames/make.py``.
-It needs the extra ``render``. The files are .npy arrays in half precision with 64 × 64 pixels.
+Run the script from the root of the repository: ``python docs/examples/frames/make.py``.
+The script needs the extra ``render``.
+The files are .npy arrays in half precision with 64 × 64 pixels.
 Such files are small, and reading them needs no extra.
 Other versions of Mitsuba and other processors give images with different noise.
 """

@@ -16,7 +16,7 @@ The image is therefore filtered in the same way as an image with equal samples e
 
 For random points, V = v/n. With samples in proportion to v, all pixels have the same error.
 Equal samples of the same cost give the same mean square error, but a larger one at noisy pixels.
-Adaptive sampling therefore gains where errors are counted by their largest values or quantiles.
+Adaptive sampling therefore lowers the largest errors and the upper quantiles of the errors.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ if TYPE_CHECKING:
 __all__ = ["SamplesPerPixel", "render_adaptive", "samples_per_pixel"]
 
 _LEAST, _MOST = 4, 4096
-_STEEPEST, _SLOWEST = -3.0, -0.5  # steeper or slower rates of pixels come from noise
+_STEEPEST, _SLOWEST = -3.0, -0.5  # limits of a pixel's rate; steeper and slower rates are noise
 _LEAST_SLOPE_ERROR = 0.05  # least standard error of a pixel's rate about the median rate
 _LANES = 2**22  # samples in one wavefront; they take some 400 MiB
 _QUANTILES = (0.5, 0.95)
@@ -71,7 +71,7 @@ class SamplesPerPixel:
     spp
         Samples per pixel (height, width), whole numbers from `least` to `most`.
     low, high
-        Ends of their 95 % intervals (height, width), within the same limits.
+        Ends of the 95 % intervals of `spp` (height, width), within the same limits.
     target
         Relative error σ / mean that pixels should reach.
     least, most
@@ -208,7 +208,7 @@ def samples_per_pixel(
         last[key].transpose("y", "x").values for key in ("variance", "variance_relative_se", "mean")
     )
 
-    # Extrapolate with the median rate; single rates scatter about it by more than their errors
+    # Extrapolate with the median rate; rates of single pixels scatter about it
     rates, rate_se = data["rate"].values, data["rate_se"].values
     known = np.isfinite(rates) & np.isfinite(rate_se)
     slope, slope_error = -1.0, 0.25
@@ -224,7 +224,7 @@ def samples_per_pixel(
         error = np.where(np.isfinite(error), error, 1.0)
         half = CONFIDENCE_Z * np.hypot(error, slope_error * away) / abs(slope)
 
-    # Average the samples, never far below the largest number of the window
+    # Average the numbers of samples; the result is never far below the largest number of its window
     smooth, half = (_averaged(each, width) for each in (np.minimum(wanted, 4.0 * most), half))
     factor = np.exp(np.minimum(half, 60.0))
 

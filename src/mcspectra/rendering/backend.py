@@ -2,7 +2,7 @@
 
 Dr.Jit compiles for the CPU through libLLVM.
 Some versions of libLLVM end the process with SIGABRT when they compile the first kernel.
-This was measured with LLVM 15 and 16 on an AVX-512 machine.
+In a test on an AVX-512 machine, LLVM 15 and 16 ended the process.
 Every candidate is therefore tested in a subprocess first.
 The first candidate is the user's ``DRJIT_LIBLLVM_PATH``.
 The next candidates are the library in the package karellen-llvm-core,

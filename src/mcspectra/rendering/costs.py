@@ -4,7 +4,7 @@ All verbs of scenes use the same method.
 The work is run at growing sizes until a run takes long enough.
 The size of a run is its number of pixels, or of samples per pixel.
 The first run also compiles kernels, so it is repeated.
-The time is a fixed part and a part in proportion to the size, by the last two runs.
+The time is a fixed part plus a part in proportion to the size; the last two runs give both parts.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class SceneCost:
     Attributes
     ----------
     what
-        The work in words, after the number of pixels.
+        Words for the work, which follow the number of pixels in the sentence.
     size
         Width and height of the image or crop, in pixels.
     pixels
@@ -132,7 +132,7 @@ def timed_work(
     each = spent / size
     if len(runs) > 1:
         before, shorter = runs[-2]
-        # The slope is limited to half of the mean time … the mean time: the machine may be busy
+        # The slope lies between half of the mean time and the mean time, as the machine may be busy
         slope = (spent - shorter) / (size - before)
         each = min(max(slope, 0.5 * each), each)
     fixed = max(spent - each * size, 0.0) + max(compiled - runs[0][1], 0.0)

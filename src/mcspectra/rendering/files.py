@@ -40,7 +40,7 @@ def write_render(
     ----------
     path
         An EXR file stores ``image`` as the channels R, G and B, and the provenance as a comment.
-        It also stores the layers ``variance`` and ``image_se`` if they exist.
+        An EXR file also stores the layers ``variance`` and ``image_se`` if they exist.
         A PNG file stores only ``image``.
     result
         A rendered image, as returned by `render` or `reference`.

@@ -4,7 +4,7 @@ A nonlinear filter has no transfer function, so its error cannot be predicted fr
 Every frame is filtered instead. The error has two parts: variance and squared bias.
 The variance is measured over the filtered frames.
 The bias is the mean of the filtered frames minus a reference.
-Without a reference, the mean of the unfiltered frames replaces it, which is unbiased.
+Without a reference, the mean of the unfiltered frames is used instead, because it is unbiased.
 
 Filters that use earlier frames, such as temporal denoisers, get all frames of a sequence.
 Each sequence is then filtered alone. Errors are deviations from the mean over the sequences.
@@ -54,7 +54,7 @@ _FEWEST = 3  # smallest number of frames for which an interval is computed
 @final
 @dataclass(frozen=True, kw_only=True)
 class Denoised:
-    """Error after a program, as means over pixels and frames, with 95 % intervals.
+    """Error of frames that a program has filtered, as means over pixels and frames, with intervals.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class Denoised:
     bias, bias_ci
         Mean over the pixels of the squared bias; the estimate is unbiased and may be negative.
     temporal
-        Correlations over time of the errors after the program; None without sequences.
+        Correlations over time of the errors of filtered frames; None without sequences.
     """
 
     variance: float
@@ -124,7 +124,7 @@ def denoised(
     ------
     ParameterError
         If the program fails, takes longer, or writes no frame of the size of its input.
-        If it needs sequences and there are none.
+        If the program needs sequences and there are none.
     """
     files, times = group.files, group.times
     count = len(files) // times
@@ -175,13 +175,13 @@ def _measured(
     Parameters
     ----------
     squares
-        Squared deviations from the mean of the filtered frames, with divisor count − 1.
+        Squared deviations of filtered frames from their mean, with divisor count − 1.
     own, cross
-        Square of the difference from the truth, and its product with the mean difference.
+        Square of a sequence's difference from the truth, and its product with the mean difference.
     mean_square
-        Square of the mean difference.
+        Square of the mean over the sequences of the difference from the truth.
     temporal
-        Correlations over time.
+        Correlations over time of the errors of filtered frames.
     """
     count = len(squares)
     bias = (count**2 * mean_square - own.sum()) / (count * (count - 1))
@@ -212,7 +212,7 @@ def _measured(
 def _over_time(
     outputs: Sequence[Path], read: FrameReader, centers: Array, count: int
 ) -> Temporal | None:
-    """Return correlations over time of errors after a program, or None if there are no errors."""
+    """Return correlations over time of the errors of filtered frames; None if no error is left."""
     times, height, width = centers.shape
 
     def error(k: int, t: int) -> Array:
@@ -280,7 +280,7 @@ def _written(words: Sequence[str], file: Path, output: Path, name: str) -> Path:
 def _run(words: Sequence[str], values: dict[str, str], file: Path, wait: float) -> None:
     """Run the program once, and end all of its processes if it takes too long.
 
-    The values replace the names in braces. The file is named in messages.
+    The values replace the names in braces in the command. Error messages name the file.
     """
     filled = [_PLACEHOLDER.sub(lambda found: values[found[1]], word) for word in words]
     try:

@@ -243,7 +243,7 @@ def curve_filters(height: int, width: int, times: int) -> dict[str, dict[float, 
     found = {"sigma": {g.sigma: Chain((g,)) for g in gaussians if 2 * g.weights().size <= side}}
     if times > 1:
         # Leave out filters whose weights reach far beyond the length of the sequence.
-        # The correlations of errors at such long lags are unknown
+        # Correlations of errors at lags beyond the end of the sequence are unknown
         known = (a for a in _ALPHAS if (1 - a) ** times < _LEFT_OUT)
         found["alpha"] = {alpha: Chain((Ema(alpha=alpha),)) for alpha in known}
     return {name: chains for name, chains in found.items() if len(chains) > 1}
@@ -334,7 +334,7 @@ class Filtered:
 def filtered_of(
     chains: Sequence[Chain], left: Array, noise: Array, scale: float, resolved: bool
 ) -> Filtered:
-    """Return the variance after each chain of filters. Its interval comes from the sequences.
+    """Return the variance after each chain of filters, with intervals from the spread of sequences.
 
     Parameters
     ----------
@@ -357,7 +357,7 @@ def filtered_of(
         own = left[:, k]
         values[:, k] = scale * (2.0 * own @ memory - own[:, 0] * memory[0])
         mean = own.mean(axis=0)
-        # Number of independent frames whose mean square has the same error as that of the sequence
+        # Number of independent frames whose mean square is as accurate as that of the sequence
         filtered = np.convolve(_mirrored(memory), _mirrored(mean), "same")
         fade = 1.0 - np.abs(np.arange(1 - times, times)) / times
         relative = filtered / (filtered[times - 1] or 1.0)

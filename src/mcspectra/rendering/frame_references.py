@@ -3,7 +3,7 @@
 Regions are tiles of a grid, at most 8 × 8. All errors are errors of the luminance.
 References count as exact: they should have far more samples than the frames.
 Intervals are computed from the spread of the sequences, which are independent.
-Frames of one view are sequences of one frame.
+Frames of one view count as sequences of length 1.
 """
 
 from __future__ import annotations
@@ -143,9 +143,9 @@ def references_of(
     Raises
     ------
     ParameterError
-        If a frame has no reference, or frames of one view have references with numbers.
+        If a frame has no reference, or frames of one view have numbered references.
     FileFormatError
-        If no file has the name.
+        If no file has the given name.
     """
     name = fspath(given)
     if _FRAME not in name:

@@ -157,8 +157,8 @@ class Temporal:
     pixels
         Effective number of frames of each pixel, averaged over a square of `window` pixels.
     frames_for_squares
-        Number of independent frames whose mean squared error has the same variance.
-        The variance is that of the mean squared error of a sequence.
+        Number of independent frames whose mean squared error has the same variance
+        as the mean squared error of a sequence.
     """
 
     frequency: Array
@@ -192,7 +192,7 @@ def temporal_of(found: TimeStatistics, m2: Array, count: int) -> Temporal:
     """
     times, lags, rings = found.times, np.arange(found.times), found.rings
     each = np.stack(found.joint)
-    each *= m2.size / float(each[:, :, 0].sum(axis=1).mean())  # set mean power to 1
+    each *= m2.size / float(each[:, :, 0].sum(axis=1).mean())  # scale the powers to the mean 1
     pooled = each.mean(axis=0)
     whole = each.sum(axis=1) / float(pooled[:, 0].sum())  # correlations over time in each sequence
     fade = 1.0 - lags / times
@@ -275,7 +275,7 @@ class TimeStatistics:
         The dims are (sequence, radius, lag).
         Errors are divided by the standard deviation in a square of pixels around each pixel.
         The standard deviation of the pixel itself depends on its errors: it would bias the ratio.
-        The last row holds the frequencies outside all rings, so that the sum is complete.
+        The last row holds the frequencies outside all rings, so the rows contain all frequencies.
     sums
         For each pixel (y, x): the squared time average of its error, summed over sequences.
     """

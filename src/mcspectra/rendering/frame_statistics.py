@@ -79,15 +79,16 @@ _RELATED = 0.1  # smallest correlation of two frames to report, whatever its sig
 _REPEATED = 0.05  # smallest correlation of distant pixels to report
 _LEAST_PAIRED = 16  # smallest number of common pixels at which two sets are compared frame by frame
 _LEAST_GRUBBS = 5  # minimum number of frames for Grubbs' test
-# If a single squared error exceeds this share of all squares, no upper limit is given
+# If a single squared error exceeds this share of the sum of squares, the interval has no upper end
 _ONE_SQUARE = 0.05
 # Rates are averaged over windows of at most 15 pixels until their standard error is below 0.1
 _WIDEST, _KNOWN_RATE = 15, 0.1
-# Values that miss a tail make the variance and its error too small, so the upper end is farther.
+# If the values miss a tail, their variance and its error are too small.
+# The upper end of the interval is therefore moved away by this factor.
 # With the factor 2, the intervals from six frames contain the true variance
 # in 92 to 97 % of cases, for normal to lognormal noise
 _MISSED = 2.0
-_NEAR = 15  # width in pixels of the squares in which two or three frames share a variance
+_NEAR = 15  # width in pixels of the squares whose pixels share a variance, for two or three frames
 _SLOWEST = -0.5  # least steep rate that is used to extrapolate to a target
 
 
@@ -145,12 +146,13 @@ def frames(
         Program that filters one frame, such as ``"denoise {input} -o {output}"``.
         The program runs on every frame that has the most samples, without a shell.
         A program with ``{inputs}`` and ``{outputs}`` gets the folder of one sequence.
-        Its frames have the names ``0000.exr``, ``0001.exr`` …, and so must the output.
+        The frames in this folder are called ``0000.exr``, ``0001.exr`` and so on.
+        The program must give the same names to its output files.
     filter_timeout
         Longest time of one run of the program, in seconds.
     reference
         File with the true image, which counts as exact.
-        Sequences may have one for each frame, such as ``"truth/t{frame}.exr"``.
+        Sequences may have one such file per frame, such as ``"truth/t{frame}.exr"``.
     flip
         Whether to compute FLIP if its package is installed. It takes longer than all other steps.
 
@@ -178,11 +180,12 @@ def frames(
         ``effective_frames(n)`` and ``pixel_effective_frames(n, y, x)``.
         After a moving average: ``average_variance(n, alpha)`` and ``average_ratio(n, alpha)``.
         A command gives ``denoised_variance`` and ``denoised_square``, the mean squared bias.
-        For sequences it also gives ``denoised_boiling`` and ``denoised_correlation(lag_t)``.
+        For sequences, it also gives ``denoised_boiling`` and ``denoised_correlation(lag_t)``.
         A reference gives ``bias_z(y, x)`` and ``squared_bias(n)``.
         The relative bias, relMSE and SMAPE are given by tile: ``tile_bias(n, tile_y, tile_x)``.
         For the whole image, the relative bias, relMSE and SMAPE are named like ``image_bias(n)``.
-        For sequences they are means over the frames, and ``frame_bias(n, frame)`` is by frame.
+        For sequences, errors of the image are means over frames.
+        The bias of each frame is ``frame_bias(n, frame)``.
         Two sets of frames are compared at the largest n that both have:
         ``difference`` of the means, ``difference_z`` by Welch's test,
         ``variance_ratio``, the variance of the first set of frames over that of the second set,
@@ -203,7 +206,7 @@ def frames(
     Memory is about 45 planes of float64 (3 GB at 3840 × 2160), including the result.
     The memory does not depend on the number of frames.
     Transforms of one sequence are kept in a temporary file if they exceed 0.5 GB.
-    These files have about 12 bytes for each pixel of each frame of a sequence.
+    A temporary file has about 12 bytes for each pixel of each frame of a sequence.
 
     The error after a linear filter K is ∫ |K(ν)|² P_err(ν) dν, from the measured spectrum.
     See `mcspectra.rendering.frame_filters` for the treatment of borders.
@@ -265,7 +268,7 @@ def frames(
     if reference is not None:
         truth = references_of(reference, read, best.moments.mean.shape, best.numbers)
     if words is not None and truth is not None:
-        truth.color(0)  # a broken reference is found before the program runs
+        truth.color(0)  # report a broken reference before the program runs
     image = best.image if truth is None else truth.color(0)
     shown = [_flip(image, read.color(each.files[0])) for each in found if flip]
     flips = [each for each in shown if each is not None]
@@ -294,7 +297,7 @@ def frames(
             }
         told["filter_command"] = filter_command
 
-    # Compute rates over windows that make them precise, and the samples needed for the target
+    # Compute rates over windows that are wide enough, and the samples needed for the target
     rate, window = np.full(best.moments.mean.shape, np.nan), None
     errors = rate[None]
     if len(found) > 1:
@@ -490,13 +493,13 @@ def _percentiles(need: Array, spread: Array) -> dict[str, float]:
 @final
 @dataclass(frozen=True, kw_only=True)
 class _Group:
-    """Statistics of the frames with one number of samples; `told` holds result attributes.
+    """Statistics of all frames with one number of samples; `told` holds attributes of the result.
 
     A group has `count` sequences. Independent frames are sequences of length 1.
     The array `means` has one value per sequence.
     The array `averages` is the variance of the mean over a sequence, for each pixel.
     The array `spread` is the squared standard error of the variance of each pixel.
-    A sequence has `frames_per` independent frames for the mean of squares.
+    For its mean of squares, a sequence counts as `frames_per` independent frames.
     The array `image` is the mean over the sequences of their first frames.
     The number `alike` is the sum of squared correlations of pixels over all lags.
     """
@@ -527,7 +530,7 @@ class _Group:
 
     @property
     def files(self) -> list[Path]:
-        """Files of all frames; those of a sequence follow each other."""
+        """Files of all frames; the files of one sequence are adjacent."""
         return self.frames.files
 
     @property
@@ -775,7 +778,7 @@ def _group(
     near, repeat, repeated = _lags(every, alike / (varied.sum() * independent))
     pair, relation = _related(sample.reshape(count, -1), alike * times / frames_per)
     # Count pixels with an outlier above twice the pixel's mean.
-    # Also compute how many pixels with outliers normal noise would have
+    # Also compute the number of pixels with outliers that is expected for normal noise
     limit = _grubbs(len(files))
     outliers = (share > limit) & (above > np.maximum(moments.mean, below))
     expected = _OUTLIER / 2 * int((limit * pooled.m2[varied] > moments.mean[varied] ** 2).sum())
@@ -808,8 +811,8 @@ def _group(
     }
     if over_time is not None:
         told["sequences"] = count
-    # If variances differ between pixels, the mean variance has a larger error, as if from
-    # fewer pixels
+    # If variances differ between pixels, the mean variance has a larger error:
+    # the error is that of a mean over fewer pixels
     variances = moments.variance[varied]
     uneven = varied.sum() * float((variances**2).sum()) / float(variances.sum()) ** 2
     return _Group(
@@ -849,7 +852,7 @@ def _variance_of_variance(moments: Moments) -> Array:
     """Return an estimate of the variance of s² of each pixel, without bias from few frames.
 
     Var(s²) = k₄/R + 2σ⁴/(R − 1) with the fourth cumulant k₄.
-    From four frames on, it is estimated by k-statistics [Kenney & Keeping 1951].
+    With four or more frames, Var(s²) is estimated by k-statistics [Kenney & Keeping 1951].
     With two or three frames, σ² is the mean variance of nearby pixels.
     If these pixels have different variances, the estimate is too large.
     """
@@ -864,7 +867,7 @@ def _variance_of_variance(moments: Moments) -> Array:
     known = np.isfinite(variance)
     near = uniform_filter(np.stack([np.where(known, variance, 0.0), known]), (0, _NEAR, _NEAR))
     sigma2 = np.divide(near[0], near[1], out=np.full_like(variance, np.nan), where=known)
-    # Mean of a fourth power of deviations from the mean of R values
+    # Mean fourth power of the deviations of R values from their mean
     normal = 3.0 * ((count - 1) / count) ** 2 * sigma2**2
     cumulant = (fourth - normal) * count**3 / ((count - 1) * (count**2 - 3 * count + 3))
     return np.asarray(cumulant / count + 2.0 / (count - 1) * sigma2**2)
@@ -877,7 +880,7 @@ def _pooled(a: Moments, b: Moments) -> Moments:
     """
     return replace(
         a,
-        count=a.count + b.count - 1,  # variances are divided by the count minus 1
+        count=a.count + b.count - 1,  # the degrees of freedom, count − 1, add up
         mean=a.mean + b.mean,
         m2=a.m2 + b.m2,
         m3=a.m3 + b.m3,
@@ -924,7 +927,7 @@ def _drift(
         Image mean of each frame, in order.
     gained
         For each frame, the sum of squared deviations due to a change of brightness.
-        Such a change multiplies all pixels by the same factor.
+        A change of brightness multiplies all pixels by the same factor.
     squares
         Sum of squared deviations over pixels and frames.
     chance
@@ -938,7 +941,7 @@ def _drift(
     """
     count, center = means.size, float(means.mean())
     share = 0.0
-    if squares > 0 and chance < _RELATED * squares:  # few pixels change in brightness by chance
+    if squares > 0 and chance < _RELATED * squares:  # pixels seldom change together by chance
         share = min(max(float(gained.sum()) - chance, 0.0) / (squares - chance), 1.0)
     if count < 3 or center == 0.0 or not means.std():
         return None, share
@@ -1014,7 +1017,7 @@ def _lags(every: Array, variance: float) -> tuple[Array, list[int] | None, float
 
 
 def _related(sample: Array, alike: float) -> tuple[tuple[int, int] | None, float]:
-    """Return the two frames with the most correlated errors if significant, and the correlation.
+    """Return the two frames whose errors correlate most if significant, and their correlation.
 
     If errors are independent, deviations from the mean of R frames correlate by −1/(R − 1).
     """
@@ -1186,7 +1189,7 @@ def _paired(a: _Group, b: _Group) -> tuple[list[tuple[int, int]] | None, float]:
     """Return pairs of frames with the same seeds in two sets, and their mean correlation.
 
     Sets are paired if every frame of the smaller set correlates with a frame of the larger set.
-    Different frames of the smaller set must correlate with different frames of the larger set.
+    Each frame of the smaller set needs a frame of its own in the larger set.
     """
     from scipy.optimize import linear_sum_assignment
 
@@ -1197,7 +1200,7 @@ def _paired(a: _Group, b: _Group) -> tuple[list[tuple[int, int]] | None, float]:
     others = b.sample[:, :, second].reshape(b.count, -1)
     with np.errstate(invalid="ignore", divide="ignore"):
         table = np.nan_to_num(np.corrcoef(ours, others)[: len(ours), len(ours) :])
-    # With few frames, some deviations correlate by chance: the limit allows for all pairings
+    # With few frames, some deviations correlate by chance: the limit depends on the number of pairs
     chosen = linear_sum_assignment(-table)
     found = table[chosen]
     limit = max(_RELATED, _sidak(table.size) * math.sqrt(max(a.related, b.related) / first.size))

@@ -117,8 +117,8 @@ def gate(
     Notes
     -----
     Frames of one renderer with different seeds are exchangeable.
-    The tests exchange frames between the two sets, and compare the largest test statistic
-    with its values after such relabelings of the frames.
+    The tests exchange frames between the two sets; each exchange is a relabeling.
+    The tests compare the largest test statistic with its values after many relabelings.
     For any noise, the probability of a false alarm is at most `level` [WestfallYoung1993]_.
     For the level 0.01, the tests need 5 new frames and 5 reference frames, or 3 and 7, or 1 and 99.
     If the frames form pairs with equal seeds, the tests need 8 pairs.
@@ -338,7 +338,7 @@ def _why(ours: FrameSet, theirs: FrameSet, contrast: Contrast) -> str | None:
 @final
 @dataclass(frozen=True, kw_only=True)
 class _Result:
-    """Outcome of the tests, and numbers of the whole image. Frames were divided by `scale`."""
+    """Results of the tests, and numbers for the whole image. All frames were divided by `scale`."""
 
     outcome: Outcome
     method: str
@@ -373,7 +373,7 @@ def _result(case: _Case, level: float, rng: int) -> _Result:
                 outcome=outcome, method=method, levels=levels, noise_ratio=ratio, scale=scale
             )
         # If the noise of the sets differs, their frames are not exchangeable.
-        # Tests of means would not be exact; only the tests of the noise are
+        # Tests of means would not be exact; only the tests of the noise remain exact
         means = cautious(levels, contrast, level, alike=False, noise=False)
         noise = [each for each in outcome.tests if each.name not in _MEANS]
         both = [*means.tests, *noise]
@@ -430,9 +430,9 @@ def _empty(case: _Case) -> _Result:
 
 
 def _trend(source: Source, ours: FrameSet, read: FrameReader) -> list[tuple[int, float, float]]:
-    """Compare image means at other numbers of samples with the chosen number, by Welch's test.
+    """Compare the image mean at other numbers of samples with the chosen number, by Welch's test.
 
-    Returns samples per pixel, relative difference and p-value for each other number.
+    Returns samples per pixel, relative difference and p-value for each other number of samples.
     """
     from scipy.special import stdtr
 

@@ -1,7 +1,7 @@
 """Frames for the gate: means over tiles of each frame, and files of stored references.
 
 A stored reference is one EXR file with the mean image and the pixel variance of one frame.
-It also stores the mean of every 4 × 4 tile of each frame, as a mosaic of small pictures.
+The file also stores the mean of every 4 × 4 tile of each frame, as a mosaic of small pictures.
 Frames can therefore be relabeled one by one, although the file has only a few layers.
 """
 
@@ -88,7 +88,7 @@ class FrameSet:
         return len(self.names)
 
     def only(self, frames: Sequence[int]) -> FrameSet:
-        """Return the set with some of its frames, in this order."""
+        """Return a set of the frames with the given indices, in the given order."""
         chosen = list(frames)
         return replace(
             self,

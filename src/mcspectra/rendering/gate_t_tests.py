@@ -2,7 +2,8 @@
 
 If the significance level requires more relabelings than exist, t tests replace them.
 The t tests are also used if the noise of the sets differs: frames are then not exchangeable.
-The t tests use a conservative variance, which is rather too large, and ignore single pixels.
+The t tests use a conservative variance: it is too large rather than too small.
+Single pixels are not tested by t tests.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ _SKEW = 0.25
 _EVEN = 0.02
 # Few frames underestimate the tail, so the skewness is multiplied by this factor.
 # At level 0.01, unbiased pairs of 1 + 8 skewed frames give 15 false alarms in 1,000 cases.
-# Without the factor, such pairs give 17 false alarms in 1,000 cases
+# Without the factor, the same pairs of frames give 17 false alarms in 1,000 cases
 _UNSEEN = 1.5
 
 
@@ -97,7 +98,7 @@ def cautious(
 @final
 @dataclass(frozen=True, kw_only=True)
 class _Test:
-    """A test of the largest of some t values.
+    """A test of the largest of several t values.
 
     Attributes
     ----------
@@ -106,7 +107,7 @@ class _Test:
     count, degrees
         Number of t values, and their degrees of freedom.
     squares
-        t², of tiles as (y, x); 0 if a one-sided test speaks against the alternative.
+        t², of tiles as (y, x); for a one-sided test, 0 where t has the opposite sign.
     error
         Median relative standard error of the difference; NaN for tests of the noise.
     """

@@ -260,7 +260,7 @@ def single_p(finest: Level, contrast: Contrast) -> Array:
 
 
 def lower_tiles(smallest: Array, p: Array, times: int) -> None:
-    """Lower the p-values of the finest tiles to that of the wide tile that contains them."""
+    """Lower the p-values of the finest tiles to the p-value of the wide tile that contains them."""
     wide = np.repeat(np.repeat(p, times, axis=0), times, axis=1)
     part = smallest[: wide.shape[0], : wide.shape[1]]
     np.minimum(part, wide, out=part)

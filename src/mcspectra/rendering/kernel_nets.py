@@ -6,8 +6,8 @@ Coordinate j of point i: XOR those columns of generator matrix j that the bits o
 The nested uniform scrambling is the hash of ``owen(method='hash')``.
 The class `NetPoints` computes the points of the sampler from its keys, rounded to float32.
 Renderers request one or two numbers at a time and need point sets in a random order.
-These sets (`Pads`) are scrambled by one round of the hash with 63 random bits,
-and the order of their points is random.
+The sets for such requests (`Pads`) are scrambled by one round of the hash.
+Each scramble takes 63 random bits, and the order of the points is random.
 Nets with ``digital-shift(jitter=True)`` are shifted instead, by m random bits per coordinate.
 """
 
@@ -185,7 +185,7 @@ def _hashed(x: Any, *keys: tuple[Any, Any]) -> Any:
 
 
 def _shifted(module: Any, word: Any, key: Any, index: Any, last: int) -> Any:
-    """Shift the first m digits of a word by a random key, and append digits of the point's own."""
+    """Shift the first m digits of a word by a random key; random digits of each point follow."""
     own = module.UInt32(mix_bits(module, key, ~key, index) >> 16)
     return ((word ^ module.UInt32(key >> 32)) & last) | (own & module.UInt32(0xFFFFFFFF ^ last))
 
@@ -281,7 +281,7 @@ class JointPoints:
         self.dims, self._sets, self._made = sets.dims, sets, coordinates
 
     def at(self, pixel: Any, index: Any) -> JointPoints:
-        """Return the points with other indices, or at other pixels, of the same joint sets."""
+        """Return points of the same joint sets with other indices, or at other pixels."""
         return self._sets.at(pixel, index)
 
     def draw(self, dims: int, _: Any, start: Any, __: Any, ___: Any = True) -> list[Any]:

@@ -1,4 +1,4 @@
-"""Maps of a part of the pixels: the choice of these pixels, and the values of all others.
+"""Maps from a part of the pixels: how these are chosen, and how all other pixels get values.
 
 Method
 ------
@@ -14,7 +14,7 @@ Each measured pixel is interpolated from its neighbors alone, which gives a resi
 The scale s of errors at a pixel is the root mean square of the residuals near it.
 The factor q is chosen so that 95 % of the residuals are smaller than q·s (conformal prediction).
 A 95 % interval of an interpolated value is then ± q·s.
-These intervals are valid on average over pixels, whatever the law of the residuals is.
+The intervals of interpolated values are valid on average over pixels, for any law of the residuals.
 The intervals are a little too wide, because a left-out pixel is farther from its neighbors
 than most pixels.
 The intervals include the noise of measured values, because noise makes residuals larger.
@@ -41,7 +41,7 @@ __all__ = ["FEWEST_PIXELS", "chosen_pixels", "nearest_pixels", "number_of_pixels
 FEWEST_PIXELS = 64
 """Smallest number of measured pixels; with fewer, 95 % of the residuals is no useful quantile."""
 
-_NEIGHBORS = 8  # measured pixels whose values are averaged; insensitive between 6 and 12
+_NEIGHBORS = 8  # number of measured pixels that are averaged; 6 to 12 are equally good
 _NEARBY = 24  # number of residuals for the scale of errors at a measured pixel
 _SHARE = re.compile(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*%\s*")
 _LOG, _PLAIN = True, False
@@ -192,7 +192,7 @@ class _Field:
     def logarithmic(self, values: Array) -> Array:
         """Average the logarithms of values. Pixels nearest to a value of 0 get the value 0.
 
-        The interval is that of the logarithm.
+        The interval is computed for the logarithm.
         """
         with np.errstate(invalid="ignore", divide="ignore"):
             found = self.average(np.where(values > 0.0, np.log(values), np.nan))
@@ -242,7 +242,7 @@ class _Field:
             if len(places) > _NEARBY:
                 _, nearby = tree.query(places, k=range(1, _NEARBY + 1), workers=-1)
             away, place = tree.query(places, k=range(1, count + 2), workers=-1)
-            # The first neighbor of a pixel is the pixel itself; pixels differ
+            # The first neighbor of a measured pixel is the pixel itself, because no two are equal
             left_out = _weights(away[:, 1:]), np.minimum(place[:, 1:], len(places) - 1), nearby
             self._made = {key: (weights, index.astype(np.int32), left_out)}
         found: tuple[Array, Array, tuple[Array, Array, Array]] = self._made[key]

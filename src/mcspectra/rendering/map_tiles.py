@@ -6,7 +6,7 @@ Only one number per lane is copied, so memory does not grow with the number of s
 A lane has the same bits no matter which other lanes are computed.
 One evaluation gives two estimates of a technique, without and with the weight of MIS.
 With one lane per sample instead, the program would take 2 to 3 times as long.
-This was measured on two cores with Veach's scene.
+These times were measured on two cores with Veach's scene.
 
 Predictions
 -----------
@@ -32,7 +32,7 @@ The variance of g is the sum of σ²_l, the parts that depend on l_j bits of coo
 The parts come from means over blocks of a grid with a random point in each cell.
 
 The last three predictions take their standard errors from grids with half the resolution.
-Other samplers have no prediction, because these formulas ignore the cross term of the variance.
+Other samplers have no prediction, because the formulas ignore the cross term of the variance.
 
 No prediction detects a light that is so rare that no sample hits it.
 If one technique hits significantly more light (`surely`) than another technique,
@@ -359,7 +359,7 @@ class Receivers:
         Code of what each pixel shows, int8 (P,); `RECEIVER` means a lit surface.
     pixels
         Pixels that show a lit surface, whose light is estimated.
-        If only one pixel shows a lit surface, it is listed twice, for equal rounding of sums.
+        A single pixel is listed twice, because a sum over one pixel would be rounded differently.
     """
 
     def __init__(self, lighting: Lighting, pixels: Array) -> None:
@@ -407,7 +407,7 @@ class Receivers:
             return chooses_lobe(self._gathered(lane // tries), u)
 
     def _look(self, pixels: Array) -> tuple[Array, Any]:
-        """Return status and first hits of pixels. Pixels are data, so that all share one kernel."""
+        """Return status and first hits of pixels. One kernel serves all pixels."""
         import drjit
 
         mitsuba, scene = load_mitsuba(), load_scene(self._lighting.scene)
@@ -551,7 +551,7 @@ class _Grid:
     method: str
     count: int
     samples: Array = field(repr=False)
-    power: Array | None = field(repr=False, default=None)  # the index is the frequency m
+    power: Array | None = field(repr=False, default=None)  # power at each frequency m
     power_se: Array = field(repr=False, default_factory=lambda: np.zeros(()))
     gains: Array | None = field(repr=False, default=None)  # gains Γ_l for levels l = (i, j)
 

@@ -520,7 +520,7 @@ def variance_map(
         The value ``"scene"`` is the scene's own integrator.
         By default, direct light is measured by the given strategies.
     joint_dims
-        With an integrator: how many of the first numbers of a path come from one joint set.
+        With an integrator: number of a path's first random numbers that come from one point set.
         Every later request of the integrator has its own set (padding), as in renderers.
         The default is 4 for randomized nets in base 2 and 0 otherwise, as in the plugin.
         With the value `dims`, all random numbers of a path come from one joint set.
@@ -760,7 +760,7 @@ def labelled(
 
 
 def _joint_dims(measurement: Measurement) -> int | None:
-    """Return how many of the first numbers of a path are joint, or None for direct light."""
+    """Return how many first numbers of a path come from one set, or None for direct light."""
     sampler = measurement.sampler
     if measurement.tracer is None:
         return None
@@ -812,7 +812,7 @@ def _predicted(maps: Maps, largest_se: float, missed: Array) -> dict[str, Array]
 
     The interval combines the errors of both variances.
     The ratio is NaN if hardly any samples of the measurement or of the prediction hit a rare event.
-    In this case, the variances and their errors are mostly far too small.
+    With so few hits, variances and their errors are mostly far too small.
     """
     predicted, measured = maps.predicted, maps.variance[:, -1]
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -99,7 +99,7 @@ class Padded(Sampler):
     source
         The sampler in two dims. For requests of one number, its 1-D version is used if it exists.
     joint
-        How many of the first numbers of a path come from one joint set, or 0.
+        How many of a path's first random numbers come from one joint set; 0 for none.
     requests
         How many random numbers a path takes at each request: 1 or 2.
         After the first `joint` numbers, each request is answered by its own shuffled set.

@@ -5,7 +5,7 @@ Method
 An integrator requests random numbers from a sampler.
 Our sampler answers these requests in order with the D coordinates of a point u.
 The radiance is therefore a function of u in [0,1)^D.
-Its integral over the cube is the mean over a pixel with a box filter.
+The integral of the radiance over the cube is the mean over a pixel with a box filter.
 The first coordinates choose the position in the pixel, the point on the lens and the time.
 Mitsuba's own rendering loop has the same order.
 The sampler advances for each request, even if a path does not need the number.
@@ -19,8 +19,8 @@ For any other integrator, decisions are named ``request 1``, ``request 2`` and s
 Mitsuba selects a light by stretching the first coordinate of its point.
 The choice of the light and the choice of a point on it are therefore one decision.
 
-Rare paths need numbers beyond D. If fewer dims are requested, all paths may need them.
-Numbers beyond D are hashed from the last two coordinates.
+Rare paths need more than D random numbers. If D is set to a smaller number, all paths may.
+Random numbers after the first D are hashed from the last two coordinates.
 The integrand remains a function of u, but good points do not spread hashed numbers evenly.
 
 Integrators return the radiance of all lights together.
@@ -305,7 +305,7 @@ class Tracer:
     ) -> tuple[Dimension, ...]:
         """Return how paths through these pixels use each of the first `dims` coordinates of u.
 
-        By default, `dims` is the number that paths use, at most 64. Others are "unknown".
+        By default, `dims` is the number that paths use, at most 64. Further ones are "unknown".
         """
         found = self.dry_run(pixels)[0]
         count = min(len(found), _MOST_DIMS) if dims is None else dims

@@ -18,7 +18,7 @@ two are the position in the pixel, and the next two a point on the lens or on a 
 Both pairs of a joint set are as even as with padding (`mcspectra.samplers.nets.JoinedPairs`).
 All other samplers are padded by default.
 The same rule holds for `mcspectra.rendering.variance_map` and for pixels (`padding`).
-The command ``python -m benchmarks scenes`` measures the effect of this rule on five scenes.
+The command ``python -m benchmarks scenes`` measures the effect of joint sets on five scenes.
 
 In vectorized variants, lane i is sample i mod n of pixel ⌊i / n⌋.
 Kernels compute randomized nets (`kernel_nets`), also joint sets up to `_MOST_WORDS` dims.
@@ -173,7 +173,7 @@ def joint_sampler(pair: Sampler, dims: int) -> Sampler:
     """Return a sampler of sets in more dims, for numbers that come jointly from one set.
 
     For `JOINT_DIMS` dims, two copies of a randomized binary net are joined (`JoinedPairs`).
-    For other numbers of dims or other samplers, the sampler itself is used in `dims` dims.
+    For other samplers or other numbers of dims, the sampler draws the `dims` dims by itself.
     """
     net = net_of(pair) or shifted_net_of(pair)
     if net is None or dims != JOINT_DIMS:
@@ -421,7 +421,7 @@ class _DeviceSets:
 class _TablePads:
     """Tables of point sets: 1-D sets answer requests for one number, 2-D sets those for two.
 
-    The number of a set is the pixel plus an offset; each request of a pixel has another offset.
+    The number of a set is the pixel plus an offset; each request of a pixel has a different offset.
     """
 
     def __init__(self, module: Any, sets: PaddedSets, stream: Stream, rounds: Rounds) -> None:
@@ -595,7 +595,7 @@ class PaddedSets:
 
     @property
     def nets(self) -> tuple[Net, Net] | None:
-        """The nets in one and two dims, or None if kernels cannot compute these sets."""
+        """The nets in one and two dims, or None if kernels cannot compute the sampler's sets."""
         single, pair = (net_of(s) or shifted_net_of(s) for s in self._samplers[:2])
         if single is None or pair is None or self.count & (self.count - 1):
             return None
@@ -603,7 +603,7 @@ class PaddedSets:
 
     @property
     def joint_net(self) -> Net | None:
-        """The net of the joint sets, or None if kernels cannot compute these sets."""
+        """The net of the joint sets, or None if kernels cannot compute the sampler's sets."""
         small = self.nets is not None and (self.joint or 0) <= _MOST_WORDS
         joint = self._samplers[2]
         return net_of(joint) or shifted_net_of(joint) if small else None

@@ -37,10 +37,10 @@ from mcspectra.rendering.techniques import check_finite, chosen_channel, lane_su
 __all__ = ["OWN_SAMPLER", "Film", "RenderedPixels", "chosen_tiles", "pixels_of", "preview"]
 
 OWN_SAMPLER = "scene's own"
-"""Stands for the sampler of the scene's own camera."""
+"""A value that stands for the sampler of the scene's own camera."""
 
 _LANES = 2**20  # samples in one wavefront, which take some 100 MiB
-# Most pixels of a preview, paths of each, and numbers of a path that are drawn; others are hashed
+# Most pixels of a preview, paths per pixel, and random numbers per path; further numbers are hashed
 _PREVIEW, _PREVIEW_PATHS, _PREVIEW_DIMS = 2**14, 16, 8
 _WIDE_LANES = 2**22  # largest wavefront if a single tile has more samples than `_LANES`
 
@@ -70,7 +70,7 @@ class Film:
 def chosen_tiles(
     film: Film, pixels: int, stream: Stream, crop: tuple[int, int, int, int] | None = None
 ) -> tuple[Array, int]:
-    """Choose square tiles: one at random in each stratum of the image, or of a crop of it.
+    """Choose square tiles: one at random in each stratum of the image, or of a part of the image.
 
     Returns
     -------

@@ -40,7 +40,7 @@ def check_scene(scene: Scene, *, light: int | str | None = None) -> list[str]:
     scene
         A scene: a name, a file or a dictionary, as in `load_scene`.
     light
-        The only light to use; by default all lights. With one light, others may be of any type.
+        The only light to use; by default all lights. The unused lights may be of any type.
 
     Returns
     -------

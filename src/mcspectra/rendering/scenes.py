@@ -179,7 +179,7 @@ def render_file(
     sampler
         Spec of one of our samplers, which replaces the scene's own sampler in memory.
     joint_dims
-        With `sampler`: how many of the first numbers of a path are joint; the others are padded.
+        With `sampler`: how many first numbers of a path come from one set; the others are padded.
         The default is 4 for randomized nets in base 2 and 0 otherwise.
     spp
         Samples per pixel; by default the number in the file.
@@ -674,7 +674,7 @@ def referenced_files(
     folders, here = {first.parent: None}, Path.cwd()
     files: dict[Path, _SceneFile] = {}
     # Paths of the files that a scene file includes.
-    # A key is the scene file and the index of the included file's name in it
+    # The dictionary's key is a scene file, and the position of the included name in this file
     places_of: dict[tuple[Path, int], dict[Path, None]] = {}
     found: set[Path] = set()
 

@@ -303,7 +303,7 @@ class CommandScreen(ScreenSampler):
         If the program does not exist, takes too long, fails, or prints other points than requested.
         If there are too many processes (see `ScreenSettings`).
     FileFormatError, DomainError
-        If it prints something other than finite numbers, or points outside [0,1).
+        If the program prints something other than finite numbers, or points outside [0,1).
     ConfigError
         If a spec names the program and it is not allowed (`mcspectra.samplers.allow_code`).
     """
@@ -473,7 +473,7 @@ class FunctionScreen(_OfFunction):
     function
         The function ``points(x, y, frame, n, seed)``, called once per frame.
         The arrays x, y and frame are int64 (k,), one entry per pixel.
-        It returns points (k, n, dims) in [0,1), or (k, dims) if n is 1.
+        The function returns points (k, n, dims) in [0,1), or (k, dims) if n is 1.
     dims
         Number of coordinates of the returned points.
     """
@@ -565,7 +565,7 @@ class Tiles(ScreenSampler):
         For a list of files, the mask has the channels of all files, in the order of the list.
 
         * PNG: one picture per frame, sorted by the numbers in the names.
-          Spatio-temporal masks are often published so, as in ``stbn_vec2_2Dx1D_128x128x64_*``.
+          Spatio-temporal masks are often published as PNG, as in ``stbn_vec2_2Dx1D_128x128x64_*``.
           Level k of L becomes (k + ½)/L, for 256 or 65,536 levels. Alpha is not used.
         * ``.npy``: shape (frames, height, width, channels), or (height, width, channels), or
           (height, width) for one channel. Floats lie in [0,1).
@@ -766,7 +766,7 @@ class Tables(ScreenSampler):
     ----------
     path
         A published C++ file such as ``samplerBlueNoiseErrorDistribution_…_16spp.cpp``.
-        It holds the arrays ``sobol_256spp_256d``, ``scramblingTile`` and ``rankingTile``.
+        The file holds the arrays ``sobol_256spp_256d``, ``scramblingTile`` and ``rankingTile``.
         A file for one sample per pixel needs no ``rankingTile``.
     dims
         Number of coordinates, at most 8: only these dims are optimized.

@@ -2,7 +2,8 @@
 
 Let f be an integrand with integral I, and u_i(x, y, t) the points of a pixel and frame.
 The error of the pixel is e(x, y, t) = (1/n) Σ_i f(u_i(x, y, t)) − I.
-Its power P_err(ν_y, ν_x, ν_t) is the squared Fourier transform over a block of pixels and frames.
+The power of the error, P_err(ν_y, ν_x, ν_t), is its squared Fourier transform over a block.
+A block is a rectangle of pixels in some frames.
 A linear filter K, in space or in time, leaves the mean squared error ∫ |K(ν)|² P_err(ν) dν.
 In the paper's slides, the formula for the variance of an estimate is the same, with f instead of K.
 
@@ -10,7 +11,7 @@ The power is normalized: for white noise it equals the mean squared error of a p
 
 The transform treats a block as periodic, which is right for masks that repeat within the block.
 For all other points, filtered errors are averaged only where the filter stays inside the block.
-Their spectra are computed from blocks with a Hann taper.
+Spectra of points that do not repeat are computed from blocks with a Hann taper.
 Without a taper, 1 % of the power of blue noise would move to low frequencies,
 because blocks of 64 × 64 pixels end abruptly at their border.
 """
@@ -133,7 +134,7 @@ def screen_spectrum(
         The intervals ``filtered_ratio_ci`` have 95 % confidence for all samplers together.
         By filter: ``best``, the index of the best sampler, or −1 if intervals overlap.
         ``error_image(sampler, y, x)`` is frame 0 of the first block.
-        ``error_slice(sampler, frame, x)`` is row 0 of all frames of that block.
+        ``error_slice(sampler, frame, x)`` is row 0 of all frames of the first block.
         ``blocks`` is the number of independent blocks. The attribute ``note`` has warnings.
 
     Raises

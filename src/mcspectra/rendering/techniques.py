@@ -279,7 +279,7 @@ def pixel_sums(
 
     Each lane is one realization of one pixel.
     The argument `values` is a function that gets the pixel of each lane.
-    It returns a function that gets the number of a row of u and returns the values at this row.
+    `values` returns a function from the number of a row of u to the values at this row.
     """
     import drjit
 

@@ -5,12 +5,12 @@ Method
 All samples of a chunk of pixels run in one kernel, by the strategies of `techniques`.
 The kernel adds up the samples of each pixel in float64.
 Memory is limited by the number of samples in a chunk.
-It does not depend on the number of pixels or of samples per pixel.
+Memory does not depend on the number of pixels or of samples per pixel.
 
 The first two columns of u are the position in the pixel, if it is sampled.
 Two columns of u are the direction. A further column may select a light or a lobe of the BSDF.
 The strategy ``mis`` adds up both techniques at the same surface point.
-It uses a block of columns for the light and then a block for the BSDF.
+For ``mis``, a block of columns belongs to the light, and the following block to the BSDF.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The matrix of the third term grows with the number of dims. Maps and bands are alternatives."""
+"""The matrix of the third term grows with the number of dims; maps and bands do not need it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _BYTES = 16  # bytes per complex number
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Compare maps and bands with small matrices, and use them without matrices for more dims."""
+    """Compare maps and bands with small matrices; for more dims, use maps and bands alone."""
     realizations = 200 if quick else 4000
     whole = {d: bell_terms("jittered", d, SMALL[d], realizations, seed, matrix=True) for d in SMALL}
     runs = {d: bell_terms("jittered", d, RUNS[d], realizations, seed) for d in RUNS}
@@ -167,7 +167,7 @@ def bell_terms(
 
 
 def entries(dims: int, half_width: int) -> int:
-    """Return the number of entries of the full matrix; a map over frequencies has its root."""
+    """Return the number of entries of the full matrix: the square of the number of frequencies."""
     return int((2 * half_width + 1) ** (2 * dims))
 
 

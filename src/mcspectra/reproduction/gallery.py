@@ -114,7 +114,7 @@ class Slide:
 @final
 @dataclass(frozen=True, kw_only=True)
 class ExhibitTexts:
-    """Texts of an exhibit.
+    """Texts that describe an exhibit, its slides and its plots.
 
     Attributes
     ----------

@@ -54,8 +54,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         "third term is 1/(6N³) − 1/(6N²)": 1 / (6 * N**3) - 1 / (6 * N**2),
     }
 
-    # For random importance samples, sum the terms of the formula with ⟨S_m conj(S_l)⟩,
-    # and again with ⟨conj(S_m) S_l⟩ as printed on the slides
+    # For random importance samples, sum the terms of the formula with ⟨S_m conj(S_l)⟩.
+    # Sum them again with ⟨conj(S_m) S_l⟩, as printed on the slides
     f = mcs.integrand(BELL, 1)
     mirrored = mcs.Integrand.from_function(lambda x: f(1.0 - x), dims=1, integral=f.integral)
     matrix = exact_matrix(f, "random", DENSITY, 128)

@@ -22,7 +22,7 @@ N = 64
 SAMPLERS = ("jittered", "latin-hypercube", "poisson-disk", "sobol | owen")
 # Pairs of frequencies m, l at which the Fourier coefficients of jittered points are correlated.
 # The components of m − l are multiples of 8, the number of strata per axis for 64 points.
-# Only for (1, 0) and (0, 1) is m − l not a multiple of 8: these coefficients are uncorrelated.
+# For (1, 0) and (0, 1), m − l is not a multiple of 8: these two coefficients are uncorrelated.
 PAIRS = (
     ((3, 0), (-5, 0)),
     ((0, 3), (0, -5)),

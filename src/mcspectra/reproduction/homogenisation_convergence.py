@@ -1,4 +1,4 @@
-"""How homogenization affects convergence: integrands that lose their rate, and others."""
+"""How homogenization affects convergence: some integrands lose their rate, others keep it."""
 
 from __future__ import annotations
 

@@ -132,7 +132,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def _maps(slope: float, spectra: dict[str, xr.Dataset], seed: int) -> Plot:
-    """Return points of a linear density, above the spectra of their weighted sums."""
+    """Return a plot of points with a linear density, and of the spectra of their weighted sums."""
     scale = Scale(label="N · ⟨|S|²⟩", high=1.5 * LEVEL, beyond=True)
     p, points = mcs.density(f"linear(slope={slope})", 2), []
     for name in SAMPLERS:

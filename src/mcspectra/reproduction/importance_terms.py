@@ -20,7 +20,7 @@ from mcspectra.reproduction.panels import plot_of, term_panel
 __all__ = ["exhibit"]
 
 N = 16
-# Half widths of the sums. For an integrand with a single frequency, a half width of 1 is enough.
+# Half widths of the sums over frequencies. A single frequency needs only the half width 1.
 _FEW, _MANY = 4, 64
 
 

@@ -94,7 +94,7 @@ def variance_panel(
     ----------
     curves
         Results of `mcspectra.convergence` for one estimator and sampler, by label.
-        Colors and markers are assigned in this order.
+        Colors and markers are assigned to the labels in this order.
     exact
         Exact variances at the same counts, for labels where they are known.
     rates

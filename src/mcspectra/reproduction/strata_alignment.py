@@ -149,7 +149,7 @@ def exact(a: float) -> Array:
 def homogenised() -> Array:
     """Return variances after a random shift. The mean of s(1 − s) over all shifts is 1/6.
 
-    The position s in its stratum is uniform for the edge, and also for the domain's border.
+    The edge has a uniform position s in its stratum, and so has the border of the domain.
     The edge and the border are more than a stratum apart, so they cut different strata.
     The position of the edge therefore does not matter.
     The ramp adds N^(−3/2)/6 − N^(−2)/12 because it jumps at the border.

@@ -4,7 +4,7 @@ An executor accepts tasks and yields outcomes in the order in which they finish.
 A failed task is an ordinary outcome. An executor raises an exception only if it cannot continue.
 
 Worker processes on this machine also form a dask cluster.
-These processes can be stopped at a time limit, and they may crash.
+Worker processes can be stopped at a time limit, and they may crash.
 Tasks of dead workers are therefore handled in the same way on all clusters.
 The package dask is imported only when it is needed.
 """
@@ -397,7 +397,7 @@ class Dask:
     def _send(self, pending: _Pending) -> None:
         serial = next(self._serials)
         # Dask groups tasks by the first entry of their keys, and keeps statistics of each group.
-        # The first entry is the same for all tasks of a study, so there is only one group
+        # All tasks of a study have the same first entry, so dask has only one group of tasks
         key = (self._name, pending.task.key, str(serial))
         arguments = (self._compute, self._text, pending.task, self._options.time_limit)
         future = self._client.submit(compute_elsewhere, *arguments, key=key, pure=False, retries=0)
@@ -556,7 +556,7 @@ def _local_cluster(options: Cluster, opened: contextlib.ExitStack) -> Any:
     if sys.platform == "linux":
         # Fork workers from a process that has already imported the common packages
         configuration["distributed.worker.multiprocessing-method"] = "forkserver"
-    # Keep this configuration while the cluster lives, because it starts replacement workers later
+    # Keep this configuration while the cluster lives: replacement workers need it as well
     opened.enter_context(dask.config.set(configuration))
     if sys.platform == "linux":
         context: Any = utils

@@ -218,7 +218,7 @@ class StudyConfig(_StudyTable, frozen=True, kw_only=True, omit_defaults=True):
         return *self.estimators, *self.scenes
 
     def samplers_of(self, entry: EstimatorConfig | SceneConfig) -> tuple[str, ...]:
-        """Return the samplers of an entry: its own, or the study's."""
+        """Return the samplers of an estimator or scene: its own samplers, or those of the study."""
         return self.samplers if entry.samplers is None else entry.samplers
 
 
@@ -360,7 +360,7 @@ def study_of(table: Mapping[str, Any], source: str = "study") -> StudyConfig:
                 )
             if id(samplers) not in seen and len(set(samplers)) < len(samplers):
                 raise ConfigError(f"{shown(entry.name)} lists a sampler twice.")
-            seen.add(id(samplers))  # Check a list of samplers once; most entries share it
+            seen.add(id(samplers))  # Check a list once: most estimators share it
         for estimator in config.estimators:
             for complaint in _complaints(estimator):
                 raise ConfigError(f"the estimator {shown(estimator.name)} {complaint}")
@@ -415,7 +415,7 @@ class Slugs:
         base = re.sub(r"[^a-z0-9.]+", "-", text.lower()).strip("-.")[:60].strip("-.") or "x"
         slug = base
         while slug in self._taken:
-            # Try numbers from the last one on: thousands of texts may give the same name
+            # Continue with the number after the last one: thousands of texts may give the same name
             number = self._next.get(base, 2)
             slug, self._next[base] = f"{base}-{number}", number + 1
         self._taken.add(slug)
@@ -437,7 +437,7 @@ def planned_groups(study: Mapping[str, Any]) -> dict[str, tuple[Names, Names]]:
     Returns
     -------
     dict
-        A path is estimator/sampler/analysis. The keys are the names of estimators or scenes.
+        A path is estimator/sampler/analysis. Keys of the result are names of estimators or scenes.
         Each value is a pair of lists: the names of the samplers and of the analyses.
         Companions, which are analyses that always run with another analysis, are included.
     """
@@ -701,7 +701,7 @@ def expand_grids(table: dict[str, Any], source: str = "study") -> dict[str, Any]
         A table ``grid`` at the top applies to the whole study.
         A table ``grid`` in an estimator applies to that estimator and takes precedence.
         The table of an analysis at the top may have placeholders.
-        Such a table is copied into each estimator that has no table of the analysis.
+        A table with placeholders is copied into each estimator that has no table of the analysis.
     source
         Name of the study in messages.
 
@@ -766,8 +766,9 @@ def _expanded(table: Mapping[str, Any]) -> dict[str, Any]:
     lists = [key for key in ("estimators", *_scene_lists(made)) if isinstance(made.get(key), list)]
     takers = [key for key in lists if any(isinstance(entry, dict) for entry in made[key])]
 
-    # If a table of an analysis contains placeholders, copy it into each estimator that has no
-    # table of this analysis. Copy a placeholder for the whole list of samplers into all entries
+    # If a table of an analysis contains placeholders,
+    # copy the table into each estimator that has no table of this analysis.
+    # Copy a placeholder for the whole list of samplers into all estimators and maps
     given: dict[str, Any] = {}
     if "estimators" in takers:
         tables = [key for key in made if key in names and isinstance(made[key], dict)]

@@ -133,7 +133,7 @@ _PUT_TASK = "INSERT OR REPLACE INTO tasks VALUES (?, ?, ?, ?, ?, ?)"
 _RESULT = "SELECT path, digest, payload FROM cells LEFT JOIN results USING (place)"
 _PAYLOADS = "SELECT payload FROM results WHERE place = ?"
 _TEXTS = "SELECT name, text, digest FROM {} WHERE kind = ?"
-_NOTED = ("texts", "notes")  # Both tables contain all notes
+_NOTED = ("texts", "notes")  # Both of these tables contain all notes
 _ONE_TASK = "SELECT * FROM tasks WHERE path = ? AND run = ? AND first = ? AND blocks = ?"
 
 # SQLite errors that do not concern the contents of the file, by code, in words
@@ -265,7 +265,7 @@ class _Header(msgspec.Struct, frozen=True, kw_only=True):
     """The note that no run changes: the study, the number of cells, and a digest of all paths."""
 
     study: StudyNote
-    # The number is limited, because verifying a damaged file may list all cells
+    # The number of cells is limited, because verifying a damaged file may list all cells
     cells: Annotated[int, msgspec.Meta(ge=0, le=2**26)]
     plan: str
 
@@ -297,7 +297,7 @@ class Survey(NamedTuple):
     missing
         Paths of cells that are neither finished, failed nor damaged.
     damaged
-        Descriptions of damage, by path of a cell, key of a task, or name of a part.
+        Descriptions of damage, by path of a cell, key of a task, or name of a part of the file.
     """
 
     done: tuple[str, ...]
@@ -328,7 +328,7 @@ class Ledger:
     tally
         Number and digest of the finished cells at the last commit, with times and hosts.
     damaged
-        Descriptions of damage, by path of a cell, key of a task, or name of a part.
+        Descriptions of damage, by path of a cell, key of a task, or name of a part of the file.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -454,7 +454,7 @@ class Ledger:
     def tasks(self, path: str) -> list[tuple[str, Chunk]]:
         """Return which tasks of a cell have a committed state.
 
-        Each task is given by the key of its sum over blocks, and by its range of blocks.
+        A task adds up a range of blocks of realizations; its sum over all blocks has a name.
         """
         with self._guard:
             rows = self._rows("SELECT run, first, blocks FROM tasks WHERE path = ?", (path,))
@@ -532,8 +532,8 @@ class Ledger:
         Parameters
         ----------
         run, chunk
-            A task adds up some blocks of a longer sum.
-            `run` is the key of the whole sum, and `chunk` the range of blocks.
+            A task adds up some blocks of realizations, which are a part of a longer sum.
+            `run` names the sum over all blocks, and `chunk` is the range of blocks of this task.
         host
             Host that computed the task.
 
@@ -941,8 +941,9 @@ class Ledger:
                 failed[change.path] = change.failure
             else:
                 recorded += 1
-        # Compare the tally with the finished cells that were found. Readers skip this test:
-        # they checked the list of cells before, and a writer may have changed the tally since then
+        # Compare the tally with the finished cells that were found.
+        # Readers skip this test, because they have already checked the list of cells.
+        # Since then, a writer may have changed the tally
         still = self._lock is not None or self._salvaged
         if still and len(self.damaged) == before and tally.digest != self.tally.digest:
             self.damaged["list of cells"] = "finished cells are missing in it"
@@ -1031,7 +1032,7 @@ class Ledger:
             self.damaged["recorded tasks and failures"] = error.reason
 
     def _cell_rows(self, place: int) -> tuple[list[tuple[Any, ...]], list[tuple[Any, ...]]]:
-        """Return a cell's rows in ``cells`` and ``results``; both are empty if one is damaged."""
+        """Return a cell's rows of tables ``cells`` and ``results``; none if a row is damaged."""
         with self._guard, contextlib.suppress(_Damaged):
             self._rows("BEGIN")  # A commit between the two reads would look like damage
             try:

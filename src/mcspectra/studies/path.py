@@ -274,7 +274,7 @@ def shares_by_light(f: PathPixel, paths: int, stream: Stream) -> xr.Dataset | No
         ``light_probability``, the current selection probability of the light;
         ``light_selection``, its improved selection probability.
         ``selection_ratio``: variance with the improved selection over that with the current one.
-        Both variances are measured with new random paths.
+        Variances with both selections are measured with new random paths.
         None for one light, for more than 64 lights, or for a pixel without noise.
 
     Raises
@@ -408,8 +408,8 @@ def path_remedies(
 
     attempt("given", "as given", "change nothing")
 
-    # Try other samplers, random numbers in the last coordinates, and another order of coordinates:
-    # The new order gives the best coordinates of the points to the largest shares of the variance
+    # Try other samplers, random numbers in the last coordinates, and another order of coordinates.
+    # Random numbers with the largest shares of the variance get the best coordinates of the points
     for spec in dict.fromkeys(samplers):
         if spec != sampler.spec:
             attempt("sampler", spec, f"sample with {spec}", spec=spec)

@@ -74,7 +74,7 @@ MOST_EVALUATIONS = 10**15
 # A density in one dim takes longer, because its warp is searched for gaps
 _SPEC, _WEIGHTED, _DENSITY, _WARP = 1e-4, 6e-4, 5e-4, 2e-3
 # Planning time in seconds per pair of estimator and sampler, and per cell.
-# Each item of a list in an analysis, such as a number of points, adds the third time
+# Each item of a list in an analysis, such as a number of points, adds the third of these times
 _PAIR, _CELL, _COUNT = 3e-6, 2.5e-5, 3e-6
 NOTED_SECONDS = 5.0
 """Planning time in seconds above which a message announces the wait."""

@@ -90,7 +90,7 @@ _DIGEST = "tree_sha256"
 _DOCUMENT = "zarr.json"
 # Exceptions raised for a text that is not a study
 _MALFORMED = (AttributeError, LookupError, TypeError, ValueError, McspectraError)
-# Maximum number of documents copied into the root, because readers load the root as a whole
+# Maximum number of metadata documents in the root of a store, because readers load the whole root
 _MOST_DOCUMENTS = 100_000
 
 
@@ -307,7 +307,7 @@ def study_status(folder: str | Path, *, verify: bool = False) -> StudyStatus:
                 with contextlib.suppress(*_MALFORMED, RecursionError):
                     note = StudyNote.of(study_of(study), ledger.study.inputs)
                     refusal = ledger.refusal(note, paths)
-                    if note.study_hash != ledger.study.study_hash:  # Text or hash was forged
+                    if note.study_hash != ledger.study.study_hash:  # Forged text or hash
                         found.damaged["the header"] = (
                             "it names another study than the stored text, so that --resume may "
                             "refuse the folder"
@@ -525,7 +525,7 @@ def _planned(study: Any) -> dict[str, tuple[Names, Names]]:
 def _unplanned(study: Any, paths: Iterable[str]) -> str | None:
     """Return the first path that is not a cell of the study, or None if all are cells."""
     groups = _planned(study)
-    for path in map(str, paths):  # A forged path may be anything
+    for path in map(str, paths):  # In a forged store, paths may have any form
         first, _, rest = path.partition("/")
         sampler, _, analysis = rest.partition("/")
         samplers, analyses = groups.get(first, ({}, {}))
@@ -628,7 +628,7 @@ def _write_store(
             (folder / name).write_bytes(content)
         documents |= made
 
-    # Copy all documents into the root, unless there are too many, so that readers need one file
+    # Copy all metadata into the root, so that readers need one file, unless there is too much
     root: dict[str, Any] = _group(attributes)
     if len(documents) < _MOST_DOCUMENTS:
         inline = {"kind": "inline", "must_understand": False}

@@ -71,14 +71,14 @@ def run_study(
         The study.
     out
         Output folder. The run writes its ledger ``out/study.sqlite``.
-        At the end it writes the results ``out/results.zarr``.
+        At the end, the run writes the results ``out/results.zarr``.
     folder
         Folder that relative paths in specs start from, the folder of the study file.
     resume
         Continue the study in the folder. Failed cells stay failed.
     retry
         With `resume`, try failed cells again, and recompute cells that depend on changed files.
-        Such files are images, point sets, scenes, and sources of functions.
+        Cells depend on files such as images, point sets, scenes, and sources of functions.
     workers
         Number of threads, or of processes with a time limit; all processors by default.
         The number does not change any bit of the results.

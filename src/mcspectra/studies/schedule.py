@@ -7,7 +7,7 @@ The largest of the remaining cells come first, which keeps all workers busy unti
 A cell that is expected to take no longer than one chunk becomes a single task.
 
 Chunk sizes and order affect speed only.
-Chunks are nodes of a fixed tree (`mcspectra.core.analysis`).
+Chunks are added up in the order of a fixed binary tree (`mcspectra.core.analysis`).
 The result therefore has the same bits for any sizes and order, also with chunks of an earlier run.
 """
 
@@ -57,7 +57,7 @@ def task_seconds(limit: float | None) -> float:
 class PartialRun(Generic[State]):
     """A sum over blocks of realizations, in progress: which chunks are done, and which remain.
 
-    Chunks may arrive in any order. The two halves of a node merge as soon as both are available.
+    Chunks may arrive in any order. Two halves of a larger chunk are merged once both are available.
     """
 
     def __init__(self, reduction: Reduction[State]) -> None:
@@ -222,8 +222,8 @@ class _Active:
     def advance(self, states: list[Any] | None) -> None:
         """Pass the sums of a finished step to the analysis, and start its next step.
 
-        If the sums of the next steps are already stored, the analysis gets these sums as well,
-        until a step has to be computed.
+        If the sums of the next steps are already stored, the analysis gets these sums too.
+        The first step whose sums are not all stored has to be computed.
         """
         try:
             while True:
@@ -295,7 +295,7 @@ class Schedule:
         """Return the next task; None if all are handed out, or results must arrive first.
 
         If an earlier run recorded all of a cell, the cell is restored, and None is returned.
-        Take the cell's result from `settled` before the next call, so that memory holds one only.
+        Take the result from `settled` before the next call, so that only one result is in memory.
         """
         while True:
             for active in self._active.values():
@@ -388,7 +388,7 @@ class Schedule:
 
 
 def _turn(cell: StudyCell) -> tuple[bool, float]:
-    """Return the sort key: pictured cells by ascending cost, then others by descending cost."""
+    """Return the sort key: cells with pictures by ascending cost, others by descending cost."""
     pictured = type(cell.analysis).pictured
     return not pictured, cell.need.cost if pictured else -cell.need.cost
 

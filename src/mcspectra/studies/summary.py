@@ -160,7 +160,7 @@ def rows_of(estimator: str, sampler: str, found: Mapping[str, xr.Dataset]) -> li
 
 
 def _ratio(found: dict[str, xr.Dataset], row: dict[str, Any]) -> dict[str, Any]:
-    """Return the ratio of predicted to measured variance at the largest common n.
+    """Return the ratio of predicted to measured variance at the largest n that both have.
 
     Without a result of ``convergence``, the measured variance of ``terms`` is used.
     If several methods have a prediction, the most trusted method is used.
