@@ -459,6 +459,6 @@ def as_toml(state: ExplorerState) -> str:
     study = {"title": "From the explorer", "seed": state.a.seed, "estimators": entries}
     specs = [spec for _, setup in state.setups() for spec in techniques(setup.integrand)]
     uploaded = any(parse(spec).name == UPLOAD for spec in specs)
-    # By default, a study reads files only from its own folder; others must be allowed
+    # By default, a study reads files only from its own folder; other folders must be allowed
     note = "# Run with --allow-path and the folder of the picture below.\n" if uploaded else ""
     return note + study_toml(study)

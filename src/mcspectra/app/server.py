@@ -202,7 +202,7 @@ def serve(port: int = 0, *, open_browser: bool = True, quiet: bool = False) -> N
     Parameters
     ----------
     port
-        Same as in `make_server`.
+        Port of the server, same as in `make_server`.
     open_browser
         Whether to open the page in a browser.
     quiet

@@ -185,7 +185,7 @@ def as_subject(
     Parameters
     ----------
     estimator, sampler
-        The same types as in `as_estimator` and `mcspectra.samplers.as_sampler` are allowed.
+        The allowed types are the same as in `as_estimator` and `mcspectra.samplers.as_sampler`.
         If `lists` is true, a list of estimators or a list of samplers is also allowed.
     dims
         Number of dims; needed for functions and for spec strings without ``dims``.

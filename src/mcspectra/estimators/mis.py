@@ -215,7 +215,7 @@ class OneSampleMIS(Combined):
     probabilities
         Probabilities P_t of the techniques, above 0 and with the sum 1; all equal by default.
     heuristic
-        Same as in `MultipleImportance`, but P_t replaces n_t.
+        The heuristic is the same as in `MultipleImportance`, but P_t replaces n_t.
         ``"optimal"`` is the balance heuristic with the control variate Σ α_t p_t.
         The sum Σ α_t is added to the estimate directly ([OwenZhou2000]_ §4),
         because adding α_t/P_t would increase the variance.
@@ -300,7 +300,7 @@ class OneSampleMIS(Combined):
         return PrimaryIntegrand(self, technique, self.integrand)
 
     def primary_values(self, technique: int, u: Array) -> Array:
-        """Return g(u) = w_t f/(P_t p_t). One coordinate of u selects t, and T_t maps the others."""
+        """Return g(u) = w_t f/(P_t p_t). One coordinate of u selects t, T_t maps all others."""
         del technique
         x, weights = self._chosen(u)
         values = scale(self.domain_integrand(x), weights)
@@ -421,7 +421,7 @@ def split_mixture(
     MultipleImportance
         An estimator with a technique for each part p_t, combined by the balance heuristic.
         The counts c_t of the techniques are proportional to the shares w_t of the mixture.
-        With counts c_t there are n Σ c_t points. Each has the weight 1/p, where p is the mixture.
+        With counts c_t there are n Σ c_t points, each with the weight 1/p, where p is the mixture.
         The points are therefore a stratified sample of the mixture ([OwenZhou2000]_ §3.2).
         For random points, the estimator's variance is at most that of sampling from the mixture.
 

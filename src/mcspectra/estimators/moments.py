@@ -48,7 +48,7 @@ _MOST_ERROR = 2.0
 # If the tail index is above `_MOST_INDEX`, the values give no upper bound of their variance.
 # At index ¼ the kurtosis is infinite. Take 1,000 values u^−0.3 as an example:
 # 85 % of the intervals from the kurtosis alone are correct, and 96 % with these limits.
-# Intervals for uniform, normal and exponential values stay the same.
+# The limits do not change the intervals for uniform, normal and exponential values.
 _TAILED, _INDEX_ERROR, _MOST_INDEX = 0.05, 0.16, 0.32
 # Quantile of log(σ²/s²) at 97.5 %, for R values u^−k with uniform u. Rows are R and columns are k.
 # Each entry of the table comes from 1,200 to 20,000 simulated sets
@@ -114,7 +114,7 @@ class Measured:
         return Measured(value, value * math.exp(-half), value * math.exp(half), log=True)
 
     def __sub__(self, other: Measured) -> Measured:
-        """Return this number minus another one. The errors of the two numbers are independent."""
+        """Return this number minus another number, whose error is independent of this one."""
         value = self.value - other.value
         half = math.hypot(*((each.high - each.low) / 2 for each in (self, other)))
         return Measured(value, value - half, value + half)
@@ -403,7 +403,7 @@ class Moments:
         An index of 0 means an exponential tail, and ½ means infinite variance.
         Probability-weighted moments [HoskingWallis1987]_ estimate the index from 63 distances.
         In the longer tail, these are the distances of the 63 largest values from the 64th largest.
-        The two sides are not combined, because one tail may end where the other begins.
+        The two tails are not combined, because one tail may end where the other tail begins.
         The index is NaN for fewer than 300 values, or without `tails`.
         """
         if self.extremes is None or self.count < _LEAST_TAIL:

@@ -98,7 +98,7 @@ _HEAVY, _AS_POWER, _LARGEST_POWER = 0.1, 0.6, 0.47
 _RISES = 0.02
 
 # Quadrature panels that shrink to 2^-20 at 0 integrate √u to 1e-6.
-# In 2-D there are fewer panels, because each one adds a row of panels
+# In 2-D there are fewer panels, because each panel of an axis adds a row of panels
 _GRADED = {
     dims: tuple(x for k in range(1, depth) for x in (0.5**k, 1.0 - 0.5**k))
     for dims, depth in ((1, 40), (2, 14))

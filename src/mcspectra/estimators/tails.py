@@ -2,7 +2,7 @@
 
 ∫1/p and the variance may be finite and yet far larger than any simulation can measure.
 As an example, let f = 1, and let p be normal about ½ with σ = 0.02. Then ∫f²/p is 4e131.
-Points x within 0.005 of 0 or 1 contribute 99.8 % of ∫f²/p; one sample in 3e134 is there.
+Points x within 0.005 of 0 or 1 contribute 99.8 % of ∫f²/p; one sample in 3e134 falls there.
 
 If f grows without bound toward a face of the cube,
 the outermost stratum causes most of the variance of stratified points.

@@ -10,7 +10,7 @@ where FFT_q transforms, over the cells, the values at node q of each cell.
 For q = 1 this is the midpoint grid, which requires its half-sample phase exp(−πi m/C).
 In contrast to a plain FFT, the jump between f(1) and f(0) does no harm: it is at a cell's edge.
 For smooth f, periodic or not, the rule converges spectrally in q.
-If a cell contains a discontinuity, it is divided there into pieces of q nodes each.
+If a cell contains a discontinuity, the cell is divided there into pieces of q nodes each.
 Few cells contain a discontinuity, so the rule sums over the nodes of their pieces directly.
 """
 

@@ -286,7 +286,7 @@ def _gaussian_fourier(m: Array, center: float, width: float) -> Array:
     Let t = (x−c)/(w√2), let β = π m w√2, and F(x) = w√2 e^{−2πimc} e^{−β²} (√π/2) erf(t + iβ).
     The integral from 0 to 1 is F(1) − F(0).
     In the upper half plane, F is written with the Faddeeva function W(z) = e^{−z²} erfc(−iz).
-    There |W| ≤ 1, so nothing overflows. The phases at both ends are exp(−2πi m) = 1.
+    In this half plane |W| ≤ 1, so nothing overflows. The phases at both ends are exp(−2πi m) = 1.
     """
     from scipy.special import wofz
 

@@ -356,8 +356,8 @@ class Integrand(Component, ABC):
         dims
             Number of dimensions.
         integral
-            Exact integral of the function, if known. Only then do measurements report a bias.
-            Otherwise a quadrature of up to 2^21 calls computes the attribute `integral`.
+            Exact integral of the function, if known. Without it, measurements do not report a bias.
+            If it is not given, a quadrature of up to 2^21 calls computes the attribute `integral`.
         fourier
             Exact coefficients of the function, if known: a callable that takes integer m (..., d).
 
@@ -365,7 +365,7 @@ class Integrand(Component, ABC):
         ------
         ParameterError
             If the function is not callable.
-            If it returns another shape, complex numbers, NaN or infinity on 28 test points.
+            If the function gives a wrong shape, complex numbers, NaN or infinity at 28 test points.
             The function is called at the test points only.
         """
         if not callable(function):
@@ -606,7 +606,7 @@ def numeric_integral(integrand: Integrand) -> Any:
     Boxes are divided until the accuracy is 1e-12 of ∫|f|, or after 2^21 evaluations.
     In more dims, the result is the mean over 2^20 points of a Kronecker sequence.
     The mean over a Kronecker sequence has three to six accurate digits.
-    An integrand with its own rule, such as a pixel, uses its own rule.
+    An integrand with its own rule, such as a pixel, uses that rule instead.
     `integral_accuracy` returns an estimate of the error.
     """
     value = integral_estimate(integrand).value
@@ -661,7 +661,7 @@ def _quadrature(integrand: Integrand, m: Sequence[Array]) -> Estimate:
 
 
 def integral_estimate(integrand: Integrand) -> Estimate:
-    """Return ∫ f by quadrature and its error, as in `numeric_integral`. They are stored."""
+    """Return ∫ f by quadrature and its error, as in `numeric_integral`. Both numbers are stored."""
     cache = integrand._cache
     if cache.integral is None:
         found = integrand._estimated_integral()

@@ -244,7 +244,7 @@ class Calls:
             for where in blocks:
                 try:
                     found = self._values(x[where])
-                # A shape error means that f failed, or that its result has another shape
+                # A shape error means that f failed, or that its result has a wrong shape
                 except ParameterError as error:
                     if self.made or self._block == _FEW or "shape" not in str(error):
                         raise

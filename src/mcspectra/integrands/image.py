@@ -130,7 +130,7 @@ class Image(_Picture):
         return self._lines(1.0)
 
     def landmarks(self) -> Array:
-        """Return centers of nonzero pixels: of the 4096 largest if there are more."""
+        """Return centers of nonzero pixels, or of the 4096 largest pixels if more are nonzero."""
         size = np.abs(self._pixels).reshape(*self._pixels.shape[:2], -1).max(axis=2)
         height, width = size.shape
         order = np.argpartition(size, max(0, size.size - _LANDMARKS), axis=None)[-_LANDMARKS:]

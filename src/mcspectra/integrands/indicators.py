@@ -200,7 +200,7 @@ class Disk(_Indicator):
 
     @property
     def fourier_source(self) -> str:
-        """Bessel functions if the disk lies inside the domain, otherwise chords."""
+        """How coefficients are computed: by Bessel functions, or by chords of a cut disk."""
         if self.dims == 2 and not self._inside:
             return "Gauss-Legendre quadrature over exact chords, to rounding"
         return super().fourier_source

@@ -66,7 +66,7 @@ def compared(sizes: Mapping[str, Size], given: str, evaluations: int, why: str =
     sizes
         Variances at equal evaluations, by name of the set-up.
     given
-        Set-up with which the others are compared.
+        Set-up with which the other set-ups are compared.
         A set-up with a different mean or with zero variance is not recommended.
     evaluations
         Number of function evaluations per estimate.
@@ -120,7 +120,7 @@ def answer(curves: Mapping[str, xr.Dataset], given: str = "", why: str = "") -> 
     curves
         Results of `convergence` by set-up, without channels; n counts the points of all techniques.
     given
-        Set-up with which the others are compared. Default: random points, or else the first.
+        Set-up with which the other set-ups are compared. Default: random points, or else the first.
     why
         Sentences on the causes of the noise of the given set-up.
 
@@ -180,7 +180,7 @@ def explain(row: SummaryRow, terms: xr.Dataset | None = None) -> str:
     -----
     A term is said to add or remove variance only if its 95 % interval excludes 0.
     The intervals of prediction and measurement are treated as independent.
-    Their true difference is known more precisely, because both come from the same realizations.
+    The difference is known more precisely, because both numbers come from the same realizations.
     """
     as_instance("row", row, SummaryRow, "a row of mcspectra.studies.summarize")
     as_instance("terms", terms, xr.Dataset | None, "a dataset of mcspectra.variance_terms")

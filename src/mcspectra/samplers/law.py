@@ -684,7 +684,7 @@ class Scrambled(Law):
 
     @property
     def uniform(self) -> bool:  # type: ignore[override]
-        """Whether points are uniform: always after a shift, otherwise if the inner points are."""
+        """Whether points are uniform: always after a shift, else if the inner law is uniform."""
         return self.shifts or self.inner.uniform
 
     @property
@@ -805,7 +805,7 @@ def bases_to_scramble(laws: Sequence[Law]) -> tuple[int, ...] | None:
     The result is None for lattices, which scrambling breaks, and for sets that are not nets.
     For lattices and for sets that are not nets, a shift is the better randomization.
     A set of a few points can be both a net and a lattice.
-    A set that is both counts as a lattice if all other sets are lattices, and else as a net.
+    A set of both kinds counts as a lattice if all other sets are lattices, and else as a net.
     """
     found = {law.bases if isinstance(law, Fixed | Unknown) else None for law in laws}
     if len(found) > 1 or all(isinstance(law, Fixed) and law.even for law in laws):
@@ -828,7 +828,7 @@ def mean_of_terms(n: int, nu: Array, terms: Callable[[Array], Array]) -> Array:
     Raises
     ------
     NoClosedForm
-        If there are too many terms.
+        If the sum would have too many terms.
     """
     # The points also need memory, even at a single frequency.
     # Therefore the number of terms is computed with at least 64 frequencies

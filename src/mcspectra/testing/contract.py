@@ -110,7 +110,7 @@ def check_sampler(sampler: Sampler | str, *, counts: tuple[int, ...] = (16, 64))
         low, high = float(points.min()), float(points.max())
         demand(low >= 0.0 and high < 1.0, who, f"gives points from {low} to {high}, not in [0,1)")
 
-        # Any call gives the same realizations, and those of a fixed set are all equal
+        # Any call gives the same realizations, and all realizations of a fixed set are equal
         whole = source.draw(n, realizations=6, rng=7)
         for first, count in ((0, 1), (1, 3), (5, 1)):
             part = source.draw(n, realizations=count, rng=7, first=first)
