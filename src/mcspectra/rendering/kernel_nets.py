@@ -78,7 +78,7 @@ def shifted_net_of(sampler: Sampler | None) -> Net | None:
 
 
 def scramble_key(stream: Stream) -> int:
-    """Key with which a sampler scrambles its realizations, if owen is its only randomization."""
+    """Random key by which a sampler scrambles realizations, if owen is its only randomization."""
     return stream.child(_FIRST_STEP).key
 
 

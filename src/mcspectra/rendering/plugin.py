@@ -295,7 +295,7 @@ _MOST_REQUESTS = 2**16  # largest number of requests per pixel in scalar variant
 
 
 class PixelState:
-    """State of one pixel of a scalar variant."""
+    """State of the sampler at one pixel, in scalar variants."""
 
     def __init__(self, sets: PaddedSets, stream: Stream) -> None:
         self._sets, self._stream = sets, stream

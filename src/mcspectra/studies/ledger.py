@@ -1,7 +1,7 @@
 """The ledger of a study: the database ``DIR/study.sqlite``, with one writer and many readers.
 
 One SQLite file holds all rows of a run: the study, its cells in order, and results with scalars.
-The file also holds error sentences of failed cells, and task states of unfinished cells.
+The file also holds error sentences of failed cells, and partial sums of unfinished cells.
 SQLite provides atomic commits and recovery after a crash.
 This module adds the schema, the commit interval and the digests.
 Each row has a SHA-256 of its contents, which is checked on every read.
@@ -254,7 +254,7 @@ class StudyTally(msgspec.Struct, frozen=True, kw_only=True):
     holder: Holder | None = None
 
     def plus(self, digest: bytes, size: int) -> StudyTally:
-        """Return the tally with one more finished cell."""
+        """Return the tally of finished cells with one more cell."""
         either = int(self.digest, 16) ^ int.from_bytes(digest, "big")
         return msgspec.structs.replace(
             self, done=self.done + 1, size=self.size + size, digest=f"{either:064x}"
@@ -293,7 +293,7 @@ class Survey(NamedTuple):
     failed
         Error sentences of failed cells, by path.
     recorded
-        Number of recorded task states.
+        Number of tasks of unfinished cells that have a recorded result.
     missing
         Paths of cells that are neither finished, failed nor damaged.
     damaged
@@ -452,7 +452,7 @@ class Ledger:
         return {path: found[path] for path in self.paths if path in found} if found else {}
 
     def tasks(self, path: str) -> list[tuple[str, Chunk]]:
-        """Return which tasks of a cell have a committed state.
+        """Return which tasks of a cell have a result in the ledger.
 
         A task adds up a range of blocks of realizations; its sum over all blocks has a name.
         """
@@ -462,7 +462,7 @@ class Ledger:
 
     @property
     def recorded(self) -> int:
-        """Number of recorded task states."""
+        """Number of tasks of unfinished cells that have a recorded result."""
         self.commit()
         ((count,),) = self._rows("SELECT count(*) FROM tasks")
         return int(count)
@@ -582,7 +582,7 @@ class Ledger:
         with self._guard:
             for path in paths:
                 self._tell(_Change(path, _forgetting(path)))
-            self.commit()  # Later reads must not find the dropped states
+            self.commit()  # Later reads must not find the results of dropped tasks
 
     def commit(self) -> None:
         """Write all pending changes, or none of them."""

@@ -148,7 +148,7 @@ def analyse_path(
         ``lights``: shares of the variance by `shares_by_light`, for 2 to 64 lights.
         ``remedies``: result of `path_remedies` for the last sampler at the largest n.
         ``predict``, with full effort: predicted variances by `mcspectra.predict` on (sampler, n).
-        Attributes of the root: the pixel, the integrator, and names of the coordinates.
+        Attributes of the tree's root: the pixel, the integrator, and names of the coordinates.
         ``lights_note`` gives the reason if shares of lights are unknown.
 
     Raises

@@ -95,7 +95,7 @@ _MOST_DOCUMENTS = 100_000
 
 
 class AnalysisCount(msgspec.Struct, frozen=True):
-    """Number of cells of one analysis, by state."""
+    """Numbers of finished, failed, missing and damaged cells of one analysis."""
 
     done: int = 0
     failed: int = 0
@@ -126,7 +126,7 @@ class StudyStatus(msgspec.Struct, frozen=True, kw_only=True):
         Sentences that describe errors or damage, by path of the cell.
         Damaged parts that are not cells have names with blanks, such as ``list of cells``.
     recorded
-        Number of task states of unfinished cells.
+        Number of recorded tasks of unfinished cells.
     results_bytes, ledger_bytes
         Size in bytes of the results, and of the ledger's file.
     verified
@@ -597,7 +597,7 @@ def _root_attributes(ledger: Ledger, *, whole: bool = True) -> dict[str, Any]:
 def _write_store(
     attributes: Mapping[str, Any], cells: Iterable[tuple[str, xr.Dataset]], folder: Path
 ) -> None:
-    """Write a Zarr v3 store cell by cell, and last the root, with the digest of all files.
+    """Write a Zarr v3 store cell by cell. The root comes last, with the digest of all files.
 
     Files from xarray and zarr have the same bytes but take five times as long (decisions/0016).
     """

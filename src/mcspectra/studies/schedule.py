@@ -6,7 +6,7 @@ The largest of the remaining cells come first, which keeps all workers busy unti
 
 A cell that is expected to take no longer than one chunk becomes a single task.
 
-Chunk sizes and order affect speed only.
+The sizes and the order of chunks affect speed only.
 Chunks are added up in the order of a fixed binary tree (`mcspectra.core.analysis`).
 The result therefore has the same bits for any sizes and order, also with chunks of an earlier run.
 """
@@ -65,7 +65,7 @@ class PartialRun(Generic[State]):
         self._tree: MergeTree[State] = MergeTree()
         self._gaps: deque[Chunk] = deque([(0, reduction.blocks)])
         self._missing = reduction.blocks
-        self._fresh: set[int] = set()  # Merged chunks that are not in the ledger, by first block
+        self._fresh: set[int] = set()  # merged chunks not yet in the ledger, by first block
 
     @property
     def complete(self) -> bool:
@@ -103,7 +103,7 @@ class PartialRun(Generic[State]):
         return first, count
 
     def add(self, chunk: Chunk, state: State) -> None:
-        """Add the state of a computed chunk."""
+        """Add the partial sum of a computed chunk."""
         self._missing -= chunk[1]
         self._fresh.add(self._tree.put(chunk, state))
 
@@ -116,11 +116,11 @@ class PartialRun(Generic[State]):
                 yield (first, count), state
 
     def total(self) -> State:
-        """Return the state of all blocks; the reduction must be complete."""
+        """Return the sum over all blocks; all chunks must have arrived."""
         return self._tree.total()
 
     def _aligned(self, first: int, count: int) -> bool:
-        """Whether a chunk is valid: 2^k blocks from a multiple of 2^k, or the last blocks."""
+        """Whether a chunk is valid: 2^k blocks, starting at a multiple of 2^k, or the last blocks."""
         if count < 1 or first < 0 or first + count > self.reduction.blocks:
             return False
         size = 1 << (count - 1).bit_length()
@@ -178,9 +178,9 @@ class _Active:
         return all(part.complete for part in self._parts.values())
 
     def next_work(self, size: Callable[[float], int]) -> Work | None:
-        """Return the next chunk of this cell as a task, or None if all chunks are handed out.
+        """Return the next chunk of this cell as a task, or None if each chunk already has a task.
 
-        The chunks of costly sums are handed out first.
+        The chunks of costly sums become tasks first.
         The function `size` returns the number of blocks in a chunk, given the cost of a block.
         """
         path = self.cell.path
@@ -202,7 +202,7 @@ class _Active:
         task, payload, state = outcome.task, outcome.payload, outcome.state
         if task.run is None:
             if payload is not None:
-                state = unpack(xr.Dataset, payload)  # Raises an exception if the payload is damaged
+                state = unpack(xr.Dataset, payload)  # Raises an error if the bytes are damaged
             self._settle(state, payload)
             return
         part = self._parts[task.run]
@@ -230,7 +230,7 @@ class _Active:
                 found = next(self._steps) if states is None else self._steps.send(states)
                 begun = [(each, self._begun(each)) for each in found]
                 parts = {each.key: part for each, part in begun}
-                # Compute costly reductions first, but return states in the order of the analysis
+                # Compute costly sums first, but return the sums in the order of the analysis
                 self._order = list(parts)
                 self._parts = dict(sorted(parts.items(), key=lambda p: -p[1].reduction.cost))
                 if not self.complete:
@@ -263,7 +263,7 @@ class _Active:
 class Schedule:
     """Hand out the tasks of all cells and collect their results.
 
-    A new cell begins only when all begun cells have handed out their tasks, to save memory.
+    To save memory, a new cell begins only when all chunks of earlier cells have become tasks.
 
     Parameters
     ----------
@@ -272,7 +272,7 @@ class Schedule:
     seed
         Seed of all realizations.
     ledger
-        Ledger that gives the chunks of earlier runs, and stores chunks that take long.
+        Ledger with the partial sums of earlier runs; sums that take long are stored in it.
     seconds
         Target duration of a task in seconds.
         A task has 2^k blocks, and takes the target time up to a factor of √2.
@@ -292,7 +292,7 @@ class Schedule:
         self.under_way = 0
 
     def next_work(self) -> Work | None:
-        """Return the next task; None if all are handed out, or results must arrive first.
+        """Return the next task; None if no task is left, or if results must arrive first.
 
         If an earlier run recorded all of a cell, the cell is restored, and None is returned.
         Take the result from `settled` before the next call, so that only one result is in memory.

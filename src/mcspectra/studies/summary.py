@@ -87,7 +87,7 @@ def summarize(tree: xr.DataTree) -> list[SummaryRow]:
 def pairs_of(tree: xr.DataTree) -> list[tuple[str, str, str, dict[str, xr.Dataset]]]:
     """Return a tuple for each pair of an estimator and a sampler, in the study's order.
 
-    A tuple has the estimator's key in the store, its name, the sampler, and results by analysis.
+    A tuple has the estimator's names in the store and in the study, the sampler, and results.
     The order of the study is restored, because file systems may list groups in any order.
     """
     asked = asked_of(tree.attrs.get("study") or {})

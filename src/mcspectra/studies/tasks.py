@@ -2,7 +2,7 @@
 
 Every task carries the study's text to the worker.
 Workers may therefore join, die and be replaced at any time.
-A worker builds the plan once, and returns states packed by `mcspectra.core.records`.
+A worker builds the plan once, and returns partial sums packed by `mcspectra.core.records`.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class StudyTask(msgspec.Struct, frozen=True, kw_only=True):
     path
         Path of the cell.
     run
-        Key of the sum over blocks; None to compute the whole cell and return its dataset.
+        Name of the sum over blocks; None to compute the whole cell and return its dataset.
     chunk
         Number of the first block of realizations, and number of blocks.
     cost
@@ -93,7 +93,7 @@ class Outcome:
     state
         Sum over the blocks, or dataset of the whole cell, if this process computed it.
     payload
-        The state or dataset as bytes, if another process computed it.
+        The sum or dataset as bytes, if another process computed it.
     error
         Sentence on why the task failed; then `state` and `payload` are None.
     seconds
