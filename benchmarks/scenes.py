@@ -138,7 +138,7 @@ def joint(scenes, renders=256):
     """Print variances divided by those of multijitter, for several numbers of joint dims.
 
     The label "apart" is for ``larcher-pillichshammer | digital-shift(jitter=True)``.
-    The points of these 2-D nets are far apart. Each pair of dims has its own net (padding).
+    The points of these 2-D nets are far apart. By default, the first two pairs of dims are joint.
     """
     choices = {"multijitter": "multijitter"}
     choices |= {f"joint {k}": {"type": "mcspectra", "joint_dims": k} for k in (0, 2, 4, 6, 8)}
