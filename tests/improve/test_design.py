@@ -126,14 +126,7 @@ def test_flipped_trees_keep_elementary_intervals():
             assert len(np.unique(cells, axis=0)) == 16
 
 
-# Polynomial lattices are searched like lattices, and their digits are checked like those of nets
-@pytest.mark.parametrize(
-    "kind",
-    [
-        pytest.param(kind, marks=[pytest.mark.slow] if kind == "polynomial-lattice" else [])
-        for kind in KINDS
-    ],
-)
+@pytest.mark.parametrize("kind", KINDS)
 def test_designs_halve_the_variance_of_unfolded_rivals(kind):
     sampler = design(kind, GAUSSIANS, 64, rng=5)
     assert sampler.unbiased

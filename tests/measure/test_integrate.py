@@ -374,7 +374,7 @@ def test_the_answer_of_a_profile_and_its_evaluations_are_used():
     [
         pytest.param(smooth, marks=pytest.mark.slow),
         kink,
-        pytest.param(jump, marks=pytest.mark.slow),
+        jump,
     ],
     ids=lambda f: f.__name__,
 )

@@ -51,7 +51,7 @@ def statistics(sampler, realizations, seed):
     }
 
 
-@pytest.mark.parametrize("realizations", [40, pytest.param(160, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("realizations", [pytest.param(40, marks=pytest.mark.slow), 160])
 def test_stated_errors_equal_the_spread_over_disjoint_sets(realizations):
     """Stated errors do not shrink as if all realizations were independent."""
     points = mcs.sampler("jittered", dims=2).draw(N, realizations=SETS * SAMPLERS, rng=9)

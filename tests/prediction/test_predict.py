@@ -357,9 +357,7 @@ def _small_disk(x):
     ("f", "density", "sampler", "counts", "limit"),
     [
         (_board, None, "rank1-lattice | shift", [64, 1024], -2.0),
-        pytest.param(
-            *(_board, None, "sobol | digital-shift", [256, 1024], -2.0), marks=pytest.mark.slow
-        ),
+        (_board, None, "sobol | digital-shift", [256, 1024], -2.0),
         (_small_step, None, "jittered", [16, 256], -1.5),
         (_small_step, None, "sobol | owen", [16, 256], -2.0),
         (lambda x: _small_step(x, 0.5), None, "jittered", [16, 256], -2.0),  # At strata borders

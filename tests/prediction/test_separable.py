@@ -190,21 +190,8 @@ LAWS = [
 ]
 
 
-# Sums under shifts need one quadrature for each axis, for which the other laws are quicker tests
-SLOW_SUMS = {"halton | shift", "sobol | digital-shift", "rank1-lattice | shift"}
-
-
-@pytest.mark.parametrize(
-    ("sampler", "n", "product"),
-    [
-        pytest.param(
-            sampler, n, product,
-            marks=[pytest.mark.slow] if sampler in SLOW_SUMS and not product else [],
-        )
-        for product in (False, True)
-        for sampler, n in LAWS
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("sampler", "n"), LAWS)
+@pytest.mark.parametrize("product", [False, True])
 def test_variances_of_sets_that_are_drawn(sampler, n, product):
     """4,000 sets: 4.5 standard errors of a sample variance, for 18 tests."""
     from mcspectra.prediction.exact import _by_axes
