@@ -190,7 +190,7 @@ def design(
         The sampler is unbiased for every integrand. The spec of the sampler creates it again.
         If the sampler has stored sets, the spec names the file of these sets.
         If a usual sampler has less variance over new integrands of the class with 95 % confidence,
-        and if `settings.return_rival` is true, the usual sampler is returned with a `NoGainWarning`.
+        and `settings.return_rival` is true, the usual sampler is returned with a `NoGainWarning`.
 
     Raises
     ------

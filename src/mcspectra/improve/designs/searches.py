@@ -60,8 +60,8 @@ class SearchSettings:
 
     Larger numbers make searches longer. Comments give variance ratios for several values.
     A variance ratio is the mean variance of a design divided by that of ``sobol | owen``.
-    Unless stated otherwise, ratios are measured with about 64 points in 2-D,
-    for 400 random integrands of the class ``gaussians`` that the search did not use.
+    Unless stated otherwise, ratios are measured with about 64 points in 2-D.
+    Ratios are means over 400 integrands of the class ``gaussians`` that the search did not use.
     """
 
     # Settings of the classes of integrands
@@ -160,8 +160,8 @@ class SearchSettings:
 
     # Number of points in the table from which the spectrum is estimated.
     # With more points, each gradient takes more time.
-    # For designs of kind ``points`` with n = 5000, the variance ratio is 0.082 with 2^14 points
-    # in the table, 0.20 with half as many, and 0.078 with twice as many.
+    # For designs of kind ``points`` with n = 5000, the variance ratio is 0.082.
+    # With half as many points in the table, the ratio is 0.20; with twice as many, it is 0.078.
     torus_frequencies: int = 2**14
 
 
@@ -264,7 +264,7 @@ def _best_vector(
         for sweep in range(6):
             for axis in range(1, dims):
                 seen = np.ones(len(m), bool)
-                if start == sweep == 0:  # Use only the components chosen so far
+                if start == sweep == 0:  # Use only the components of the vector that are already chosen
                     seen = (m[:, axis + 1 :] == 0).all(axis=1)
                 _kernels.best_multiple(m[seen], power[seen], vector, axis, n, sums)
                 vector[axis] = sums.argmin()
@@ -506,7 +506,7 @@ def _shared(
 
     shape = np.array(min(_shapes(n, dims)[: settings.shapes], key=jittered))
     wanted = np.full(dims, settings.cells ** (1.0 / dims))
-    if free and n & (n - 1) == 0:  # Cosets of a net require sides that are powers of two
+    if free and n & (n - 1) == 0:  # Cosets of a net require grids with powers of two as sides
         wanted = 2.0 ** ((settings.cells.bit_length() + dims - 2 - np.arange(dims)) // dims)
     parts = np.maximum(1, np.rint(wanted / shape)).astype(np.int64)
     sides, sets = shape * parts, int(parts.prod())
