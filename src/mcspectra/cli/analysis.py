@@ -2,7 +2,7 @@
 
 Each analysis in `mcspectra.core.analysis.ANALYSES` may have a verb that runs it.
 Analyses from other packages may also have verbs.
-The subject comes first: a sampler, or an integrand with densities and a sampler.
+The subject of the analysis comes first: a sampler, or an integrand with densities and a sampler.
 The options of the analysis follow (`mcspectra.core.options.options_of`).
 The module `mcspectra.cli.texts` writes the result as text.
 

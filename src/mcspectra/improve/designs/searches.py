@@ -264,7 +264,7 @@ def _best_vector(
         for sweep in range(6):
             for axis in range(1, dims):
                 seen = np.ones(len(m), bool)
-                if start == sweep == 0:  # Use only the components of the vector that are already chosen
+                if start == sweep == 0:  # Use only the components that are already chosen
                     seen = (m[:, axis + 1 :] == 0).all(axis=1)
                 _kernels.best_multiple(m[seen], power[seen], vector, axis, n, sums)
                 vector[axis] = sums.argmin()
