@@ -1,8 +1,8 @@
 """Subcommands (verbs) that run analyses, with options and help derived from the analyses.
 
-Every analysis in `mcspectra.core.analysis.ANALYSES` that has a verb becomes a verb.
-This includes analyses from other packages.
-The subject comes first: a sampler, or an integrand with densities and a sampler.
+Each analysis in `mcspectra.core.analysis.ANALYSES` may have a verb that runs it.
+Analyses from other packages may also have verbs.
+The subject of the analysis comes first: a sampler, or an integrand with densities and a sampler.
 The options of the analysis follow (`mcspectra.core.options.options_of`).
 The module `mcspectra.cli.texts` writes the result as text.
 

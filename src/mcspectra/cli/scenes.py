@@ -260,7 +260,7 @@ def _render_cost(
         images = 1 if options.reference else options.realizations or 1
         spp = spp or (_REFERENCE_SPP if options.reference else _SPP)
         if options.compare:
-            # The reference and MIS take samples of both techniques; other images take one technique
+            # The reference and MIS use samples of both techniques; other images use one technique
             spp, each = 2 * (options.reference_spp or _REFERENCE_SPP) + 4 * (options.spp or 4), 1
         size = size if options.crop is None else (options.crop[2], options.crop[3])
     loaded = time.perf_counter() - begin

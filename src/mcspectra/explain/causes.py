@@ -399,7 +399,7 @@ class Evidence:
                 missed = point_in_words(places[met][0])
 
         # If there is a single technique, estimate the mean dimension and search for a pole.
-        # The lines of each technique are evaluated afterwards
+        # Afterwards, evaluate lines through the integrand of each technique
         lines: list[Lines] = []
         mean, pole, noise, failed = math.nan, None, 0.0, ""
         allowed = (
@@ -482,7 +482,7 @@ class Evidence:
         return self.opposite <= self.settings.opposite
 
     def each(self, name: str) -> Array:
-        """Return one quantity of the lines through g, concatenated for all techniques."""
+        """Return one measured quantity for all lines through g, concatenated over techniques."""
         return np.concatenate([getattr(lines, name) for lines in self.lines])
 
 

@@ -87,7 +87,7 @@ class LineSettings:
     # If a line may cross a jump, its last step is bisected this number of times.
     # After the bisections, a jump keeps at least this fraction of its height.
     # A cusp of order 0.15 keeps 2^(−8 · 0.15) = 0.44 of its height on average.
-    # The step after 8 bisections is 6e-8 of the line: a ramp narrower than this looks like a jump.
+    # The step after 8 bisections is 6e-8 of the line, so narrower ramps look like jumps.
     bisections: int = 8
     kept: float = 0.75
     # A line without a jump or pole crosses a cusp if the exponent is below this value.
@@ -114,7 +114,7 @@ class LineSettings:
     # Values from 16 to 64 give the same results.
     grains: float = 32.0
     # Near the end of a line, g is evaluated at decreasing distances from this end.
-    # g grows without bound if the last growth of |g|, divided by the one before, is above this.
+    # g grows without bound if the last growth of |g| exceeds this multiple of the growth before.
     # The ratio of growths is 2^−10 for a bounded function, 1 for ln t, and 2^(10a) for t^−a.
     # Values from 0.33 to 0.65 give the same results.
     # With the value 1.3, logarithmic growth is missed, and six of 152 test cases fail.
@@ -125,7 +125,7 @@ class LineSettings:
     # Values from 0.0025 to 0.01 give the same results.
     aside: float = 0.005
     # Number of groups of axes. An oblique line (chord) is displaced along one group at a time.
-    # If an edge is normal to an axis, only a displacement along this axis moves a chord's crossing.
+    # If an edge is normal to an axis, its crossing moves only with displacements along this axis.
     # An edge that is oblique to two axes seems normal to an axis with probability 1/3.
     # If the edge is oblique to more than two axes, the probability is smaller.
     groups: int = 3

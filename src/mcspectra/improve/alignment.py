@@ -62,7 +62,7 @@ class AlignmentSettings:
     # Rates and their intervals agree to 9 digits for relative errors from 1e-9 to 1e-3.
     exact_se: float = 1e-6
     # Number of times that the search for the best offset halves its step.
-    # The last step is 1/256 of the spacing of the scan.
+    # The last step of the search is 1/256 of the distance between the offsets of the scan.
     # For 11 points and disks in 1-D, 16 halvings of the step find a variance 0.02 % lower.
     # With only 4 halvings of the step, the variance is 0.3 % higher.
     halvings: int = 8

@@ -168,7 +168,7 @@ class Errors:
 
         Also return the influence of each realization on the log error, (R,).
 
-        If the set-up needs a pilot, the error at the last cost is returned without extrapolation.
+        If the set-up needs a pilot, the error at the largest cost is returned, not extrapolated.
         After a pilot, nets often have only half of the points that the budget allows.
         """
         last = len(self.cost) - 1

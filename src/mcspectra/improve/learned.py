@@ -132,14 +132,14 @@ class LearnSettings:
     # If a ratio of variances of 16 sets is below 1/2.4, the true ratio is below 1 at 95 %.
     least_checks: int = 16
     # Least effective number (Σ|f|)²/Σf² of uniform points, in the fit and in the check.
-    # With 16 effective points, all points miss a peak that holds a third of ∫|f|
-    # with probability e^(−16/3) = 0.5 %.
+    # With 16 effective points, the probability is e^(−16/3) = 0.5 %
+    # that all points miss a peak with a third of ∫|f|.
     # With the limit 4, a fit missed one of three equal peaks, and had 2.3 times the variance.
     least_effective: float = 16.0
     # Weight that is added to every spline at the start of a fit, so that logarithms are finite.
     # With values from 1e-8 to 1e-4, variances of fitted densities differ by 0.3 % at most.
     least_weight: float = 1e-6
-    # A density is kept only if its variance is at most this fraction of that with uniform points.
+    # A density is kept only if it reduces the variance of uniform points to this fraction or less.
     # Smaller gains are within the error of variances from six sets; uniform points are safe.
     most_ratio: float = 0.5
     # Least number of evaluations for each weight of a flow.

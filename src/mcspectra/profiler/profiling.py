@@ -846,9 +846,9 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
     if name not in {NETS, "jittered"} or first not in _EXPONENTS or not math.isfinite(curve.rate):
         return curve
     # A jump cuts n^(1 − 1/d) of n strata.
-    # If the jump is along an axis or g is smooth, nets have the same rate as in 1-D,
+    # If the jump is along an axis or g is smooth, the rate of nets is the same as in 1-D,
     # but the variance has up to d − 1 additional factors log n.
-    # Assume 2 (d − 1)/3 factors log n, with the standard error (d − 1)/3
+    # Assume that there are 2 (d − 1)/3 factors log n, with the standard error (d − 1)/3
     strata = name == "jittered" or first == "interior-jump"
     third = 0.0 if strata else (dims - 1) / (3.0 * math.log(curve.counts[-1]))
     rate = -1.0 - _EXPONENTS[first] / (dims if strata else 1) + 2.0 * third

@@ -101,8 +101,8 @@ class SceneSettings:
     # Fraction of the time that is spent on the comparison of samplers.
     # The rest of the time is for larger numbers of samples and for the confirmation
     comparison: float = 0.55
-    # Number of pixels near a quantile of the errors that are rendered with more samples,
-    # and number of renders of each of these pixels
+    # Number of pixels near a quantile of the errors that are rendered with more samples.
+    # Each of these pixels is rendered `near_renders` times
     near: int = 32
     near_renders: int = 16
     # Fraction of the time that is spent on pixels near a quantile: an average over five scenes
@@ -115,8 +115,8 @@ class SceneSettings:
     # Samplers with a larger variance are not measured at 64 samples.
     # Between 16 and 64 samples, a ratio of variances changes by less than a factor of 2
     dropped: float = 2.0
-    # Number of pixels from which the shares of the variance by decision are estimated,
-    # and number of pairs of paths for each of these pixels
+    # Number of pixels from which the shares of the variance by decision are estimated.
+    # For each of these pixels, `cause_chains` pairs of paths are traced
     cause_pixels: int = 128
     cause_chains: int = 64
     # Number of pixels that are listed because they have the largest errors

@@ -54,10 +54,10 @@ _VERSION = 4  # Version of the searches; the cache ignores samplers of other ver
 class DesignSettings:
     """Settings of the cache of designs and of certificates."""
 
-    # The cache identifies a class by its text, and by values of random members at random points.
+    # The cache identifies a class by its text and by values of random integrands of the class.
     # The text alone is not enough, because functions with the same text may differ.
-    # The settings are the numbers of random points and of random members of the class.
-    # Values may be 0 outside a small region: disks of radius 0.1 were missed by 64 points.
+    # Values of `cache_members` random integrands at `cache_points` random points are used.
+    # Integrands may be 0 outside a small region: 64 points missed disks of radius 0.1.
     # A region of volume 1e-3 is missed by 8192 points with probability 3e-4.
     cache_points: int = 2**13
     cache_members: int = 256
@@ -79,15 +79,15 @@ class DesignSettings:
     # `check_members`: number of integrands from the class.
     # `check_realizations`: number of realizations of the sampler for each group of integrands.
     # `check_evaluations`: maximum number of evaluations of each sampler.
-    # The integrands of a group share realizations.
+    # Integrands of the same group are estimated with the same realizations.
     # 20 groups of 32 realizations have 620 degrees of freedom.
-    # A variance then has a relative standard error of 6 %.
+    # The relative standard error of a variance is then 6 %.
     check_members: int = 2000
     check_realizations: int = 32
     check_evaluations: int = 2**24
     # A certificate divides the integrands of a class into this number of groups.
-    # Each group has its own realizations.
-    # Errors have 19 degrees of freedom. Student's t makes intervals 7 % wider than a normal law.
+    # For each group of integrands, samplers are drawn with other random numbers.
+    # Errors from 20 groups have 19 degrees of freedom. Student's t widens intervals by 7 %.
     groups: int = 20
 
 
@@ -189,9 +189,8 @@ def design(
     Sampler or Density
         The sampler is unbiased for every integrand. The spec of the sampler creates it again.
         If the sampler has stored sets, the spec names the file of these sets.
-        A usual sampler may have less variance over fresh members of the class.
-        If this sampler has less variance with 95 % confidence, and `settings.return_rival` is true,
-        the usual sampler is returned with a `NoGainWarning`.
+        If a usual sampler has less variance over new integrands of the class with 95 % confidence,
+        and `settings.return_rival` is true, the usual sampler is returned with a `NoGainWarning`.
 
     Raises
     ------
@@ -249,7 +248,7 @@ def design(
     stream = Stream.from_rng(rng)
     chosen = path_to_write(path, "a file for the sampler", (".json",))
 
-    # Search the cache for the sampler. The key of the cache contains values of class members
+    # Search the cache for the sampler. Its key contains values of integrands of the class
     probes = Stream(0).uniforms(0, _SETTINGS.cache_points, goal.dims)
     values = goal.functions(_SETTINGS.cache_members, Stream(0).generator(0))(probes)
     words = (f"{_VERSION} {kind} {n} {stream.key} {settings} {values.shape} {goal.text} ").encode()
@@ -280,7 +279,7 @@ def design(
         made, note = best.make(target.with_suffix(".npz")), ""
         if (
             finished and settings.return_rival
-        ):  # Check whether a usual sampler has less variance over fresh members
+        ):  # Check whether a usual sampler has less variance over integrands that were not used
             made, note = _better_rival(goal, made, n, stream.child(5))
         if note:
             target.with_suffix(".npz").unlink(missing_ok=True)
@@ -321,7 +320,7 @@ def certificate(
     realizations: int = 32,
     rng: RngLike = 1,
 ) -> xr.Dataset:
-    """Measure the mean variance over fresh members of a class, and compare it with usual samplers.
+    """Measure a sampler's mean variance over new integrands of a class, next to usual samplers.
 
     Parameters
     ----------
@@ -337,9 +336,9 @@ def certificate(
         Shifted lattices (Korobov, rank-1 and Fibonacci) are also included, with and without folds.
         Default samplers that have no sets of n points in these dims are left out.
     members
-        Number of random members, which are divided into 20 groups.
+        Number of random integrands of the class, which are divided into 20 groups.
     realizations
-        Number of independent point sets for each group.
+        Number of independent point sets of each sampler for each group of integrands.
     rng
         Seed, which should differ from the seed of the design.
 
@@ -349,11 +348,11 @@ def certificate(
         `mean_variance(sampler)` with `mean_variance_ci` is the mean variance over the class.
         `design_ratio` with `design_ratio_ci` compares the sampler with its rivals.
         The ratio is the mean variance of the sampler divided by the variance of the best rival.
-        The groups are split into halves. The best rival in one half is used for the other half.
+        The best rival is chosen in one half of the groups, and compared in the other half.
         The 95 % intervals of mean variances use Student's t, with one value for each group.
         The 95 % interval of the ratio comes from a jackknife over groups.
         The attribute `best_rival` names the rival with the least mean variance.
-        Use this rival instead of the design if the ratio is above 1.
+        If the ratio is above 1, use the best rival instead of the design.
 
     Raises
     ------
@@ -422,9 +421,9 @@ def _sums_of_groups(
     realizations: int,
     stream: Stream,
 ) -> Array:
-    """Return the mean variance of each sampler over each group of members: (samplers, groups).
+    """Return each sampler's mean variance over each group of integrands: (samplers, groups).
 
-    Members and realizations of different groups are independent of each other.
+    Integrands and realizations of different groups are independent of each other.
     """
     groups = _SETTINGS.groups
     sums = np.empty((len(samplers), groups))
@@ -438,7 +437,7 @@ def _sums_of_groups(
 
 
 def _ratio(above: Array, below: Array) -> tuple[float, float, float]:
-    """Return the ratio of two sums. A jackknife over groups gives its 95 % interval."""
+    """Return the ratio of two sums over groups, and its 95 % interval from a jackknife."""
     groups, ratio = len(above), float(above.sum() / below.sum())
     left = (above.sum() - above) / (below.sum() - below)
     error = float(np.sqrt((groups - 1) / groups * ((left - left.mean()) ** 2).sum()))

@@ -2,7 +2,7 @@
 
 With C_f = E[f_m conj(f_l)], the expected variance over a class is tr(C_f C_S).
 This is the sum of the variances of functions g_t with Σ_t g_t(x) g_t(y) = E[f(x) f(y)].
-For M members, the g_t are the members times 1/√M.
+For M random integrands, the functions g_t are these integrands divided by √M.
 For a covariance of coefficients, the g_t are its eigenvectors times the roots of its eigenvalues.
 For a spectrum, the g_t are the waves √(2 P(m)) cos(2π m·x) and √(2 P(m)) sin(2π m·x).
 """
@@ -50,9 +50,9 @@ class ObjectiveSettings:
     # The waves or eigenvectors with the largest power are kept.
     # Each wave gives two functions, a cosine and a sine.
     most_waves: int = 1024
-    # Number of members, and number of points, with which a class is tested.
-    # The test refuses classes whose members are all constant.
-    # A class is refused by mistake if its members are constant in all but 1/8192 of the volume.
+    # Number of random integrands, and number of points, with which a class is tested.
+    # The test refuses classes whose integrands are all constant.
+    # Integrands that are constant in all but 1/8192 of the volume are refused by mistake.
     probe_members: int = 16
     probe_points: int = 2**13
     # Default and largest half width h of a spectrum or a covariance given as a function.
@@ -80,7 +80,7 @@ class Objective:
     text
         Name of the class in messages.
     draw
-        Function of M and a random generator that returns M random members.
+        Function of M and a random generator that returns M random integrands of the class.
         A list of integrands is the whole class.
     whole
         The functions of the whole class if all of them are known; otherwise None.
@@ -92,7 +92,7 @@ class Objective:
     whole: Values | None = None
 
     def functions(self, members: int, rng: np.random.Generator) -> Values:
-        """Return the whole class, or `members` random members."""
+        """Return all integrands of the class if they are known, or `members` random ones."""
         return self.whole or self.draw(members, rng)
 
 
@@ -104,7 +104,7 @@ def as_objective(given: object, dims: int | None = None) -> Objective:
     Raises
     ------
     ParameterError
-        If the objective cannot be read, is empty or contains only constant members.
+        If the objective cannot be read, is empty, or contains only constant integrands.
         If the number of dims is not between 1 and 8.
     DomainError
         If values are not finite.
@@ -249,9 +249,9 @@ def _drawn(text: str, dims: int, one: Callable[[np.random.Generator], Integrand]
 
 
 def _members(integrands: Sequence[Integrand], x: Array) -> Array:
-    """Return the values of all channels, divided by the root of the number of members.
+    """Return the values of all channels, divided by the root of the number of integrands.
 
-    Sums of squares of the results are means over the members.
+    Sums of squares of the results are then means over the integrands.
     """
     rows = []
     for f in integrands:
@@ -298,7 +298,7 @@ def _of_waves(given: Mapping[str, Any], dims: int | None) -> Objective:
                 "The spectrum has values that are negative or complex; power is not."
             )
         power = 0.5 * (power + power[::-1])
-        later = np.arange(len(m) // 2 + 1, len(m))  # Keep one of m and −m
+        later = np.arange(len(m) // 2 + 1, len(m))  # Of the frequencies m and −m, keep one
         kept = later[np.argsort(-power[later], kind="stable")[: _SETTINGS.most_waves]]
         kept = kept[power[kept] > 0]
         vectors, m = np.diag(np.sqrt(2.0 * power[kept])), m[kept]

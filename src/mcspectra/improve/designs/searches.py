@@ -1,21 +1,24 @@
 """Searches for each kind of sampler. A search yields samplers with less and less variance.
 
-Let P(m) = E|f_m|² be the mean power of the class.
+Samplers are designed for a class of integrands f, whose members are random functions.
+Let P(m) = E|f_m|² be the mean power of the class at the frequency m.
 A set that is shifted at random has the variance Σ_{m≠0} P(m) |S_m|².
 For a lattice, the variance is the sum of P over the dual lattice.
-A digital shift has the same property in the Walsh basis. Let κ be the Walsh series of P.
-The variance is (1/n²) Σ_ij κ(x_i xor x_j). For a digital net this is the mean of κ over the points.
-If sets are folded after the shift, both statements hold for g(x) = f(1 − |2x − 1|).
+Digital shifts have the same property in the Walsh basis. Let κ be the Walsh series of P.
+With a digital shift, the variance is (1/n²) Σ_ij κ(x_i xor x_j).
+For a digital net, this variance is the mean of κ over the points.
+If sets are folded after the shift, these variances hold for g(x) = f(1 − |2x − 1|).
 The folded function g is continuous on the torus [Hickernell2002]_.
 Each search tries plain sets and folded sets, and keeps the kind with less variance.
 
 If sets together contain each cell of a grid exactly once, they need no shift.
 *Features* are functions φ_t with Σ_t φ_t(x) φ_t(y) = Cov(f(x), f(y)) at centers of cells.
-The variance is the mean over sets of Σ_t (mean φ_t)².
-The search exchanges cells between sets to lower the variance.
+The variance of such sets is the mean over sets of Σ_t (mean φ_t)².
+The search exchanges cells between sets to lower this variance.
 Exchanges start from random sets, or from the cosets of a digital net if these are better.
 All points of a set have the same offset within their cells, except for reflections.
-A reflection changes the sign of a feature's slope. Signs are chosen so that the slopes cancel.
+Reflecting the offset in a cell changes the sign of a feature's slope in this cell.
+Reflections are chosen so that the slopes cancel.
 """
 
 from __future__ import annotations
@@ -53,89 +56,91 @@ _FOLD = " | mirror(mode='fold')"
 @final
 @dataclass(frozen=True)
 class SearchSettings:
-    """Settings of the searches.
+    """Settings of the searches for designs, which are samplers made for a class of integrands.
 
-    Larger numbers make searches longer. Comments give variance ratios.
-    A variance ratio compares designs that are made with another value of a setting.
-    The mean variance of these designs is divided by the mean variance of ``sobol | owen``.
+    Larger numbers make searches longer. Comments give variance ratios for several values.
+    A variance ratio is the mean variance of a design divided by that of ``sobol | owen``.
     Unless stated otherwise, ratios are measured with about 64 points in 2-D.
-    The integrands are 400 fresh members of the class ``gaussians``.
+    Ratios are means over 400 integrands of the class ``gaussians`` that the search did not use.
     """
 
-    # Settings of classes
+    # Settings of the classes of integrands
 
-    # Maximum number of random members that represent a class.
+    # Maximum number of random integrands (members) that represent a class.
     # The variance ratio of strata designs is 0.037, 0.031 and 0.027 with 512, 1024, 2048 members.
-    # The variance ratio of lattices is the same for these numbers of members.
+    # The variance ratio of lattices is the same with 512, 1024 and 2048 members.
     members: int = 1024
     # Maximum size of a table with the values of all members of the class at the points of a grid.
     # A table of this size takes 128 MB in single precision.
     table_values: int = 2**25
     # Whether a usual sampler that has less variance is returned instead of the design.
-    # If this is off, designs of different kinds can be compared with each other.
+    # If this setting is off, designs of different kinds can be compared with each other.
     return_rival: bool = True
     # Number of points at which all members of the class are evaluated at once.
     # For 1024 members of the class, the values take 64 MB in double precision.
     block: int = 2**13
-    # Numbers of points and of class members with which samplers are measured during a search.
+    # Number of points, and number of integrands, with which a search measures samplers.
     # Samplers are measured in searches of nets, and in searches of lattices in 3 or more dims.
     # The variance ratio of nets is 0.167 for half or twice as many points.
     # The variance ratio of nets is 0.164 to 0.167 for half or twice as many members of the class.
-    # In 3-D, a search with 128 members chooses another lattice, of ratio 0.313 instead of 0.295.
+    # In 3-D with 128 integrands, a search finds a lattice of ratio 0.313 instead of 0.295.
     judge_points: int = 2**16
     judge_members: int = 256
 
     # Settings of lattices
 
     # Number of points of the table from which the spectrum of a class is estimated.
-    # Above three dims this number is doubled.
+    # In more than three dims, the number of points of the table is doubled.
     # With half or twice as many points, the variance ratio of lattices is 0.020 to 0.021 in 2-D.
     # In 3-D, half or twice as many points give lattices with ratios of 0.27 to 0.30.
     frequencies: int = 2**16
-    # Number of initial vectors in the search of lattices in three dims or more.
-    # One vector is built axis by axis, and the others are random.
-    # In 3-D the variance ratio is 0.295 with 24 or 48 vectors, and 0.274 with 96 in twice the time.
+    # Number of generating vectors from which the search of lattices starts in 3 or more dims.
+    # One generating vector is built axis by axis, and all others are random.
+    # In 3-D the variance ratio is 0.295 with 24 or 48 initial vectors.
+    # With 96 initial vectors, the ratio is 0.274, but the search takes twice as long.
     vectors: int = 48
     # Number of the best generating vectors whose variances are measured at the end of a search.
     # In 3-D the variance ratio is the same for 6 and 24 measured vectors.
     judged: int = 12
 
-    # Settings of nets and of trees
+    # Settings of nets, and of Owen scramblings (trees)
 
-    # Maximum number of points of a net or of trees.
-    # Exchanges in trees compare all pairs of points, whose number grows as n².
+    # Maximum number of points of a net, or of a set with Owen scrambling.
+    # The search for scramblings compares all pairs of points, whose number grows as n².
     most_points: int = 2**12
-    # Maximum number of bits in the code of a point, for all axes together.
-    # The table of Walsh coefficients has 2^18 values for each function of the class.
+    # Maximum number of leading bits of a point's coordinates, for all axes together.
+    # With 18 bits, the table of Walsh coefficients has 2^18 values for each integrand.
     table_bits: int = 18
-    # Number of initial matrices in the search of nets. The first ones are Sobol' matrices.
-    # The other initial matrices are random and have the same strength.
+    # Number of generator matrices from which the search of nets starts.
+    # The first matrices are Sobol' matrices. The others are random with the same strength.
     # The variance ratio of nets is the same for 3 and 12 initial matrices.
     net_starts: int = 6
-    # Number of trees in a design of kind ``owen``.
-    # Errors can be estimated because the trees are independent point sets.
-    # The variance ratio of trees is 0.235 for 32 trees, and 0.224 for 64 and 128 trees.
+    # Number of Owen scramblings (trees) in a design of kind ``owen``.
+    # Errors can be estimated because scramblings give independent point sets.
+    # The variance ratio is 0.235 for 32 scramblings, and 0.224 for 64 and 128 scramblings.
     trees: int = 64
-    # Number of trees that decide whether sets are folded; 4 and 16 trees give the same ratio.
+    # Number of scramblings that decide whether sets are folded.
+    # With 4 and 16 scramblings, the variance ratio is the same.
     first_trees: int = 8
 
-    # Settings of sets that share a grid
+    # Settings of point sets that together fill the cells of a grid
 
     # Number of cells of the grid. There are cells/n sets of n points, and at least 16 sets.
     # The variance ratio of strata designs is 0.033, 0.031 and 0.033 with 2^15, 2^16 and 2^17 cells.
     cells: int = 2**16
-    # Number of features of the covariance.
-    # If n exceeds this number, n features are used, but never more than twice this number.
+    # Number of features that represent the covariance of the integrands.
+    # For n > 160 points, the number of features is n, but at most 320.
     # The variance ratio of strata designs is 0.031 for half or twice as many features.
     features: int = 160
-    # Number of exchanges of cells that are tried in a round; the time is proportional to it.
+    # Number of exchanges of cells between sets that are tried in a round.
+    # The time of a search is proportional to the number of exchanges and of rounds.
     # For strata designs, the ratio is 0.035, 0.031 and 0.028 with 2^19, 2^20 and 2^21 exchanges.
     trials: int = 2**20
-    # Maximum number of rounds of exchanges; the time is proportional to it.
+    # Maximum number of rounds of exchanges.
     # The variance ratio of strata designs is 0.037, 0.031 and 0.028 for 12, 24 and 48 rounds.
     rounds: int = 24
     # Number of rounds after which the search continues with the best start only.
-    # With 2, 4 and 8 rounds, the ratio is 0.735 for kind ``points`` and class ``half-spaces``.
+    # For kind ``points`` and class ``half-spaces``, the ratio is 0.735 with 2, 4 and 8 rounds.
     first_rounds: int = 4
     # The search ends after a round that lowers the variance by less than this fraction.
     # The variance ratio of strata designs is the same for half or twice this fraction.
@@ -145,8 +150,8 @@ class SearchSettings:
     # (tests/improve/test_design.py).
     cosets: bool = True
     # Number of shapes of strata that are compared, starting with the most even shapes.
-    # Shapes are compared by `shape_realizations` realizations of each shape.
-    # A variance of 32 realizations has a relative error of √(2/31) = 25 %.
+    # For each shape, the variance is estimated from `shape_realizations` realizations.
+    # A variance from 32 realizations has a relative error of √(2/31) = 25 %.
     # The variances of good and bad shapes of strata differ by more than 25 %.
     shapes: int = 12
     shape_realizations: int = 32
@@ -155,8 +160,8 @@ class SearchSettings:
 
     # Number of points in the table from which the spectrum is estimated.
     # With more points, each gradient takes more time.
-    # For designs of kind ``points`` at n = 5000, the ratio is 0.082 with this number of points.
-    # With half as many points in the table, the ratio is 0.20, and with twice as many it is 0.078.
+    # For designs of kind ``points`` with n = 5000, the variance ratio is 0.082.
+    # With half as many points in the table, the ratio is 0.20; with twice as many, it is 0.078.
     torus_frequencies: int = 2**14
 
 
@@ -177,13 +182,13 @@ Search = Callable[[Objective, int, Stream, SearchSettings], Iterator[Design]]
 
 
 def evaluated(values: Values, x: Array, block: int) -> Array:
-    """Return values in single precision, float32 (M, N), computed for blocks of points."""
+    """Evaluate M functions at N points, block by block, in single precision: float32 (M, N)."""
     blocks = [values(x[start : start + block]) for start in range(0, len(x), block)]
     return np.concatenate([block.astype(np.float32) for block in blocks], axis=1)
 
 
 def mean_variances(values: Values, source: Sampler, n: int, realizations: int, seed: int) -> Array:
-    """Return the variance of the mean of each function over realizations, (M,)."""
+    """For each of M functions, return the variance of its mean over n points, (M,)."""
     points = source.draw(n, realizations=realizations, rng=seed)
     found = values(points.reshape(-1, source.dims))
     means = found.reshape(len(found), realizations, n).mean(axis=2)
@@ -195,8 +200,8 @@ def _fourier_power(
 ) -> tuple[Array, Array]:
     """Return frequencies, int64 (K, d), and 2 E|f_m|², (K,), with the largest values first.
 
-    Only one of m and −m is listed. In up to 3 dims the frequencies form a grid.
-    In more dims a grid would have few frequencies along each axis.
+    Of the frequencies m and −m, only one is listed. In up to 3 dims, frequencies form a grid.
+    In more dims, a grid would have few frequencies along each axis.
     Functions that are not periodic have most of their power along the axes.
     Therefore a hyperbolic cross and a ball of frequencies are used, estimated on a lattice.
     If the lattice cannot distinguish several frequencies, only the lowest is kept.
@@ -246,9 +251,9 @@ def _fourier_power(
 def _best_vector(
     m: Array, power: Array, dims: int, n: int, generator: np.random.Generator, starts: int
 ) -> Iterator[tuple[float, Array]]:
-    """Yield generating vectors of lattices for which the power on the dual lattice is small.
+    """Yield generating vectors of lattices with small power on the dual lattice.
 
-    In 2-D all vectors are tried. In more dims vectors are improved axis by axis.
+    In 2-D, all generating vectors are tried. In more dims, they are improved axis by axis.
     """
     sums = np.empty(n)
     for start in range(starts if dims > 2 else 1):
@@ -259,7 +264,7 @@ def _best_vector(
         for sweep in range(6):
             for axis in range(1, dims):
                 seen = np.ones(len(m), bool)
-                if start == sweep == 0:  # Use only the components chosen so far
+                if start == sweep == 0:  # Use only the components that are already chosen
                     seen = (m[:, axis + 1 :] == 0).all(axis=1)
                 _kernels.best_multiple(m[seen], power[seen], vector, axis, n, sums)
                 vector[axis] = sums.argmin()
@@ -328,17 +333,17 @@ def _power_of_two(n: int, kind: str, most: int) -> int:
 
 
 def _axis_bits(n: int, dims: int, most: int) -> int:
-    """Return the bits of each axis: two more than log2 n, if a table of `most` bits allows it."""
+    """Return how many bits of each coordinate are used: log2 n + 2, or fewer in many dims."""
     return max(1, min(most // dims, n.bit_length() + 1))
 
 
 def _tables(
     objective: Objective, bits: int, stream: Stream, settings: SearchSettings, *, owen: bool
 ) -> Iterator[tuple[str, Array]]:
-    """Yield each randomization with a table of its kernel κ.
+    """Yield randomizations of nets, each with a table of its kernel κ.
 
     The code of a point consists of the leading bits of its coordinates.
-    For two points with the codes a and b, the kernel is the entry a xor b of the table.
+    For two points with the codes a and b, κ is the entry a xor b of the table.
     """
     dims = objective.dims
     members = min(settings.members, settings.table_values >> dims * bits)
@@ -438,7 +443,7 @@ def _trees(
     places = (dims - 1 - np.arange(dims)) * bits
 
     def flipped(table: Array, first: int, last: int) -> tuple[float, Array]:
-        """Return the mean variance of some trees, and the sets of these trees."""
+        """Improve Owen scramblings (trees); return their mean variance and their point sets."""
         codes = ((starts[first:last] * 2.0**bits).astype(np.int64) << places).sum(axis=2)
         energy = 0.0
         for tree in codes:
@@ -448,7 +453,7 @@ def _trees(
         top = codes[..., None] >> places & (1 << bits) - 1
         return energy, (top + starts[first:last] * 2.0**bits % 1.0) / 2.0**bits
 
-    # Choose the randomization by the first trees, and report the mean variance over all trees
+    # Choose the randomization by the first scramblings, and report the mean variance over all
     frames = list(_tables(objective, bits, stream, settings, owen=False))
     begun = [(*flipped(table, 0, tried), tail, table) for tail, table in frames]
     energy, sets, tail, table = min(begun, key=lambda each: each[0])
@@ -485,7 +490,7 @@ def _shared(
             (most,),
         )
     # A set of n points can make the means of about n features nearly 0.
-    # About n members of the class are enough to compute that many features
+    # About n integrands of the class are enough to compute n features
     members = min(2 * settings.members, max(settings.members, 8 * n))
     values = objective.functions(members, stream.generator(0))
 
@@ -501,13 +506,13 @@ def _shared(
 
     shape = np.array(min(_shapes(n, dims)[: settings.shapes], key=jittered))
     wanted = np.full(dims, settings.cells ** (1.0 / dims))
-    if free and n & (n - 1) == 0:  # Cosets of a net require sides that are powers of two
+    if free and n & (n - 1) == 0:  # Cosets of a net require grids with powers of two as sides
         wanted = 2.0 ** ((settings.cells.bit_length() + dims - 2 - np.arange(dims)) // dims)
     parts = np.maximum(1, np.rint(wanted / shape)).astype(np.int64)
     sides, sets = shape * parts, int(parts.prod())
     cells = np.stack(np.unravel_index(np.arange(sides.prod()), sides), axis=-1)
 
-    # Compute features: the linear combinations of members with the largest variances
+    # Compute features: linear combinations of the integrands with the largest variances
     table = evaluated(values, (cells + 0.5) / sides, settings.block)
     table -= table.mean(axis=1, keepdims=True)
     sizes, turned = np.linalg.eigh((table @ table.T).astype(np.float64))
@@ -516,7 +521,7 @@ def _shared(
     features = np.ascontiguousarray((turned[:, kept].T.astype(np.float32) @ table).T)
     del table
 
-    # A set starts with one random cell of each stratum, or with a coset of a net
+    # Each set starts with one random cell of each stratum, or with a coset of a net
     place = np.ravel_multi_index(tuple((cells // parts).T), tuple(shape))
     order = np.lexsort((stream.generator(1).random(len(cells)), place))
     owner = np.empty(len(cells), np.int64)
@@ -567,8 +572,8 @@ def _cosets(
     if len(np.unique(codes)) < n:
         return None
 
-    # Subtract vectors of a basis of the net from each cell. The rest is the same within a coset.
-    # For each vector of the basis, clear its leading bit in all codes
+    # Reduce the code of each cell by a basis of the net. The rest is the same within a coset.
+    # For each vector of the basis, its leading bit is cleared in all codes
     rest, left = np.arange(sides.prod()), codes
     while left.max() > 0:
         vector = left.max()
@@ -597,7 +602,7 @@ def _of_cells(features: Array, owner: Array, cells: Array, sides: Array, path: P
 def _points(
     objective: Objective, n: int, stream: Stream, settings: SearchSettings
 ) -> Iterator[Design]:
-    """Search sets that share a grid. In up to 3 dims, also optimize a set on the torus."""
+    """Search sets that fill the cells of a grid. In 1 to 3 dims, also optimize a set directly."""
     dims = objective.dims
     if n <= settings.cells // 16 or dims > 3:
         for found in _shared(objective, n, stream, settings, free=True):
