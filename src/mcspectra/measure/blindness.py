@@ -3,7 +3,7 @@
 Estimates give no upper bound of the variance in three cases.
 All estimates may be equal, or their mean may differ from the integral.
 A single estimate may cause most of the variance.
-`blindness` detects these estimates by the known integral, by ∫g² and by poles.
+`blindness` detects the three cases by the known integral, by ∫g² and by poles.
 """
 
 from __future__ import annotations

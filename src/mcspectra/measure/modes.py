@@ -225,7 +225,7 @@ class Modes(Counted, frozen=True, kw_only=True):
         values, vectors, residuals, errors = found.eigenpairs(vectors)
         diagonal = found.squares / (found.count - 1)
 
-        # Patterns over the frequencies.
+        # Compute the patterns of the modes over the frequencies.
         # Choose the sign of each vector so that a positive amplitude increases the estimate
         modes, basis, techniques = self.modes, view.basis, len(view.transforms)
         values, vectors = values[:modes], vectors[:, :modes]
