@@ -156,7 +156,7 @@ class Anova(Counted, frozen=True, kw_only=True):
             block = blocks[index]
             kept = e.draw(sampler, n, stream, *block)
             # Replaced axes come from other sets of the sampler.
-            # If all its sets are equal, replaced axes come from random points
+            # If all sets of the sampler are equal, replaced axes come from random points
             if same_always():
                 random = as_sampler("random", sampler.dims)
                 others = e.draw(random, n, stream.child(_UNIFORM), *block)

@@ -78,8 +78,9 @@ def blindness(
     Parameters
     ----------
     measured
-        Arrays (estimator, sampler, n, channel) by name, such as the variance and its error.
-        Other arrays are the bias with its error, the tail index and the number of realizations.
+        Arrays (estimator, sampler, n, channel) by name.
+        ``variance`` has the relative error ``relative_se``, and ``bias`` the error ``bias_se``.
+        ``tail_index`` is the tail index, and ``realizations`` the number of realizations.
         ``largest_share`` is the largest share of one square in the variance.
         ``resolved`` states whether the variance is resolved.
         ``floor`` is the rounding error of the variance.

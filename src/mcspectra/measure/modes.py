@@ -332,7 +332,7 @@ def covariance_modes(
     -------
     xarray.Dataset
         ``eigenvalue(mode)`` are the eigenvalues of the sample covariance, in descending order.
-        ``eigenvalue_se(mode)`` is the standard error of the variance along the mode.
+        ``eigenvalue_se(mode)`` is the batch-means error of the variance along the mode.
 
         ``noise_edge`` is the largest expected sample eigenvalue if all true eigenvalues are equal.
         Sample eigenvalues differ unless realizations are far more numerous than coefficients.
