@@ -67,7 +67,7 @@ def known_path(path: object, what: str, extensions: Sequence[str] = ()) -> Path:
 
 
 def path_to_write(path: object, what: str, extensions: Sequence[str]) -> Path | None:
-    """Check before the work starts that a file can be written. Return its path (None for None).
+    """Check before the work starts that a file can be written. Return its path, or None.
 
     Raises
     ------

@@ -57,7 +57,7 @@ def printable(given: object, most: int | None = None, *, lines: bool = False) ->
     r"""Return untrusted text, or a path, in one safe line of at most `most` characters.
 
     Characters that do not print become escapes such as ``\x1b`` and ``\u202e``.
-    Such characters are controls, line separators, surrogates, and zero-width characters.
+    Escaped characters are controls, line separators, surrogates, and zero-width characters.
     Direction marks, and characters that are not assigned in Unicode, are also escaped.
     Spaces of other widths become plain spaces. A text that is too long is cut in the middle.
 

@@ -144,7 +144,7 @@ class LineFits:
     chi2: Array
 
     def of(self, rows: list[int]) -> LineFits:
-        """Return the lines with these indices."""
+        """Return the lines with the indices `rows`."""
         return LineFits(**{name: getattr(self, name)[rows] for name in self.__dataclass_fields__})
 
     def at(self, n: float) -> tuple[Array, Array]:
@@ -306,7 +306,7 @@ def widening(degrees: int, chi2: float) -> float:
 def _quantile(degrees: int, chi2: float, *, chosen: bool) -> float:
     """Return the half width of a slope's 95 % interval, divided by the slope's standard error.
 
-    This standard error assumes that there is no lack of fit.
+    The standard error is computed as if there were no lack of fit.
     """
     if not degrees:
         return CONFIDENCE_Z

@@ -84,7 +84,7 @@ def _showing() -> Iterator[None]:
 
 
 def report(what: str, fraction: float) -> None:
-    """Tell the innermost listener which `fraction` of the work `what` is done. At 1, it ends."""
+    """Tell the innermost listener which `fraction` of the work `what` is done; 1 ends it."""
     listeners = _listeners[-1:]
     if not listeners and _somebody_waits():
         listeners = [_automatic]

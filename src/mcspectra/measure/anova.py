@@ -156,7 +156,7 @@ class Anova(Counted, frozen=True, kw_only=True):
             block = blocks[index]
             kept = e.draw(sampler, n, stream, *block)
             # Replaced axes come from other sets of the sampler.
-            # If all its sets are equal, replaced axes come from random points
+            # If all sets of the sampler are equal, replaced axes come from random points
             if same_always():
                 random = as_sampler("random", sampler.dims)
                 others = e.draw(random, n, stream.child(_UNIFORM), *block)
@@ -456,14 +456,14 @@ def anova_variances(
     -------
     xarray.Dataset
         ``anova_variance(subset)`` is the part c_u of the variance from a subset u of axes.
-        ``anova_share(subset)`` is the share of this part in the variance, from the same pairs.
+        ``anova_share(subset)`` is the share of this part in the variance, from the same set pairs.
         All shares sum to 1. The shares of single axes are the first-order Sobol' indices.
 
         ``total_variance(axis)`` is the sum of c_u over all subsets u that contain the axis.
         ``total_share(axis)`` is the total Sobol' index.
         ``higher_order_variance`` is the variance from subsets with more than `order` axes.
         ``higher_order_share`` is this variance divided by the whole variance.
-        ``truncation_share(axes)`` is the share of the first axes.
+        ``truncation_share(axes)`` is the share of the first axes in the variance.
 
         Effective dimensions refer to 99 % of the variance.
         ``effective_dimension_truncation`` is the number of leading axes that hold this share.

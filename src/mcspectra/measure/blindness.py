@@ -3,7 +3,7 @@
 Estimates give no upper bound of the variance in three cases.
 All estimates may be equal, or their mean may differ from the integral.
 A single estimate may cause most of the variance.
-`blindness` detects these estimates by the known integral, by ∫g² and by poles.
+`blindness` detects the three cases by the known integral, by ∫g² and by poles.
 """
 
 from __future__ import annotations
@@ -78,8 +78,9 @@ def blindness(
     Parameters
     ----------
     measured
-        Arrays (estimator, sampler, n, channel) by name, such as the variance and its error.
-        Other arrays are the bias with its error, the tail index and the number of realizations.
+        Arrays (estimator, sampler, n, channel) by name.
+        ``variance`` has the relative error ``relative_se``, and ``bias`` the error ``bias_se``.
+        ``tail_index`` is the tail index, and ``realizations`` the number of realizations.
         ``largest_share`` is the largest share of one square in the variance.
         ``resolved`` states whether the variance is resolved.
         ``floor`` is the rounding error of the variance.

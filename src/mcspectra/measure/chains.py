@@ -46,7 +46,7 @@ class ChainSettings:
     # Least number of draws of a chain. With fewer draws the autoregression has order 2 at most.
     # The largest order of the autoregression is a quarter of the number of draws.
     least_draws: int = 10
-    # Largest deviation of the power of the mean chain, in standard errors.
+    # Largest deviation of the mean chain's power from its expected power, in standard errors.
     # If the deviation is larger, the chains are correlated.
     # A normal law exceeds 5 standard errors with probability 6e-7.
     # A score of 2.5 gives 2 false alarms in 475 cases.

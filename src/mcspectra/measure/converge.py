@@ -184,7 +184,7 @@ class Convergence(Counted, frozen=True, kw_only=True):
             for part, cell in enumerate(cells)
         ])  # fmt: skip
 
-        # Moments for every estimator, sampler and count.
+        # Collect the moments of every estimator, sampler and count.
         # If several estimators share realizations, move the axis of the estimators to the front
         estimators, samplers = subject.estimators, subject.samplers
         flat = [each for cell in found for each in cell]
@@ -425,10 +425,10 @@ def convergence(
         The attribute ``integral_source`` names the source of this integral.
         ``bias_se(n)`` includes the error of the integral.
         For a user's function without a given integral, ``bias`` and ``bias_se`` are NaN.
-        In this case ``mse`` is the variance.
+        Without a given integral, ``mse`` is the variance.
 
         ``realizations_used(n)`` is the number of realizations.
-        With `relative_error`, ``reached(n)`` is 1 if this error was reached.
+        With `relative_error`, ``reached(n)`` is 1 if the requested error was reached.
         ``reached`` is 0 if the maximum `realizations` was reached first.
         ``reached`` is also 0 if all estimates were equal.
 

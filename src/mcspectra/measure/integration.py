@@ -459,7 +459,7 @@ def _in_one_set(calls: Calls, setup: Setup, stream: Stream, best: Any) -> _Repli
         counts = (least << k for k in range((count // least).bit_length() - 1))
         counts = (r for r in counts if r <= _SETTINGS.most_runs)
         widths = {r: student_t(r) * r ** (0.25 * (surely - 1.0)) for r in counts}
-    # If the budget is not a power of two, independent sets use more of it
+    # If the budget is not a power of two, independent sets use more calls
     if not (lattice or net) or count**rate <= calls.budget * least ** (rate - 1.0):
         return None
     replicates = min(widths, key=lambda r: widths[r])

@@ -225,7 +225,7 @@ class Modes(Counted, frozen=True, kw_only=True):
         values, vectors, residuals, errors = found.eigenpairs(vectors)
         diagonal = found.squares / (found.count - 1)
 
-        # Patterns over the frequencies.
+        # Compute the patterns of the modes over the frequencies.
         # Choose the sign of each vector so that a positive amplitude increases the estimate
         modes, basis, techniques = self.modes, view.basis, len(view.transforms)
         values, vectors = values[:modes], vectors[:, :modes]
@@ -332,7 +332,7 @@ def covariance_modes(
     -------
     xarray.Dataset
         ``eigenvalue(mode)`` are the eigenvalues of the sample covariance, in descending order.
-        ``eigenvalue_se(mode)`` is the standard error of the variance along the mode.
+        ``eigenvalue_se(mode)`` is the batch-means error of the variance along the mode.
 
         ``noise_edge`` is the largest expected sample eigenvalue if all true eigenvalues are equal.
         Sample eigenvalues differ unless realizations are far more numerous than coefficients.

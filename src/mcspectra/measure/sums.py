@@ -347,7 +347,7 @@ def ratio_factors(above: Array, below: Array, share: Array) -> Array:
         return np.full((*above.shape[1:], 2), np.nan)
     weight = share.reshape(-1, *[1] * (above.ndim - 1))
     with np.errstate(invalid="ignore", divide="ignore"):
-        # Predictions at rounding level are replaced by a fixed fraction, which has no spread
+        # Replace predictions at rounding level by a fixed fraction of the measured variance
         above = np.maximum(above, np.finfo(float).eps ** 2 * below)
         a, b = ((weighted_sum(share, v) - weight * v) / (1.0 - weight) for v in (above, below))
         influence = (1.0 - 1.0 / weight) * np.log(a / b)

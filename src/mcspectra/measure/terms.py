@@ -400,7 +400,7 @@ def _variables(total: TermSums, view: View, partition: Partition) -> Variables:
         variables[f"{name}_se"] = ("channel",), error
         variables[f"{name}_ci"] = interval(value, student_t(batches.count) * error)
 
-    # Part of the variance within the frequencies, or NaN if the variance is rounding noise
+    # The captured part of the variance is NaN if the variance is rounding noise
     real = np.where(measured.variance > rounding_floor(measured.mean), measured.variance, np.nan)
     with np.errstate(invalid="ignore"):  # 0 · ∞ is NaN if the frequencies have no power
         captured_ci = (predicted / real)[:, None] * batches.captured_factors()

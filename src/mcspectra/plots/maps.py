@@ -270,7 +270,7 @@ def _shares(values: Array) -> Scale:
 def _choice(
     group: Group, styles: Styles, *, variable: str, of: str, none: str, caption: str
 ) -> Plot:
-    """Map the bounce, decision or sampler that is chosen at each pixel, if one is."""
+    """Map the bounce, decision or sampler that is chosen at each pixel, or none."""
     data = next(iter(group.values()))
     labels: list[Any] = list(group) if of == "sampler" else data[of].values.tolist()
     names = (none, *(bounce_name(v) if of == "bounce" else str(v) for v in labels))

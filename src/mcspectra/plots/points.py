@@ -59,7 +59,7 @@ QUALITY_HEADS = {
 
 _MOST_NAMED = 2**14  # largest number of points that have tooltips
 _MOST_STRATA = 64  # largest number of strata whose borders are drawn in a strip
-_MOST_SETS, _MOST_AXES, _MOST_POINTS = 6, 6, 2**20  # largest numbers that `point_sets` draws
+_MOST_SETS, _MOST_AXES, _MOST_POINTS = 6, 6, 2**20  # largest numbers of sets, axes and points
 _TICK_ROW = 0.09  # height of a row of ticks below the curves, relative to the curves
 _RING = 1.6  # light rings make dots on a map larger by this size, in units of 1/72 inch
 _SECTIONS = {"axis 0": (1, 0), "axis 1": (0, 1), "diagonal": (1, 1)}

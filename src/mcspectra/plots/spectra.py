@@ -74,7 +74,7 @@ __all__ = [
 
 _FLOOR = 1e-4  # smallest power that is shown; below it there is practically no noise
 _LINEAR_TOP = 12.0  # largest power that is shown on a linear axis
-_MOST_NUMBERS, _MOST_NAMES = 7, 13  # most labels along an axis: numbers, names
+_MOST_NUMBERS, _MOST_NAMES = 7, 13  # largest counts of labels along an axis: numbers, names
 _MOST_ENTRIES = 257  # largest number of entries along each side of a matrix that is drawn
 _MOST_CHAINS = 6  # largest number of quantities of Markov chains in one plot
 _SPACINGS = 6.0  # largest distance that is shown, in units of the mean spacing of points

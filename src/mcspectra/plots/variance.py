@@ -159,7 +159,7 @@ def overlaid(measured: Group, predicted: Group) -> dict[str, xr.Dataset]:
 
     The plot ``convergence`` then shows the predictions and the theoretical slope as well.
     The counts of the two results may differ.
-    Of several methods of prediction, the most trusted with a value at the largest n is used.
+    If there are several methods, the most trusted with a value at the largest n is used.
     """
     both = dict(measured)
     for name in set(measured) & set(predicted):

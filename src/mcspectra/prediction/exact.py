@@ -204,7 +204,7 @@ def exact_variance(
         Latin hypercubes and nets need about n cells per side.
         The number of cells limits n to some thousands in 2-D and some tens in 3-D.
         Sums and products of functions of one axis work in any dims.
-        Such sums and products also work with orthogonal arrays and shifted sets.
+        Sums and products of functions of one axis allow orthogonal arrays and shifted sets.
     dims
         Number of dims of a function, and of a spec without ``dims``.
         The default is the number of dims of the sampler, unless the sampler is a spec.
@@ -232,7 +232,7 @@ def exact_variance(
     NoClosedForm
         If the variance is not known for this sampler, or the quadrature does not converge.
         Quadratures may not converge at discontinuities that are not axis-aligned.
-        Such discontinuities do not matter if f has an integral in closed form.
+        Oblique discontinuities do not matter if f has an integral in closed form.
         If g has the same value at all probe points, but is not declared constant.
     ParameterError
         If `tolerance` is not a number from 1e-12 to 1.
@@ -657,7 +657,7 @@ def _of_projections(law: Law, inner: Fixed, g: Separable) -> tuple[float, float]
                     found.append(float(energy[1:] @ power[1:]) + float(spreads.mean()) / n)
                     continue
                 # If points are not evenly spaced, measure their power at low frequencies only.
-                # Cells resolve these frequencies.
+                # The cells of the axis resolve low frequencies.
                 # At higher frequencies, use white noise
                 most = size // 8
                 m = np.arange(1, most + 1)

@@ -39,7 +39,7 @@ Made = TypeVar("Made")
 @final
 @dataclass(frozen=True)
 class Predicted:
-    """The variance of the mean of g over n points by one method, with arrays by channel.
+    """The variance of the mean of g over n points by one method, for each channel.
 
     Attributes
     ----------

@@ -97,7 +97,7 @@ class LevelsSettings:
     most_error, noise
         If half of the 95 % interval exceeds this fraction of the variance, an error is raised.
         For larger intervals, other methods have smaller relative errors, below 0.2.
-        Half of an interval is always accepted if it is below `noise` times ∫g².
+        An interval is always accepted if half of it is below `noise` times ∫g².
         Halving or doubling either value changes nothing.
     """
 

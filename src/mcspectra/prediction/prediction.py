@@ -7,7 +7,7 @@ The variances of independent techniques add up.
 
 ``auto`` tries the methods that apply.
 ``auto`` returns the first prediction with a narrow enough interval.
-If no interval is narrow enough, it returns the prediction with the narrowest interval.
+If no interval is narrow enough, ``auto`` returns the prediction with the narrowest interval.
 The last method of ``auto``, ``extrapolated``, measures small sets of the sampler.
 The remaining methods check a prediction.
 """

@@ -406,7 +406,7 @@ def rates_of(
         Limit: the theoretical bound, if it is certain and the last slope is at least as steep.
         The last slope is over the last four octaves.
         Without a certain bound, the limit is a theoretical exponent close to the last slope.
-        Such a limit is given only in up to 3 dims.
+        Without a certain bound, a limit is given only in up to 3 dims.
         A limit requires that the slope hardly changes over these octaves.
         The theoretical exponents are −1 − k/d, −2 and −3.
         Here k is 0 for white power, 1 for a jump, 2 for strata and 3 for a kink.

@@ -16,8 +16,8 @@ Otherwise P is the mean over drawn sets.
 For lattices, P is 1 on the dual lattice and 0 elsewhere.
 Only frequencies of the dual lattice are summed, n times as many as in a box.
 The sum over all higher frequencies is extrapolated from the last octaves.
-If coefficients are not known exactly, the offset of the lattice within one cell is used.
-The mean of g over the lattice is a function of this offset: quadrature gives its variance.
+If coefficients are not known exactly, g is averaged over lattices with several offsets.
+The mean over a lattice is a function of its offset: quadrature gives the variance.
 
 Homogeneous sets have the symmetries of the cube.
 Averaging |g_m|² over the symmetries of the cube is equivalent to averaging P.
@@ -165,7 +165,7 @@ class DrawnSettings:
         The sets of slow samplers are cached for other integrands.
     precision
         More sets are drawn if the half interval, relative to the variance, exceeds this number.
-        Half the limit would need more sets than `most_sets`.
+        With half this limit, more sets than `most_sets` would be needed.
         Twice the limit changes the variance by 1.9 %.
     low
         Half width of the frequencies at which all sets are transformed.

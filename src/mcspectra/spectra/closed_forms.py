@@ -471,7 +471,7 @@ def _nested_pairs(law: Fixed, bases: Sequence[int], m: Array, other: Array) -> A
     most = max(levels)
     shares = (law.agreements(bases, most) - 1.0) / n
     # `shares` are fractions of the pairs of points that agree in a or more digits.
-    # By differences, compute the fractions of pairs that agree in exactly a digits
+    # Differences of shares are the fractions of pairs that agree in exactly a digits
     for axis in range(law.dims):
         shares = np.moveaxis(shares, axis, 0)
         shares = np.concatenate([shares[:-1] - shares[1:], shares[-1:]])

@@ -49,7 +49,7 @@ def gain_coefficients(
         Number of points.
     levels
         Largest level of each axis.
-        By default, it exceeds the number of digits of n in the smallest base by one.
+        By default, the level exceeds the number of digits of n in the smallest base by one.
         If no two points share a coordinate, all gains above the default level are 1.
     dims
         Number of dims. It is needed if a spec string does not state it.

@@ -373,7 +373,7 @@ class Points(_OfPointSets, frozen=True, kw_only=True):
 
 
 def _picture_shape(dims: int) -> tuple[int, ...]:
-    """Return the shape of a picture's grid. In more than two dims it cuts through the center."""
+    """Return the shape of a picture's grid. Above two dims, the grid is a central cut."""
     shown = min(dims, 2)
     return (_PICTURE_CELLS[shown],) * shown
 
@@ -528,7 +528,7 @@ class _PolarMeans:
         )
 
     def add(self, sums: MeanSums, power: Array) -> None:
-        """Add mean powers of rings and wedges, from sums by label. The mean of none is NaN."""
+        """Add mean powers of rings and wedges, from sums by label. Empty wedges are NaN."""
         for own in power[:, :-1].reshape(-1, *self.cells.shape):
             with np.errstate(invalid="ignore"):
                 rings = own.sum(axis=1) / self.cells.sum(axis=1)

@@ -111,7 +111,7 @@ class _HalfSpectrum:
         return np.asarray(np.linalg.norm(self.index, axis=1))
 
     def mean_by(self, label: Array, size: int) -> tuple[Array, Array, Array]:
-        """Return mean power, standard error and number of frequencies for each label from 0 on."""
+        """Return mean power, standard error and number of frequencies for each label except −1."""
         used = label >= 0
         count = np.bincount(label[used], minlength=size)
         with np.errstate(invalid="ignore", divide="ignore"):
