@@ -201,7 +201,7 @@ def gain(single: LineFits, mis: LineFits, total: float, missed: Array) -> tuple[
     The variances of MIS and of the strategies come from the fitted lines.
     MIS gives each technique half of the samples.
     The standard error treats the two variances as independent.
-    The variances share points, so this standard error is rather too large than too small.
+    The variances share points, so this standard error is too large rather than too small.
     """
     levels, errors = single.at(total)
     levels = np.where(missed, np.nan, levels)
