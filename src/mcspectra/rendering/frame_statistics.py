@@ -772,7 +772,7 @@ def _group(
     independent = fields * loss**2
     half = np.maximum(half, CONFIDENCE_Z * measured * np.sqrt(2.0 / (rings.sizes * independent)))
     # The sum of squared correlations also contains the squared errors of the correlations.
-    # The mean of a squared error is: true sum / (pixels · (R − 1) · loss²)
+    # The mean squared error of a correlation is: true sum / (pixels · (R − 1) · loss²)
     alike = max(1.0, float((every**2).sum()) / (1.0 + 1.0 / independent))
     near, repeat, repeated = _lags(every, alike / (varied.sum() * independent))
     pair, relation = _related(sample.reshape(count, -1), alike * times / frames_per)

@@ -119,7 +119,7 @@ def spread(
     Returns
     -------
     dict
-        The variables with the axes (…, y, x) or (…, y, x, 2), and the variables
+        The given variables with the axes (…, y, x) or (…, y, x, 2), and two new variables:
         ``measured`` and ``interpolation_factor``.
         ``measured`` (y, x) is 1 at measured pixels.
         ``interpolation_factor`` (strategy, y, x) is a factor f, 1 at measured pixels:

@@ -52,7 +52,7 @@ def fit_lines(
     Zeros are ignored, and variances that rounding in float32 could cause.
     Variances with a relative standard error above `largest_se` are ignored as well.
     Variances with large errors come from few realizations that hit a rare event.
-    Most of these variances are far too small.
+    Most variances with large errors are far too small.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         floor = (_ULPS * np.finfo(np.float32).eps * mean) ** 2
