@@ -60,7 +60,7 @@ def fit_lines(
         weight = np.where(used, relative_se**-2.0, 0.0)
         y = np.where(used, np.log(variance), 0.0)
         x = np.log(ns.astype(float)).reshape(1, -1, *[1] * (variance.ndim - 2))
-        # If a variance is ignored but one at a larger n is used, the first missed a rare event
+        # If an ignored variance has a smaller n than a used one, it missed a rare event
         missed = np.maximum.accumulate(used[:, ::-1], axis=1)[:, ::-1] & ~used
         return line_fits(x, y, weight, known=np.asarray(~missed.any(axis=1)))
 
