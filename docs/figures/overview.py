@@ -1,6 +1,6 @@
 """Draw overview.png, the picture of the README: a function with points, and its variance against n.
 
-Run it from the root of the repository: ``python docs/figures/overview.py``.
+Run the script from the root of the repository: ``python docs/figures/overview.py``.
 """
 
 from pathlib import Path

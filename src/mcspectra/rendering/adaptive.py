@@ -6,8 +6,8 @@ A map gives the variance V of each pixel at n samples, and its rate p: V falls l
 The error σ / mean reaches the target E with n·(V / (E·mean)²)^(−1/p) samples.
 Rates of single pixels are noisy, so that the median rate of the image is used.
 The samples are averaged over small windows of pixels, which removes noise of the variances.
-Each average is at least a ninth of the largest number of samples in its window,
-so that a noisy pixel is not lost.
+Each average is at least a ninth of the largest number of samples in its window.
+A single noisy pixel therefore keeps a large number of samples.
 
 An image takes each pixel's samples, rounded up to a power of two, as one point set.
 All pixels with the same number of samples are one wavefront of Mitsuba.

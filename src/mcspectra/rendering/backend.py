@@ -5,8 +5,8 @@ Some versions of libLLVM end the process with SIGABRT when they compile the firs
 In a test on an AVX-512 machine, LLVM 15 and 16 ended the process.
 Every candidate is therefore tested in a subprocess first.
 The first candidate is the user's ``DRJIT_LIBLLVM_PATH``.
-The next candidates are the library in the package karellen-llvm-core,
-and system libraries of version 19 or newer.
+The next candidate is the library in the package karellen-llvm-core.
+The last candidates are system libraries of version 19 or newer.
 The cache folder (`mcspectra.core.cache`) stores the result of each test.
 Therefore the test of a library runs only at its first use.
 """

@@ -124,8 +124,8 @@ def figure1(*, edge: float = 0.0, width: int = 384, height: int = 256) -> dict[s
     The occluder is rotated by 25° so that its shadow's border is not parallel to strata.
     The named pixels P and Q show the floor points P and Q. From P, the whole light is visible.
     Neither P nor Q is below the light's center.
-    At a point below the center, f is equal at opposite borders of the unit square,
-    so shifted points would meet no jump at the border of the square.
+    At a point below the center, f is equal at opposite borders of the unit square.
+    Shifted points would then meet no jump at the border of the square.
 
     With a soft border, the radiance is a texture of 256² texels with bilinear interpolation.
     Mitsuba samples such a light texel by texel, in proportion to the texture.

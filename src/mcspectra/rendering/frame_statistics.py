@@ -85,8 +85,8 @@ _ONE_SQUARE = 0.05
 _WIDEST, _KNOWN_RATE = 15, 0.1
 # If the values miss a tail, their variance and its error are too small.
 # The upper end of the interval is therefore moved away by this factor.
-# With the factor 2, the intervals from six frames contain the true variance
-# in 92 to 97 % of cases, for normal to lognormal noise
+# For six frames of normal to lognormal noise and the factor 2,
+# 92 to 97 % of the intervals contain the true variance
 _MISSED = 2.0
 _NEAR = 15  # width in pixels of the squares whose pixels share a variance, for two or three frames
 _SLOWEST = -0.5  # least steep rate that is used to extrapolate to a target
@@ -474,8 +474,7 @@ def _percentiles(need: Array, spread: Array) -> dict[str, float]:
 
     Errors of the estimates widen the distribution over the pixels.
     The logarithms are therefore moved towards their median.
-    After the move, the variance of the logarithms is smaller by the mean variance
-    of their errors [Louis1984]_.
+    The move lowers the variance of the logarithms by their mean error variance [Louis1984]_.
     """
     known = np.isfinite(need) & np.isfinite(spread) & (need > 0)
     if not known.any():
@@ -773,7 +772,7 @@ def _group(
     independent = fields * loss**2
     half = np.maximum(half, CONFIDENCE_Z * measured * np.sqrt(2.0 / (rings.sizes * independent)))
     # The sum of squared correlations also contains the squared errors of the correlations.
-    # The mean of a squared error is: true sum / (pixels · (R − 1) · loss²)
+    # The mean squared error of a correlation is: true sum / (pixels · (R − 1) · loss²)
     alike = max(1.0, float((every**2).sum()) / (1.0 + 1.0 / independent))
     near, repeat, repeated = _lags(every, alike / (varied.sum() * independent))
     pair, relation = _related(sample.reshape(count, -1), alike * times / frames_per)

@@ -3,7 +3,7 @@
 If the significance level requires more relabelings than exist, t tests replace them.
 The t tests are also used if the noise of the sets differs: frames are then not exchangeable.
 The t tests use a conservative variance: it is too large rather than too small.
-Single pixels are not tested by t tests.
+No t test is applied to single pixels.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 Method
 ------
 Coordinate j of point i: XOR those columns of generator matrix j that the bits of i select.
-The nested uniform scrambling is the hash of ``owen(method='hash')``.
+Nested uniform scrambling is computed by the hash of ``owen(method='hash')``.
 The class `NetPoints` computes the points of the sampler from its keys, rounded to float32.
 Renderers request one or two numbers at a time and need point sets in a random order.
 The sets for such requests (`Pads`) are scrambled by one round of the hash.

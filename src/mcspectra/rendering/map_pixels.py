@@ -15,8 +15,7 @@ The scale s of errors at a pixel is the root mean square of the residuals near i
 The factor q is chosen so that 95 % of the residuals are smaller than q·s (conformal prediction).
 A 95 % interval of an interpolated value is then ± q·s.
 The intervals of interpolated values are valid on average over pixels, for any law of the residuals.
-The intervals are a little too wide, because a left-out pixel is farther from its neighbors
-than most pixels.
+The intervals are a little too wide: a left-out pixel is farther from its neighbors than others.
 The intervals include the noise of measured values, because noise makes residuals larger.
 """
 
@@ -120,7 +119,7 @@ def spread(
     Returns
     -------
     dict
-        The variables with the axes (…, y, x) or (…, y, x, 2), and the variables
+        The given variables with the axes (…, y, x) or (…, y, x, 2), and two new variables:
         ``measured`` and ``interpolation_factor``.
         ``measured`` (y, x) is 1 at measured pixels.
         ``interpolation_factor`` (strategy, y, x) is a factor f, 1 at measured pixels:

@@ -52,7 +52,7 @@ def fit_lines(
     Zeros are ignored, and variances that rounding in float32 could cause.
     Variances with a relative standard error above `largest_se` are ignored as well.
     Variances with large errors come from few realizations that hit a rare event.
-    Most of these variances are far too small.
+    Most variances with large errors are far too small.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         floor = (_ULPS * np.finfo(np.float32).eps * mean) ** 2
@@ -60,7 +60,7 @@ def fit_lines(
         weight = np.where(used, relative_se**-2.0, 0.0)
         y = np.where(used, np.log(variance), 0.0)
         x = np.log(ns.astype(float)).reshape(1, -1, *[1] * (variance.ndim - 2))
-        # If a variance is ignored but one at a larger n is used, the first missed a rare event
+        # If an ignored variance has a smaller n than a used one, it missed a rare event
         missed = np.maximum.accumulate(used[:, ::-1], axis=1)[:, ::-1] & ~used
         return line_fits(x, y, weight, known=np.asarray(~missed.any(axis=1)))
 
@@ -201,7 +201,7 @@ def gain(single: LineFits, mis: LineFits, total: float, missed: Array) -> tuple[
     The variances of MIS and of the strategies come from the fitted lines.
     MIS gives each technique half of the samples.
     The standard error treats the two variances as independent.
-    The variances share points, so this standard error is rather too large than too small.
+    The variances share points, so this standard error is too large rather than too small.
     """
     levels, errors = single.at(total)
     levels = np.where(missed, np.nan, levels)

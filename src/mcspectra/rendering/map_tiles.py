@@ -451,8 +451,8 @@ class Receivers:
 
 
 _REPEATS = 2  # number of predictions per stratum, which give a standard error
-# Approximate number of grid cells in all strata together. More cells resolve smaller lights,
-# and a stratum has at least 2 cells per axis
+# Approximate number of grid cells in all strata together.
+# More cells resolve smaller lights. A stratum has at least 2 cells per axis
 _CELLS = 4096
 _GRIDS = {2: 64, 3: 16}  # number of midpoints along each axis, by number of dims; even numbers
 _POWER_REALIZATIONS = 1024

@@ -12,9 +12,9 @@ The points of each set are shuffled, so that different requests are independent 
 The numbers of each request are as evenly spread as the sampler's points [KolligKeller2002]_.
 
 Alternatively, the first `joint_dims` numbers of a sample come from a single *joint* set.
-By default, binary nets with ``owen`` or ``digital-shift(jitter=True)`` have joint sets
-of `JOINT_DIMS` numbers:
-two are the position in the pixel, and the next two a point on the lens or on a light.
+By default, binary nets have joint sets of `JOINT_DIMS` numbers
+if ``owen`` or ``digital-shift(jitter=True)`` randomizes them.
+Two numbers are the position in the pixel, and two a point on the lens or on a light.
 Both pairs of a joint set are as even as with padding (`mcspectra.samplers.nets.JoinedPairs`).
 All other samplers are padded by default.
 The same rule holds for `mcspectra.rendering.variance_map` and for pixels (`padding`).

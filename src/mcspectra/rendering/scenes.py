@@ -124,8 +124,8 @@ def load_scene(scene: Scene) -> Any:
     scene
         A name in `SCENES`, with optional parameters in brackets (``"veach(width=384)"``),
         the path of a Mitsuba XML file, or a dictionary for `mitsuba.load_dict`.
-        A file is read again if it has changed since the last call,
-        or if a texture, mesh or other file that it names has changed.
+        A scene file is read again if it has changed since the last call.
+        A change of a texture, mesh or other file in the scene has the same effect.
         Relative paths start in the folder of the file.
 
     Raises

@@ -162,7 +162,7 @@ class ScreenSampler(Component, ABC):
         return seeds, False
 
     def repeats(self, n: int, block: ScreenBlock) -> tuple[bool, bool]:
-        """Return whether the block is a whole number of periods in space, and the same for time.
+        """Return whether the block holds whole periods in space, and whole periods in time.
 
         Filters can then wrap around the borders of the block without an error.
         """

@@ -58,8 +58,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         for data in runs.values()
     ]
 
-    # For random points, the variance from a band of frequencies should be 1/N times
-    # the ANOVA component of the axes of this band
+    # For random points, the variance from a band of frequencies should be A/N,
+    # where A is the ANOVA component of the axes of this band
     random, (n, half_width) = bands["random"], RUNS[3]
     known, order = components(3, half_width), labelled_subsets(random)
     kept = [k for k, subset in enumerate(order) if subset]

@@ -36,8 +36,9 @@ SAMPLERS = {
 }
 RATES = {"f": -2.0, "g": -3.0}
 _SHOWN = 64  # number of points that the figure shows at first
-# Number of frequencies in a sum. For f(x) = x, higher frequencies would increase the sum
-# by the fraction 12 N / (4π² 2^16) of its value, which is 0.5 % at N = 1024.
+# Number of frequencies in a sum.
+# For f(x) = x, the omitted frequencies are a fraction 12 N / (4π² 2^16) of the sum,
+# which is 0.5 % at N = 1024.
 _HIGHEST = 2**16
 
 

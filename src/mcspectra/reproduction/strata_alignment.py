@@ -215,8 +215,8 @@ def _strata() -> Plot:
         ((1 / 3, 1 / 3), "not aligned: x = 1/3"),
         ((0.7, 0.082), "oblique"),
     ):
-        # In row k of the strata, the edge runs from x = ends[k] at the bottom of the row
-        # to x = ends[k + 1] at the top of the row
+        # In row k of the strata, the edge is at x = ends[k] at the bottom of the row.
+        # At the top of the row, the edge is at x = ends[k + 1]
         ends = low + (high - low) * ticks
         left, right = (reach(ends[:-1], ends[1:]) for reach in (np.minimum, np.maximum))
         cut = (ticks[:-1] < right[:, None] - 1e-9) & (left[:, None] + 1e-9 < ticks[1:])

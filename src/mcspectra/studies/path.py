@@ -467,7 +467,7 @@ def path_remedies(
             )
             if high < 0.0 and rate < 0.0:
                 # A changed estimate takes n paths, and P paths for its pilot.
-                # If its error equals that of n + P paths without the change,
+                # If its error equals the error of n + P paths without the change,
                 # the ratio of the variances is ((n + P)/n)^rate. Solve this equation for n
                 pays = candidate.pilot / math.expm1(found.log_ratio / rate)
                 note += f": it pays above about {float(f'{pays:.2g}'):.0f} paths."

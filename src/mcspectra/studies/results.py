@@ -628,7 +628,7 @@ def _write_store(
             (folder / name).write_bytes(content)
         documents |= made
 
-    # Copy all metadata into the root, so that readers need one file, unless there is too much
+    # Copy all documents into the root, if they are not too many: readers then need one file
     root: dict[str, Any] = _group(attributes)
     if len(documents) < _MOST_DOCUMENTS:
         inline = {"kind": "inline", "must_understand": False}

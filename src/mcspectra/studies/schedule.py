@@ -120,7 +120,7 @@ class PartialRun(Generic[State]):
         return self._tree.total()
 
     def _aligned(self, first: int, count: int) -> bool:
-        """Whether a chunk is valid: 2^k blocks, starting at a multiple of 2^k, or the last blocks."""
+        """Whether a chunk is valid: 2^k blocks that start at a multiple of 2^k, or last blocks."""
         if count < 1 or first < 0 or first + count > self.reduction.blocks:
             return False
         size = 1 << (count - 1).bit_length()

@@ -260,7 +260,7 @@ def compute_elsewhere(
     text, task
         The study, and the task to compute.
     limit
-        Seconds after which the task fails, without imports and planning.
+        Seconds after which the task fails, not counting imports and planning.
         The thread of the task continues, because threads cannot be stopped.
         The caller must therefore restart the worker.
 
