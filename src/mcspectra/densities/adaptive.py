@@ -47,7 +47,7 @@ _FULL_DEPTH = {1: 6, 2: 2}  # at least 4096 cells, so that nodes do not miss nar
 MOST_CELLS = 2**16
 """Splitting ends at this number of cells in a level, in 2-D after 1.6 million evaluations."""
 _RELATIVE = 1e-10
-_ABSOLUTE = 1e-13  # tolerance relative to the whole integral
+_ABSOLUTE = 1e-13  # tolerance of the error, relative to the whole integral
 _FORCED_DEPTH = {1: 16, 2: 8}
 
 CELLS = {1: 64, 2: 16}

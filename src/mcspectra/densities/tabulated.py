@@ -83,7 +83,7 @@ def as_table(values: object) -> Array:
     """Check relative densities and return them as a read-only copy."""
     try:
         given = np.asarray(values)
-    except ValueError:  # rows of different lengths
+    except ValueError:  # the rows have different lengths
         given = np.asarray(None)
     if given.dtype.kind not in "fiub":
         raise ParameterError(

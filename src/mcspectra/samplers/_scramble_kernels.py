@@ -151,7 +151,7 @@ def _reversed(word: Any) -> Any:
 def _hashed(word: Any, add: Any, factor: Any, add_2: Any, factor_2: Any) -> Any:
     # Hash a reversed word so that every bit depends only on the bits below.
     # In the XOR of x and an even multiple of x, every bit depends only on the bits below.
-    # In the product (x + summand) · (odd factor), every bit also depends on no higher bits.
+    # In the product (x + summand) · (odd factor), every bit also depends only on lower bits.
     # All numbers are uint32.
     x = np.uint32(word)
     x = np.uint32(x ^ np.uint32(x * np.uint32(0x3D20ADEA)))

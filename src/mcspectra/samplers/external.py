@@ -344,7 +344,7 @@ def _is_group(
     add: Callable[[Array, Array], Array],
     multiples: Callable[[Array, int], Array],
 ) -> bool:
-    """Return whether distinct rows of whole numbers (n, d) are closed under `add`; one must be 0.
+    """Return whether distinct rows of integers (n, d) are closed under `add`; one row must be 0.
 
     ``multiples(row, count)`` are 0, row, row + row, … as an array (count, d).
     """

@@ -242,7 +242,7 @@ def _bernoulli(n: int) -> Array:
 
 
 def _candidates(n: int, most: int) -> Array:
-    """Return numbers 1 … n/2 coprime to n, thinned evenly to `most`; n − z is equivalent to z."""
+    """Return numbers z ≤ n/2 coprime to n (n − z is equivalent), at most `most`, evenly thinned."""
     z = np.arange(1, max(2, n // 2 + 1))
     z = z[np.gcd(z, n) == 1]
     spread = np.linspace(0, z.size - 1, min(max(_LEAST_CANDIDATES, most), z.size))

@@ -65,7 +65,7 @@ _DEFAULT_RADIUS = (0.7, 0.75, 0.75, 0.75)
 The default radii are slightly below the jamming radii 0.748, 0.777, 0.803, 0.806 [Torquato2006]_.
 """
 
-_FIRST_RADIUS = (0.755, 0.785, 0.81, 0.815)  # first relative radius for maximal sets
+_FIRST_RADIUS = (0.755, 0.785, 0.81, 0.815)  # first radius that is tried for maximal sets
 # Ratio of successive radii. In 2-D, each larger radius has room for 2 % fewer points.
 _NEXT_RADIUS = 1.01
 _MOST_MAXIMAL = 3  # largest number of dims: 1000 points take 0.8 s in 3-D, a minute in 4-D
@@ -87,7 +87,7 @@ class PoissonDisk(Sampler):
     boundary
         ``"toroidal"``: distances are on the torus. ``"bounded"``: distances are in the cube.
         In the cube disks extend beyond the domain, and points near the boundary are more likely.
-        With distances in the cube, points are therefore not uniform.
+        If distances are in the cube, points are therefore not uniform.
     mode
         ``"exact"``: the minimum distance is the same for all sets, see `radius`.
         ``"maximal"``: no further disk fits into a set, and each set has its own minimum distance.

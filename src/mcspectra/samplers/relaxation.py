@@ -245,7 +245,7 @@ class GaussianBlueNoise(OptimisedSampler):
     -----
     The paper uses gradient descent. Here limited-memory BFGS is used, which needs fewer steps.
     In up to 3 dims, pairs are cut off at 6 σ, and work grows like n.
-    In more dims, all images count, through the Fourier series of the Gaussian on the torus.
+    In more dims, all periodic images count, through the Fourier series of the Gaussian.
     In more than 3 dims, work grows like n².
     The start is random and the energy is invariant under translation, so every point is uniform.
 
