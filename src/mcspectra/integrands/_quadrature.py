@@ -294,7 +294,7 @@ def adaptive_integral(
     In the first case, the integral changes by more than the cell's share of 1e-12 ∫|f|.
     In the second case, f at a probe point differs from the polynomial through nearby nodes.
 
-    The error is the sum of the last differences, and of an estimate of all later ones.
+    The error is the sum of the last differences and an estimate of all later differences.
     A second value of ∫ f adds a correction: the mean of f minus the polynomials at probe points.
     The error of the corrected value is three standard errors of the correction.
     The value with the smaller error is used.

@@ -54,7 +54,7 @@ Further arguments are the keys of a realization, and the index of the next rando
 The function returns the number of points placed, and the new index."""
 
 DENSEST = (1.0, 2.0 / 3.0**0.5, 2.0**0.5, 2.0, 2.0 * 2.0**0.5, 8.0 / 3.0**0.5, 8.0, 16.0)
-"""n·r^d of the densest known packings of n spheres of diameter r in 1 to 8 dims.
+"""Value of n·r^d for the densest known packings of n spheres of diameter r in 1 to 8 dims.
 
 The packings are line, hexagons, fcc, D4, D5, E6, E7 and E8. They are listed in table 1.2 of
 [Conway, Sloane (1999), "Sphere Packings, Lattices and Groups"]."""
