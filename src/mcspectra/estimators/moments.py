@@ -414,7 +414,7 @@ class Moments:
         """Return the share of the variance that comes from values beyond all sampled ones.
 
         A tail t^-k is fitted to the `many` farthest values. Let M values lie in this tail.
-        In expectation, values beyond the sampled values contribute M^(2k − 1) of the sum of squares.
+        In expectation, values beyond the sampled ones contribute M^(2k − 1) of the sum of squares.
         """
         far, index = self._farthest(many)
         share = np.divide((far**2).sum(axis=0), self.m2, out=0.0 * self.m2, where=self.m2 > 0)

@@ -74,8 +74,8 @@ _LEAST_INSET = 2.0**-51  # Least distance to a corner, as a fraction of its coor
 # Near a corner, f may differ from its polynomial by this multiple of the last coefficients.
 # A larger difference indicates a jump
 _SMOOTH = 100.0
-# If this many probe points differ from the polynomials, the error is their standard error,
-# and not the error that is estimated from the boxes
+# If this many probe points differ from the polynomials, their standard error is the error.
+# The error that is estimated from the boxes is then not used
 _LEAST_SEEN = 30
 _LOOKS = 2  # The second set of probe points is this many times as large as the first
 # Smallest size of a box as a fraction of its coordinates, and smallest size next to 0
@@ -509,7 +509,7 @@ def _at_points(function: QuadratureIntegrand, points: Array) -> Array:
 def _after(left: list[Array]) -> Array:
     """Return the sum of all later differences as a multiple of the last difference.
 
-    The differences are taken to form a geometric series.
+    The differences are assumed to form a geometric series.
     If each difference is half of the difference before, the result is 1.
     Next to a pole, successive differences shrink slowly, and the ratio of differences rises.
     Therefore, if the ratio of differences exceeds 0.55, the result is increased by half.
