@@ -229,8 +229,8 @@ def positive_integral(
         If the unresolved part does not shrink, the integral is infinite and the error is 0.
         Poles r^-a with a > 0.97 count as divergent.
         See `mcspectra.densities.reciprocal_integral`.
-        If the integral was extrapolated by a geometric series of ratio r, the error is larger:
-        it is the last change of the extrapolated integral times the larger of 1 and r/(1 − r).
+        If a geometric series of ratio r extrapolated the integral, the error has two factors:
+        the last change of the extrapolated integral, and the larger of 1 and r/(1 − r).
         Where poles cross, the levels form only approximately a geometric series.
     """
     with np.errstate(over="ignore", invalid="ignore"):

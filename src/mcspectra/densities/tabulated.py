@@ -387,7 +387,7 @@ class _Hierarchical:
     def breaks(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Borders of the first splits, which all divide the same axis.
 
-        Borders of the first splits are whole lines. Borders of later splits are omitted segments.
+        The first borders are whole lines. Later borders are only segments, and are omitted.
         """
         found: list[tuple[float, ...]] = [(), ()]
         if self.axes.size:

@@ -124,7 +124,7 @@ class BorderGrowth:
     nearest: float
 
     def endless(self, settings: TailSettings = TAIL_SETTINGS) -> bool:
-        """Return whether the variance may be infinite if f grows like this."""
+        """Return whether the variance may be infinite if f grows with this exponent."""
         return self.exponent > settings.largest and self.low > settings.surely
 
     def without_integral(self, settings: TailSettings = TAIL_SETTINGS) -> bool:

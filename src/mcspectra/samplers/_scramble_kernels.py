@@ -531,7 +531,7 @@ def _draw_triangle(k0: np.uint64, k1: np.uint64, number: int, base: int, out: Ar
 @kernel
 def _multiply(matrix: Array, base: int, v: int, out: Array) -> None:
     # Add the matrix times the digits of v to out (m,), without reduction modulo the base.
-    # Skip zero digits: all digits after the last digits of a net's points are zeros.
+    # Skip zero digits, which follow the last digits of a net's points.
     inverse = 1.0 / base
     for c in range(out.size - 1, -1, -1):
         above = _quotient(v, inverse)
