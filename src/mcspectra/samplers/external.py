@@ -105,7 +105,7 @@ class PointSets(dict[int, Array]):
         """The recognized law of the sets of each count.
 
         The largest set must pass a strict test to count as a net with some quality t.
-        Smaller sets count as nets if their quality parameter t is not larger.
+        Smaller sets count as nets if their quality t is at most that of the largest set.
         """
         found: dict[int, Law] = {}
         largest: tuple[int, int] | None = None
