@@ -150,7 +150,7 @@ def _powers_possible(sampler: Sampler, base: int, exponents: range) -> Iterator[
 
 
 class _OfPlaces(_OfDigits):
-    """One permutation (with `shift`, a shift) per digit of each coordinate, for all points."""
+    """Base class: one permutation or shift (`shift`) per digit place, the same for all points."""
 
     shift: ClassVar[bool] = False
 
