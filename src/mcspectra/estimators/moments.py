@@ -510,7 +510,7 @@ def mean_interval(values: Array) -> tuple[float, float]:
     """Return a 95 % interval of the mean of independent estimates, (R,).
 
     The interval contains Student's t interval and the interval by Hall's cubic transform.
-    Hall's interval depends on the skewness [Hall1992]_. Both agree for normal estimates.
+    Hall's interval depends on the skewness [Hall1992]_. Both intervals agree for normal estimates.
     For skewed estimates, the interval extends farther on the side of the tail.
     """
     count = len(values)

@@ -674,7 +674,7 @@ def integral_estimate(integrand: Integrand) -> Estimate:
 
 
 def found_breaks(integrand: Integrand) -> tuple[Array, ...]:
-    """Return the breaks along each axis: those that f declares, and those that searches detect.
+    """Return the breaks along each axis: breaks that f declares, and breaks that searches detect.
 
     See `mcspectra.integrands._quadrature.search_breaks`.
     """

@@ -52,7 +52,7 @@ Pictures: TypeAlias = list[tuple[str, str]]
 def component_html(component: object) -> str:
     """Return the HTML of a component. For an unknown kind of component, only its spec is shown."""
     with warnings.catch_warnings(), np.errstate(all="ignore"):
-        warnings.simplefilter("ignore")  # for unusual counts, and for 0/0 in f/p
+        warnings.simplefilter("ignore")  # counts may be unusual, and f/p may be 0/0
         if isinstance(component, Sampler):
             return _page(component.spec, *_sampler(component))
         if isinstance(component, Density):
