@@ -92,7 +92,7 @@ _CUTS, _CUT = 34, 0.4871
 # Number of peaks that are examined on a line, and number of bisections toward each peak.
 # A peak is a pole if its values grow by more than the factor `_GROWN`
 _PEAKS, _CLIMBS, _GROWN = 4, 24, 4.0
-# At a jump, at least this fraction of the change across the first step remains after all cuts
+# At a jump, at least this fraction of the original change remains after all cuts of the step
 _STAYS = 0.5
 # Offset of a second, parallel line. Both lines are compared at this distance from a jump
 _ASIDE, _ABOUT = 2.0**-20, 2.0**-30
