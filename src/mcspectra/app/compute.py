@@ -62,7 +62,7 @@ If two parts are computed at once, one can use the time in which the other is id
 
 _PATIENCE = 0.2  # seconds between checks whether a waiting job was canceled
 _INTEGRAND = ("integrand", "density", "dims", "mirror", "channel", "smoothing")
-_OWN = {  # for each part, the fields of the set-up that affect it
+_OWN = {  # for each part of a result, the fields of the set-up that affect this part
     "integrand": _INTEGRAND,
     "predict": (*_INTEGRAND, "sampler", "n", "strata_shift", "seed", "counts"),
 }

@@ -47,7 +47,7 @@ _FULL_DEPTH = {1: 6, 2: 2}  # at least 4096 cells, so that nodes do not miss nar
 MOST_CELLS = 2**16
 """Splitting ends at this number of cells in a level, in 2-D after 1.6 million evaluations."""
 _RELATIVE = 1e-10
-_ABSOLUTE = 1e-13  # tolerance relative to the whole integral
+_ABSOLUTE = 1e-13  # tolerance of the error, relative to the whole integral
 _FORCED_DEPTH = {1: 16, 2: 8}
 
 CELLS = {1: 64, 2: 16}
@@ -229,8 +229,8 @@ def positive_integral(
         If the unresolved part does not shrink, the integral is infinite and the error is 0.
         Poles r^-a with a > 0.97 count as divergent.
         See `mcspectra.densities.reciprocal_integral`.
-        If the integral was extrapolated by a geometric series of ratio r, the error is larger:
-        it is the last change of the extrapolated integral times the larger of 1 and r/(1 − r).
+        If a geometric series of ratio r extrapolated the integral, the error has two factors:
+        the last change of the extrapolated integral, and the larger of 1 and r/(1 − r).
         Where poles cross, the levels form only approximately a geometric series.
     """
     with np.errstate(over="ignore", invalid="ignore"):

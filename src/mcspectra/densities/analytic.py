@@ -322,7 +322,7 @@ class CosineWeighted(_Separable):
     -----
     The term *cosine-weighted* has two meanings, which agree here.
     In flatland, x = ½ + θ/π is the angle of a direction above a line, with p(θ) = cos θ/2.
-    On the hemisphere with cos θ/π by solid angle, the polar angle θ has the density sin 2θ.
+    On the hemisphere with cos θ/π per steradian, the polar angle θ has the density sin 2θ.
     In the coordinate x = 2θ/π, the density sin 2θ becomes the density p(x) of this class.
     The warp θ = arcsin √u is the warp of Malley's method [Pharr2016]_ (§13.6.3).
     The density is 0 at both ends, and ∫1/p diverges.

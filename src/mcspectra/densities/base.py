@@ -335,7 +335,7 @@ class _ByFunctions(Density):
 class FunctionDensity(_ByFunctions):
     """A density given by functions pdf, sample and (optionally) invert.
 
-    Create it with `Density.from_functions`, which checks it.
+    Create this density with `Density.from_functions`, which checks it.
     The functions are called with read-only float64 arrays (..., d) with any leading axes.
     """
 

@@ -217,8 +217,8 @@ def compensated(
     -----
     Gauss rules of 4 nodes per axis compute the means of the other densities over the cells.
     If all other densities are 0 at one of these nodes, the cell keeps its value λ p.
-    If all other densities are 0 at one node of a cell, the cell keeps its value λ p.
     Therefore some technique samples f everywhere; `MultipleImportance` checks it again.
+    Compensation is optimal only if f is proportional to p.
     If f has further factors, the estimate is still unbiased.
 
     Examples

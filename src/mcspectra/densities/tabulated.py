@@ -83,7 +83,7 @@ def as_table(values: object) -> Array:
     """Check relative densities and return them as a read-only copy."""
     try:
         given = np.asarray(values)
-    except ValueError:  # rows of different lengths
+    except ValueError:  # the rows have different lengths
         given = np.asarray(None)
     if given.dtype.kind not in "fiub":
         raise ParameterError(
@@ -387,7 +387,7 @@ class _Hierarchical:
     def breaks(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Borders of the first splits, which all divide the same axis.
 
-        Borders of the first splits are whole lines. Borders of later splits are omitted segments.
+        The first borders are whole lines. Later borders are only segments, and are omitted.
         """
         found: list[tuple[float, ...]] = [(), ()]
         if self.axes.size:

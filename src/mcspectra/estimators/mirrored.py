@@ -33,7 +33,7 @@ _MOST_DIMS = 12  # An average over all reflections takes 2^d values of f
 
 @final
 class Mirrored(AbstractEstimator):
-    """An estimator that mirrors the primary-space integrand of another estimator; same integral.
+    """Estimator that mirrors another estimator's primary-space integrand, with the same integral.
 
     Parameters
     ----------

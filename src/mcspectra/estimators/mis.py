@@ -300,7 +300,7 @@ class OneSampleMIS(Combined):
         return PrimaryIntegrand(self, technique, self.integrand)
 
     def primary_values(self, technique: int, u: Array) -> Array:
-        """Return g(u) = w_t f/(P_t p_t). One coordinate of u selects t, T_t maps all others."""
+        """Return g(u) = w_t f/(P_t p_t). One coordinate selects t, and T_t maps all others."""
         del technique
         x, weights = self._chosen(u)
         values = scale(self.domain_integrand(x), weights)

@@ -414,7 +414,7 @@ class Moments:
         """Return the share of the variance that comes from values beyond all sampled ones.
 
         A tail t^-k is fitted to the `many` farthest values. Let M values lie in this tail.
-        In expectation, values beyond all of them contribute M^(2k − 1) of the sum of squares.
+        In expectation, values beyond the sampled ones contribute M^(2k − 1) of the sum of squares.
         """
         far, index = self._farthest(many)
         share = np.divide((far**2).sum(axis=0), self.m2, out=0.0 * self.m2, where=self.m2 > 0)
@@ -510,7 +510,7 @@ def mean_interval(values: Array) -> tuple[float, float]:
     """Return a 95 % interval of the mean of independent estimates, (R,).
 
     The interval contains Student's t interval and the interval by Hall's cubic transform.
-    Hall's interval depends on the skewness [Hall1992]_. Both agree for normal estimates.
+    Hall's interval depends on the skewness [Hall1992]_. Both intervals agree for normal estimates.
     For skewed estimates, the interval extends farther on the side of the tail.
     """
     count = len(values)

@@ -124,7 +124,7 @@ class BorderGrowth:
     nearest: float
 
     def endless(self, settings: TailSettings = TAIL_SETTINGS) -> bool:
-        """Return whether the variance may be infinite if f grows like this."""
+        """Return whether the variance may be infinite if f grows with this exponent."""
         return self.exponent > settings.largest and self.low > settings.surely
 
     def without_integral(self, settings: TailSettings = TAIL_SETTINGS) -> bool:
@@ -208,7 +208,7 @@ def growing_interval(
 
 @lru_cache(maxsize=256)
 def _growing_quantile(exponent: float, count: int, settings: TailSettings) -> float:
-    """Return the quantile of Student's t of `count` numbers u^−κ on the side of low means."""
+    """For `count` numbers u^−κ, return the quantile of Student's t on the side of low means."""
     rng = np.random.default_rng((count, round(1000.0 * (exponent + 1.0))))
     u = rng.random((max(1000, min(settings.samples, 10_000_000 // count)), count))
     x = -np.log(u) if exponent == 0.0 else (u**-exponent - 1.0) / exponent

@@ -74,8 +74,8 @@ _LEAST_INSET = 2.0**-51  # Least distance to a corner, as a fraction of its coor
 # Near a corner, f may differ from its polynomial by this multiple of the last coefficients.
 # A larger difference indicates a jump
 _SMOOTH = 100.0
-# If this many probe points differ from the polynomials, the error is their standard error,
-# and not the error that is estimated from the boxes
+# If this many probe points differ from the polynomials, their standard error is the error.
+# The error that is estimated from the boxes is then not used
 _LEAST_SEEN = 30
 _LOOKS = 2  # The second set of probe points is this many times as large as the first
 # Smallest size of a box as a fraction of its coordinates, and smallest size next to 0
@@ -92,7 +92,7 @@ _CUTS, _CUT = 34, 0.4871
 # Number of peaks that are examined on a line, and number of bisections toward each peak.
 # A peak is a pole if its values grow by more than the factor `_GROWN`
 _PEAKS, _CLIMBS, _GROWN = 4, 24, 4.0
-# At a jump, at least this fraction of the change across the first step remains after all cuts
+# At a jump, at least this fraction of the original change remains after all cuts of the step
 _STAYS = 0.5
 # Offset of a second, parallel line. Both lines are compared at this distance from a jump
 _ASIDE, _ABOUT = 2.0**-20, 2.0**-30
@@ -294,7 +294,7 @@ def adaptive_integral(
     In the first case, the integral changes by more than the cell's share of 1e-12 ∫|f|.
     In the second case, f at a probe point differs from the polynomial through nearby nodes.
 
-    The error is the sum of the last differences, and of an estimate of all later ones.
+    The error is the sum of the last differences and an estimate of all later differences.
     A second value of ∫ f adds a correction: the mean of f minus the polynomials at probe points.
     The error of the corrected value is three standard errors of the correction.
     The value with the smaller error is used.
@@ -509,7 +509,7 @@ def _at_points(function: QuadratureIntegrand, points: Array) -> Array:
 def _after(left: list[Array]) -> Array:
     """Return the sum of all later differences as a multiple of the last difference.
 
-    The differences are taken to form a geometric series.
+    The differences are assumed to form a geometric series.
     If each difference is half of the difference before, the result is 1.
     Next to a pole, successive differences shrink slowly, and the ratio of differences rises.
     Therefore, if the ratio of differences exceeds 0.55, the result is increased by half.

@@ -170,7 +170,7 @@ class Integrand(Component, ABC):
     channels
         Number of channels, which is the length of the last axis of values. It is 0 for a scalar f.
     stock_samplers
-        Samplers of the renderer that evaluates f, as specs. It is empty for other functions.
+        Samplers of the renderer that evaluates f, as specs. The tuple is empty for other functions.
     """
 
     stock_samplers: ClassVar[tuple[str, ...]] = ()
@@ -192,7 +192,7 @@ class Integrand(Component, ABC):
         DomainError
             If x has another number of dims, or is not finite.
         ParameterError
-            If the function does not return real numbers in this shape.
+            If the function does not return real numbers of shape (...) or (..., channels).
         """
         points = as_real_array("x", x)
         if points.ndim == 0 or points.shape[-1] != self.dims:
@@ -674,7 +674,7 @@ def integral_estimate(integrand: Integrand) -> Estimate:
 
 
 def found_breaks(integrand: Integrand) -> tuple[Array, ...]:
-    """Return the breaks along each axis: those that f declares, and those that searches detect.
+    """Return the breaks along each axis: breaks that f declares, and breaks that searches detect.
 
     See `mcspectra.integrands._quadrature.search_breaks`.
     """

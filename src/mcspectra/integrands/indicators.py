@@ -320,7 +320,7 @@ def _ball_volume(dims: int, radius: float) -> float:
 def _disk_share(lo: Array, hi: Array, center: Array, radius: float) -> Array:
     """Return the fraction of the rectangles [lo, hi], (..., 2), that lies in a disk.
 
-    Inclusion and exclusion combines areas of quadrants.
+    The method of inclusion and exclusion combines areas of quadrants.
     Differences of nearly equal areas would leave rounding errors.
     Therefore rectangles that lie completely inside or outside the disk are set to 1 or 0.
     """

@@ -54,8 +54,7 @@ def smoothed(
         δ > 0: the width of the ramp across the edge, or the side of the box.
     method
         ``"distance"`` is a linear ramp across the edge.
-        The ramp applies to step, disk and half-space,
-        and to the discontinuous functions of [Christensen2018]_.
+        Ramps apply to step, disk, half-space and the discontinuous functions of [Christensen2018]_.
         ``"box"`` is the mean over a box. It applies to any f if δ ≤ 1.
         ``"auto"`` uses the distance if it is known, otherwise the box.
     nodes

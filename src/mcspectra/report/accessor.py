@@ -59,7 +59,7 @@ class Result:
         Parameters
         ----------
         kind
-            One of `kinds`. Default: the first.
+            Kind of figure, one of `kinds`. Default: the first of them.
         axes
             Matplotlib axes to draw into, one per panel. Default: new axes.
         ax

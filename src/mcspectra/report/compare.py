@@ -44,7 +44,7 @@ class Difference(NamedTuple):
     ratio
         Variance of the second result divided by the variance of the first, at `n`.
     rate
-        Rate of the second result minus the rate of the first.
+        Rate of the second result minus the rate of the first result.
     """
 
     n: int | None

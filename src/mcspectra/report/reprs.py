@@ -34,7 +34,7 @@ SIDE = 132
 
 _BLUE = "#0072B2"
 # Five colors of viridis (van der Walt, Smith 2015), equally spaced in lightness.
-# Colors between these five are interpolated linearly.
+# Colors between the five colors are interpolated linearly.
 _VIRIDIS = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37))
 _CLIPPED = 0.5  # percentage of values clipped at each end, because functions may have poles
 _POINTS = 64
@@ -52,7 +52,7 @@ Pictures: TypeAlias = list[tuple[str, str]]
 def component_html(component: object) -> str:
     """Return the HTML of a component. For an unknown kind of component, only its spec is shown."""
     with warnings.catch_warnings(), np.errstate(all="ignore"):
-        warnings.simplefilter("ignore")  # for unusual counts, and for 0/0 in f/p
+        warnings.simplefilter("ignore")  # counts may be unusual, and f/p may be 0/0
         if isinstance(component, Sampler):
             return _page(component.spec, *_sampler(component))
         if isinstance(component, Density):

@@ -365,7 +365,7 @@ def _summary(
 
 
 def _stored(names: Iterable[str]) -> dict[str, str]:
-    """Map names in the store to full names. If two names would be equal, the first is kept."""
+    """Map names in the store to full names. If two names in the store are equal, keep the first."""
     given = list(names)
     found: dict[str, str] = {}
     for key, name in zip(html.anchors(given), given, strict=True):
@@ -374,7 +374,7 @@ def _stored(names: Iterable[str]) -> dict[str, str]:
 
 
 def _gaps(root: Path, asked: Mapping[str, Sequence[str]]) -> Iterator[html.Block]:
-    """Yield the analyses that failed, with reasons, and those not computed yet."""
+    """Yield the analyses that failed, with reasons, and analyses that were not computed yet."""
     heading = html.Paragraph(text="What is missing", kind="heading")
     try:
         status = study_status(root)

@@ -240,7 +240,7 @@ def _anova(sampler: str, data: xr.Dataset) -> Rows:
     labels, shares = data.attrs["labels_subset_label"], data["anova_share"]
     mean = shares.mean("channel") if "channel" in shares.dims else shares
     for i in np.argsort(-mean.values)[:10]:
-        axes = labels[i].translate(SUBSCRIPTS)  # show x0x1 in the store as x₀x₁
+        axes = labels[i].translate(SUBSCRIPTS)  # the name x0x1 in the store is shown as x₀x₁
         yield sampler, axes, percent(float(mean.values[i]))
 
 

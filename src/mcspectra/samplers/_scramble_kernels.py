@@ -151,7 +151,7 @@ def _reversed(word: Any) -> Any:
 def _hashed(word: Any, add: Any, factor: Any, add_2: Any, factor_2: Any) -> Any:
     # Hash a reversed word so that every bit depends only on the bits below.
     # In the XOR of x and an even multiple of x, every bit depends only on the bits below.
-    # In the product (x + summand) · (odd factor), every bit also depends on no higher bits.
+    # In the product (x + summand) · (odd factor), every bit also depends only on lower bits.
     # All numbers are uint32.
     x = np.uint32(word)
     x = np.uint32(x ^ np.uint32(x * np.uint32(0x3D20ADEA)))
@@ -531,7 +531,7 @@ def _draw_triangle(k0: np.uint64, k1: np.uint64, number: int, base: int, out: Ar
 @kernel
 def _multiply(matrix: Array, base: int, v: int, out: Array) -> None:
     # Add the matrix times the digits of v to out (m,), without reduction modulo the base.
-    # Skip zero digits: all digits after the last digits of a net's points are zeros.
+    # Skip zero digits, which follow the last digits of a net's points.
     inverse = 1.0 / base
     for c in range(out.size - 1, -1, -1):
         above = _quotient(v, inverse)

@@ -476,8 +476,8 @@ def snap_in_chunks(
 ) -> None:
     """Move points to a low-discrepancy set, keeping their order in chunks; out (s, s, 2).
 
-    Each of the s cells of a column gets one of s intervals of the column's width.
-    Each of the s cells of a row gets one of s intervals of the row's height.
+    In each column, the s cells get s different intervals of the column's width.
+    In each row, the s cells get s different intervals of the row's height.
     Within a chunk, intervals follow the order of the points.
     Chunks follow the van der Corput sequence with randomly shifted digits.
     A point is uniform within its interval.

@@ -105,7 +105,7 @@ class PointSets(dict[int, Array]):
         """The recognized law of the sets of each count.
 
         The largest set must pass a strict test to count as a net with some quality t.
-        Smaller sets count as nets if their quality parameter t is not larger.
+        Smaller sets count as nets if their quality t is at most that of the largest set.
         """
         found: dict[int, Law] = {}
         largest: tuple[int, int] | None = None
@@ -344,7 +344,7 @@ def _is_group(
     add: Callable[[Array, Array], Array],
     multiples: Callable[[Array, int], Array],
 ) -> bool:
-    """Return whether distinct rows of whole numbers (n, d) are closed under `add`; one must be 0.
+    """Return whether distinct rows of integers (n, d) are closed under `add`; one row must be 0.
 
     ``multiples(row, count)`` are 0, row, row + row, … as an array (count, d).
     """

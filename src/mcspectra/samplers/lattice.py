@@ -21,7 +21,7 @@ from mcspectra.samplers.law import Fixed, Law
 
 __all__ = ["Fibonacci", "Korobov", "Kronecker", "Rank1Lattice", "golden_steps", "nested_lattices"]
 
-_EVALUATIONS = 2**24  # largest number of kernel values per component; about 0.1 s
+_EVALUATIONS = 2**24  # largest number of kernel values per component; takes 0.1 s
 _LEAST_CANDIDATES = 16
 _BITS = 64
 _S11, _UNIT = np.uint64(11), 2.0**-53
@@ -242,7 +242,7 @@ def _bernoulli(n: int) -> Array:
 
 
 def _candidates(n: int, most: int) -> Array:
-    """Return numbers 1 … n/2 coprime to n, thinned evenly to `most`; n − z is equivalent to z."""
+    """Return numbers z ≤ n/2 coprime to n (n − z is equivalent), at most `most`, evenly thinned."""
     z = np.arange(1, max(2, n // 2 + 1))
     z = z[np.gcd(z, n) == 1]
     spread = np.linspace(0, z.size - 1, min(max(_LEAST_CANDIDATES, most), z.size))
@@ -279,7 +279,7 @@ class Fibonacci(PlaneSampler, _Lattice):
         return below, min(f for f in _FIBONACCI if f >= n)
 
 
-_FIBONACCI = [1, 2]  # Fibonacci numbers up to the first above the largest count
+_FIBONACCI = [1, 2]  # Fibonacci numbers up to the first one above the largest count
 while _FIBONACCI[-1] <= MAX_COUNT:
     _FIBONACCI.append(_FIBONACCI[-1] + _FIBONACCI[-2])
 

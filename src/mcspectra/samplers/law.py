@@ -6,8 +6,8 @@ The variance of an estimator combines the spectrum of its integrand with the sam
 
 The covariance C_ml is a property of the sampler's law.
 A sampler states its law once, in `Sampler.law`. All else is computed by functions of the law.
-The functions of laws compute closed forms, exact variances, predictions and rates.
-Another function of laws chooses the orthonormal basis that fits the sampler.
+Functions of a law compute closed forms, exact variances, predictions and rates.
+Another function of a law chooses the orthonormal basis that fits the sampler.
 Each function chooses a formula by the outermost class of a law, and calls itself on inner laws.
 No function tests a sampler's name.
 

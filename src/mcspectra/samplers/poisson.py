@@ -54,7 +54,7 @@ Further arguments are the keys of a realization, and the index of the next rando
 The function returns the number of points placed, and the new index."""
 
 DENSEST = (1.0, 2.0 / 3.0**0.5, 2.0**0.5, 2.0, 2.0 * 2.0**0.5, 8.0 / 3.0**0.5, 8.0, 16.0)
-"""n·r^d of the densest known packings of n spheres of diameter r in 1 to 8 dims.
+"""Value of n·r^d for the densest known packings of n spheres of diameter r in 1 to 8 dims.
 
 The packings are line, hexagons, fcc, D4, D5, E6, E7 and E8. They are listed in table 1.2 of
 [Conway, Sloane (1999), "Sphere Packings, Lattices and Groups"]."""
@@ -65,7 +65,7 @@ _DEFAULT_RADIUS = (0.7, 0.75, 0.75, 0.75)
 The default radii are slightly below the jamming radii 0.748, 0.777, 0.803, 0.806 [Torquato2006]_.
 """
 
-_FIRST_RADIUS = (0.755, 0.785, 0.81, 0.815)  # first relative radius for maximal sets
+_FIRST_RADIUS = (0.755, 0.785, 0.81, 0.815)  # first radius that is tried for maximal sets
 # Ratio of successive radii. In 2-D, each larger radius has room for 2 % fewer points.
 _NEXT_RADIUS = 1.01
 _MOST_MAXIMAL = 3  # largest number of dims: 1000 points take 0.8 s in 3-D, a minute in 4-D
@@ -87,7 +87,7 @@ class PoissonDisk(Sampler):
     boundary
         ``"toroidal"``: distances are on the torus. ``"bounded"``: distances are in the cube.
         In the cube disks extend beyond the domain, and points near the boundary are more likely.
-        With distances in the cube, points are therefore not uniform.
+        If distances are in the cube, points are therefore not uniform.
     mode
         ``"exact"``: the minimum distance is the same for all sets, see `radius`.
         ``"maximal"``: no further disk fits into a set, and each set has its own minimum distance.

@@ -268,7 +268,7 @@ def _pair_energy(dx: float, dy: float) -> float:
 
 @kernel
 def _gain(i: int, axis: int, bit: Any, members: Any, words: Array, owner: Array) -> float:
-    # Return the decrease of the energy of point i if `bit` is flipped in all words of a strip.
+    # Return by how much the energy of point i falls if `bit` is flipped in all words of a strip.
     # The pair `members` contains the numbers `strip` and `shift`, which define the strip.
     # A coordinate `word` lies in the strip if its leading bits, word >> shift, equal `strip`.
     # owner (columns, rows) is the point in each cell.

@@ -178,7 +178,7 @@ def transport_cost(points: object) -> float:
 
     The unit square is partitioned into equal parts, one for each point, with the least cost.
     The cost W₂² is the mean square distance on the torus from a place to the point of its part.
-    In 1-D it is computed by sorting, in 2-D by the power diagram with equal areas.
+    In 1-D the cost is computed by sorting, in 2-D by the power diagram with equal areas.
     A square grid has n · cost = 1/6. The lower bound is the cost of a hexagonal grid:
     n · cost = 0.1604 (5/(18√3)).
 
@@ -245,7 +245,7 @@ class GaussianBlueNoise(OptimisedSampler):
     -----
     The paper uses gradient descent. Here limited-memory BFGS is used, which needs fewer steps.
     In up to 3 dims, pairs are cut off at 6 σ, and work grows like n.
-    In more dims, all images count, through the Fourier series of the Gaussian on the torus.
+    In more dims, all periodic images count, through the Fourier series of the Gaussian.
     In more than 3 dims, work grows like n².
     The start is random and the energy is invariant under translation, so every point is uniform.
 

@@ -1,6 +1,6 @@
 """Randomizations of digits: they preserve elementary intervals, and strata with suitable sides.
 
-The sides of these strata are powers of the base. Each sampler has a base for its digits.
+Suitable sides of strata are powers of the base. Each sampler has a base for its digits.
 The base is usually 2; halton, for instance, has primes. All randomizations act in this base.
 """
 
@@ -150,7 +150,7 @@ def _powers_possible(sampler: Sampler, base: int, exponents: range) -> Iterator[
 
 
 class _OfPlaces(_OfDigits):
-    """One permutation (with `shift`, a shift) per digit of each coordinate, for all points."""
+    """Base class: one permutation or shift (`shift`) per digit place, the same for all points."""
 
     shift: ClassVar[bool] = False
 
@@ -224,7 +224,7 @@ class DigitalShift(_OfPlaces):
         _OfPlaces._scramble(self, keys, bases, points, out)
         if not self.jitter:
             return
-        # Replace all digits beyond the first m, for the smallest b^m of at least n
+        # Replace all digits after the first m, where m is the smallest number with b^m ≥ n
         n, dims = out.shape[1:]
         sides = np.array([float(base) ** _places(n, int(base)) for base in bases])
         own = uniforms(keys ^ np.uint64(_JITTER), n * dims).reshape(out.shape)

@@ -96,7 +96,7 @@ class Subset(Randomization):
     def counts_near(self, sampler: Sampler, n: int) -> tuple[int | None, int]:
         """Return the nearest allowed counts: (n, n) if n itself is allowed.
 
-        Every n is allowed that is at most the size of the whole set.
+        Every n up to the size of the whole set is allowed.
         """
         below, above = sampler._counts_near(n) if self.of is None else (self.of, self.of)
         if n <= above <= MAX_COUNT:

@@ -60,7 +60,7 @@ class _MatchedSampler(PlaneSampler, OptimisedSampler):
     def misfit(self, points: object) -> float:
         """Return the root-mean-square difference between the power of `points` and the target.
 
-        The mean square is over all frequencies. The power of each is the mean power of its ring.
+        The mean square is over all frequencies. The power of a frequency is the mean over its ring.
         The points have shape (n, 2).
         """
         x = as_unit_points(points, dims=2)

@@ -547,7 +547,7 @@ class Hexagonal(PlaneSampler, FixedSet):
 
 
 def _hexagonal_count(across: int) -> int:
-    """Return the number of points in rows of length `across`, for the best number of rows."""
+    """Return the number of points of the hexagonal set with `across` points in each row."""
     return 2 * across * max(1, round(across / math.sqrt(3.0)))
 
 

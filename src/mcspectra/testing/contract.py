@@ -63,7 +63,7 @@ _QUADRATURE_DIMS = 3
 _MISSED = 20.0
 _FREQUENCIES = ((1,), (-3,), (0, 2), (1, -1), (4, 7), (2, 1, 0), (0, -1, 3))
 _SEED = 7
-_NEED_SECONDS = 0.1  # time limit for `need`; a study calls it often
+_NEED_SECONDS = 0.1  # time limit for `need`, which a study calls for every estimator and sampler
 _SIZE = 2  # number of blocks in a chunk of an analysis
 
 
