@@ -5,8 +5,8 @@ A key moves the slider of the strata shift.
 After each move, the server updates all figures in rounds with more and more realizations.
 The page records when bokeh receives new data for the first figure.
 The page also records when the last figure gets its data of the first round.
-The processor time of the server is a median over all moves.
-The time of a move lasts from the key press until the last figure of the last round.
+The server's processor time is measured for each move of the slider, and the median is printed.
+Each measurement lasts from the key press until the last figure of the last round.
 """
 
 from __future__ import annotations

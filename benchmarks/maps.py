@@ -4,7 +4,7 @@ The raw calls evaluate four strategies separately:
 light sampling and BSDF sampling, each with and without the weights of MIS.
 Mitsuba's kernels read random numbers and first hits from tables that exist before the measurement.
 A kernel processes all samples in parallel, and sums over the samples of a pixel.
-The raw calls copy results to NumPy, without statistics.
+The raw Mitsuba calls copy their results to NumPy, and compute no statistics.
 The map loops over samples. One evaluation gives both the plain and the weighted estimate.
 The line "kernels alone" measures the map's loops without its statistics.
 ``--full`` maps 256 × 170 pixels without predictions and compares with the raw calls alone.

@@ -143,7 +143,10 @@ def _against_qmcpy() -> None:
 
 
 def _alone() -> None:
-    """Print points per second without a reference, and seconds to optimize an uncached set."""
+    """Print the speed of two samplers that are not compared with other packages.
+
+    The sets of ``bnot`` are optimized in each round, without the cache.
+    """
     for spec, n, aim in (("pmj02", COUNT, "5 M points/s"), ("bnot", 1024, "5 s")):
         sampler = mcs.sampler(spec, dims=2)
         draw = getattr(sampler, "_optimize", None)

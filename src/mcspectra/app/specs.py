@@ -126,7 +126,7 @@ def base_and_steps(text: str) -> tuple[str, list[str]]:
 
 
 def chain(base: str, steps: Sequence[str], text: str) -> str:
-    """Join names to a chain. Components that are also in `text` keep their parameters."""
+    """Return a chain of the given names. Components in `text` keep their parameters."""
     try:
         known = {call.name: str(call) for call in parse_chain(text)}
     except McspectraError:

@@ -91,7 +91,8 @@ class LineFit:
         Differences between y and the line, with shape (N,).
     chi2
         Lack of fit, Σ w residual² per degree of freedom.
-        The lack of fit is about 1 for a straight line. It is NaN for two points.
+        The value is about 1 if the points lie on a straight line within their errors.
+        For two points, the value is NaN.
     """
 
     slope: float

@@ -24,13 +24,15 @@ Therefore the choice of the warp determines the rate.
 * ``"alias"`` [Walker1977]_ [Vose1991]_: this warp costs O(1).
   u_0 chooses one of h·w bins of equal size, and one of the two cells in the bin.
   The remainder of u_0 gives the position along x_0, and u_1 gives the position along x_1.
-  A line along u_0 crosses up to 2hw − 1 jumps, and each jump can go to any cell of the table.
+  In a table of h × w cells, a line along u_0 crosses up to 2hw − 1 jumps.
+  Each jump can go to any cell of the table.
   Point sets remain stratified only in u_1, and only within cells.
   Several bins may map to the whole of a cell, so T is many-to-one and has *no inverse*.
 * ``"hilbert"`` [SteiglederMcCool2003]_: u_0 chooses a cell by the cdf along a Hilbert curve.
   The remainder of u_0 gives the position in the direction in which the curve leaves the cell.
   u_1 gives the position in the cell perpendicular to the curve.
-  A line along u_0 crosses up to hw − 1 jumps, where the Hilbert curve turns.
+  In a table of h × w cells, a line along u_0 crosses up to hw − 1 jumps.
+  The jumps are at the turns of the Hilbert curve.
   If the table is a square of side 2^k, each jump stays within two neighboring cells.
   In a table of another size, jumps can be longer, because the curve leaves the table and returns.
     A line along u_1 crosses no jumps.

@@ -32,9 +32,9 @@ _PRIOR = 20
 _LEAST = 10  # Fewer values than this cannot show a tail
 # Number of smallest and of largest values that are stored; the tail index is fitted to these values
 _TAIL = 64
-_LEAST_TAIL = 300  # With fewer values, the extreme values are not a tail
-_CLUMPS = 4.0  # If the kurtosis is at most this, extreme values are not a tail
-_LEAST_POINTS = 3000  # With fewer points, the 256 farthest values are not a tail
+_LEAST_TAIL = 300  # With fewer values, no tail index is fitted
+_CLUMPS = 4.0  # Values with at most this kurtosis do not count as heavy-tailed
+_LEAST_POINTS = 3000  # With fewer points, no tail is fitted to the 256 farthest values
 # Limits for the share of the variance that comes from values beyond all sampled values.
 # If g is bounded, values beyond the sampled values have a small share of the variance.
 # The table has the limit for each number of farthest values to which a tail is fitted

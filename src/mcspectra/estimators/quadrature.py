@@ -491,8 +491,8 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
     Quadrature by levels records the unresolved part of each level (`mcspectra.densities.adaptive`).
     If g = f/p, quadrature by levels integrates f²/p over the domain:
     in primary space, floating-point numbers are sparse next to 1.
-    The integral is infinite if the unresolved part does not shrink.
-    If g grows toward a plane normal to an axis with an exponent below ½, the integral is finite.
+    ∫g² is infinite if the unresolved part does not shrink.
+    ∫g² is finite if g grows as t^-a with a < ½ at the distance t from a plane normal to an axis.
     If both values of ∫g² are finite, the value with the smaller error is used.
     In more dims, poles that are not on planes normal to an axis at best cause a large error.
     """

@@ -174,7 +174,8 @@ def border_growth(
         fits = [fitted(logs, y), fitted(logs[1:], y[1:])]
         exponent, low = (min(fit[k] for fit in fits) for k in (0, 1))
         sign = 1 if fits[0][2] > 0.0 else -1
-        # Growth means that values rise away from the median and are rare elsewhere
+        # f grows toward a face if values close to the face are far above (or below) the median.
+        # Only few of all values of f may be equally far from the median
         usual = np.quantile(sign * (values - centre), settings.outermost)
         grows = np.median(sign * (y[: count // 4] - centre)) > usual
         grows &= all(sign * slope > settings.sure * error for _, _, slope, error in fits)

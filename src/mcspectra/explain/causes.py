@@ -482,7 +482,7 @@ class Evidence:
         return self.opposite <= self.settings.opposite
 
     def each(self, name: str) -> Array:
-        """Return one measured quantity for all lines through g, concatenated over techniques."""
+        """Return one quantity, measured along all lines and concatenated over techniques."""
         return np.concatenate([getattr(lines, name) for lines in self.lines])
 
 

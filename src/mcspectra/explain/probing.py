@@ -73,7 +73,7 @@ class LineSettings:
     # This step is also much smaller than the distance between features that 16 steps can find.
     # With 6 halvings, 29 of 152 test cases fail; values from 12 to 24 give the same results.
     halvings: int = 12
-    # The exponent is computed from the second differences of this number of last halvings.
+    # Number of final halvings whose second differences determine the exponent.
     # Values from 3 to 6 give the same results; with 12, two of 152 test cases fail.
     late: int = 6
     # A line crosses a pole if the exponent of its second differences is below this value.
@@ -670,7 +670,10 @@ def _climbed(
 def _measured(
     g: Function, top: Array, step: float, rng: np.random.Generator, settings: PoleSettings
 ) -> Pole | None:
-    """Measure a pole on rays from the top of a climb, and by a quadratic form around the top."""
+    """Measure a pole along rays, and by a quadratic form.
+
+    Both start at the highest place that the search for a pole (the climb) has reached.
+    """
     d, radii = len(top), np.array(settings.radii)
     top = np.where(top < 2.0 * step, _EDGE, np.where(top > 1.0 - 2.0 * step, 1.0 - _EDGE, top))
     inward = np.where(top < 0.5, 1.0, -1.0)

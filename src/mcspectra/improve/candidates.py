@@ -3,7 +3,7 @@
 A *kind* of change is a function that takes the given set-up and yields candidates.
 Each candidate has a text that describes the change in the imperative.
 A kind of change without candidates raises an error with the reason.
-`candidates_of` yields the candidates of several kinds.
+`candidates_of` yields the candidates of all requested kinds of change.
 """
 
 from __future__ import annotations

@@ -85,7 +85,8 @@ class LearnSettings:
     # Maximum number of dims of a learned density. In 24-D, the fit of a flow takes 9 s.
     most_dims: int = 24
     # Least allowed number of evaluations. Half of the 256 evaluations are for the fit.
-    # A quarter of the 256 evaluations chooses a candidate, with six sets of two points for each.
+    # A quarter of the 256 evaluations is for the choice between candidates.
+    # For this choice, each candidate is evaluated with six sets of two points.
     # Another quarter of the 256 evaluations checks the result on fresh points.
     least_evaluations: int = 256
     # Least number of evaluations by default.
@@ -116,7 +117,8 @@ class LearnSettings:
     steps: int = 120
     # Largest change of the logarithm of a spline weight in one step of L-BFGS.
     # With the limit 1, a weight changes by a factor of at most e in a step.
-    # With 0.5 or 2, the variances of fitted densities change by 1 %, and one falls by 18 %.
+    # If the limit is 0.5 or 2 instead, one variance of a fitted density falls by 18 %.
+    # The variances of the other fitted densities change by 1 %.
     longest: float = 1.0
     # L-BFGS ends if the entropy decreases by less than this number.
     # With values from 2e-10 to 2e-8, variances of fitted densities are the same to three digits.

@@ -53,7 +53,7 @@ _BUDGET = 2**22  # Maximum number of evaluations of a refined grid
 _LIMIT = 2**24  # Maximum number of evaluations of a first grid. More raise an error
 _FOURIER_TOLERANCE = 1e-10
 _BLOCK = 2**18  # Number of points that are evaluated at once
-_CACHED = 2**17  # Maximum number of floats of a block in the processor's cache
+_CACHED = 2**17  # Maximum number of floats in a block, so that the block fits into the cache
 
 # Least number of nodes per axis for bases whose functions are not constant in cells
 _PRODUCT_NODES = {1: 512, 2: 512, 3: 64, 4: 32}

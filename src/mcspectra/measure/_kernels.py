@@ -28,7 +28,7 @@ __all__ = [
 # Number of coefficients of a tile, a constant of the compiled kernels.
 # The size of a tile has no effect on the sums.
 # The arrays of a tile take 512 · 56 bytes = 28 KiB. A first-level cache often has 32 KiB.
-# The arrays of a tile are the complex spectrum and coefficient, the weight and two labels.
+# The 56 bytes hold two complex numbers (spectrum and coefficient), a weight and two integers.
 _TILE = 512
 
 

@@ -490,8 +490,9 @@ def anova_variances(
     The cost is O(R n d²) evaluations for order 2 and O(R n d) for order 1.
     Correlated parts may have a negative c_u.
     Noise may also make c_u slightly negative, within its standard error.
-    A sampler of given sets (`Sampler.from_points`) cannot draw an independent set as a partner.
-    For given sets, replaced axes come from random points, so errors are larger.
+    The method replaces coordinates of a set by coordinates of a second, independent set.
+    A sampler of given sets (`Sampler.from_points`) cannot draw an independent second set.
+    For given sets, the second set consists of random points, so errors are larger.
 
     Examples
     --------

@@ -113,8 +113,8 @@ class ChainSettings:
     # With a least number of 10 draws, there is one false alarm in 475 cases.
     # With 20 draws, there is no false alarm, and the same heavy tails are found as with 40 draws.
     least_tail: int = 20
-    # Smallest allowed value of the largest |draw| of a quantity.
-    # The largest allowed |draw| is 1 divided by `smallest`.
+    # For each quantity, the largest |draw| must be at least this number, or 0.
+    # The largest |draw| must be at most 1 divided by `smallest`.
     # Within these limits, sums of squares of any number of draws are in the range of float64.
     smallest: float = 1e-100
     # Draws count as too few if the error has fewer degrees of freedom than this.
@@ -378,7 +378,7 @@ def quantity_error(x: Array, w: Array, settings: ChainSettings = CHAIN_SETTINGS)
         drifts = "the chain drifts: its mean still moves after half of the draws"
         return _stationary_error(x, w, _edges(n), drifts, settings)
     rest = _stationary_error(x[:, dropped:], w[:, dropped:], _edges(n), "", settings)
-    if "stuck-chain" in rest["cause"]:  # stuck even without the burn-in
+    if "stuck-chain" in rest["cause"]:  # A chain is stuck even without its burn-in
         return _stationary_error(x, w, _edges(n), "", settings)
     said = (
         f"the first draws depend on where the chains began, so the first {dropped} of {n} of each "

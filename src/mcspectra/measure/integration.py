@@ -190,7 +190,7 @@ def integrate(
         For the interval, failed points may have any value between the least and the largest.
         The note reports the number of failed points and the first failed point.
     tolerance
-        Half width of the interval at which evaluation stops, even within the budget.
+        Evaluation stops when the half width of the interval has fallen to this number.
         The note reports if the budget is spent before the tolerance is reached.
     profile
         A profile of f (`mcspectra.Profile`), which recommends the estimator and the sampler.

@@ -603,7 +603,7 @@ def _broken(label: str, length: float, look: Look) -> str:
 
 
 def _mark(axes: Axes, mark: Mark, depth: float, look: Look) -> ScalarMappable | None:
-    """Draw a mark. If its colors show a scale, return the artist."""
+    """Draw a mark, such as a line or bars. Return its artist if the plot needs a color bar."""
     from matplotlib.collections import LineCollection
 
     paint: dict[str, Any] = {"color": getattr(mark, "color", INK), "zorder": depth}

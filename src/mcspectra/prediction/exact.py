@@ -210,8 +210,8 @@ def exact_variance(
         The default is the number of dims of the sampler, unless the sampler is a spec.
     tolerance
         Largest relative error of the variance, 1e-12 to 1.
-        Undeclared jumps of f that are not across an axis limit the tolerance.
-        The least possible tolerance is 1e-3 with random points, and about 0.1 with strata.
+        If f has undeclared jumps that are not across an axis, small tolerances are impossible.
+        The least possible tolerance is then 1e-3 with random points, and about 0.1 with strata.
         The message of the error gives a tolerance that is possible.
         With 1e-3 or more in at least 4 dims, f may be fitted by a sum of products.
         The factors of these products are functions of one axis.

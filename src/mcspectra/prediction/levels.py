@@ -206,7 +206,7 @@ def _scrambled(net: Fixed, bases: tuple[int, ...], known: Known) -> Predicted:
         weighed = weighed + (gains[ends][..., None] * parts)[:, new].sum(axis=1)
         counted[at] = True
 
-    # If the tables have every level whose gain is not 1, the variance within cells has gain 1
+    # The variance within cells has the gain 1 if every level with another gain is in the tables
     assert first is not None
     parts, within, off = first
     inside = parts.reshape(len(within), -1, within.shape[1]).sum(axis=1)

@@ -223,7 +223,8 @@ def _of_products(law: PairedAxes, sums: _Sums) -> float:
 def _of_fine_cells(p: AnovaModel) -> list[tuple[Array, Array, Array]]:
     """Return means of the curves, energies of g_i and covariances of the factors, of each axis.
 
-    Fine cells contain the whole energy. Means over parts and strata are exact.
+    The cells are so fine that means over cells keep nearly all energy of the curves.
+    Means over parts and strata, which are larger cells, are exact.
     """
     found, own = list[tuple[Array, Array, Array]](), len(p.main[0])
     for curves, main, factors in zip(p.axes, p.main, p.factors, strict=True):

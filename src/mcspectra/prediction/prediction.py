@@ -167,7 +167,7 @@ class AutoSettings:
         Additional counts with larger intervals are not used for rates.
         An error of this size changes a slope over two octaves by 0.16.
     square, coefficients, tables
-        Numbers of evaluations of g by which costs of methods are estimated.
+        Numbers of evaluations of g, from which the costs of methods are estimated.
         Computing ∫g² takes at most `square` evaluations.
         In 2-D, coefficients of g take about `coefficients` evaluations, and tables about `tables`.
     """
@@ -419,7 +419,7 @@ def extrapolated(
     settings: ExtrapolationSettings = _EXTRAPOLATION,
 ) -> Predicted:
     """Fit a line to log variances measured at the small counts closest to n, but not at n."""
-    # Use counts near n at which sets are as regular as at n.
+    # Use counts near n for which point sets are as regular as sets of n points.
     # If n is a power of two, these counts are powers of two.
     # For any other n, the counts differ from n by multiples of a power of two that divides n
     step = min(n & -n, 1 << max(0, (n // settings.near).bit_length() - 1))
@@ -927,7 +927,8 @@ class Prediction(Counted, frozen=True, kw_only=True):
         full = (len(samplers), len(methods), -1, channels)
         n = np.array([each for each in counts for _ in methods], float)
 
-        # Each rate is the slope from the count before, or for the first count to the next count.
+        # The rate at a count is the slope from the previous count to this count.
+        # At the first count, the rate is the slope to the next count.
         # Counts whose interval contains 0 have no rate
         known = np.where(cells.low > 0.0, cells.variance, np.nan).reshape(shape)
         with np.errstate(invalid="ignore"):  # Both variances may be infinite
@@ -1069,7 +1070,7 @@ def predict(
         * ``"terms"``: the sum of the terms of `variance_terms`
         * ``"measured"``: the sample variance of the estimates at n
     tolerance
-        Largest relative error of a variance by the method exact.
+        For the method exact, the largest relative error of the variance.
     half_width
         Half width for the methods covariance, homogenized and terms.
         These methods sum over the frequencies m in {−half_width … half_width}^d.
@@ -1095,7 +1096,8 @@ def predict(
         ``predicted_variance(n)`` has the 95 % interval ``predicted_variance_ci(n, bound)``.
 
         ``energy_share(n)`` is the part of ∫g² for which a method computes every term of a sum.
-        Methods that sum over frequencies give the part of ∫f². Methods without such sums give 1.
+        For methods that sum over frequencies, the share is the part of ∫f² at these frequencies.
+        For methods without a sum over frequencies, the share is 1.
         ``tail_variance(n)`` is the part of the variance that comes from the rest of ∫g².
 
         ``local_rate(n)`` is the slope from the count before.
@@ -1153,7 +1155,7 @@ def predict(
     A limit of theory is used if the last slopes are at least as steep.
 
     If theory gives no limit, the slopes over the last octaves must agree.
-    The octaves extend to 4 times the last count, or to n = 2^16 for strata.
+    The last octave ends at 4 times the largest requested count; for strata, it ends at n = 2^16.
     Counts are extended only in 1 to 3 dims, and only if no sets have to be drawn.
     If the slopes agree, the limit is a nearby exponent of theory.
     The exponents of theory are −1 − k/d with an integer k, −2 and −3.

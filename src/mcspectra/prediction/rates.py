@@ -86,7 +86,7 @@ class DecaySettings:
         Few frequencies leave ripples in the means. Each half width takes less than a second.
     noise
         Rounding noise of |f_m|² relative to the largest |f_m|².
-        Coefficients are accurate to 1e-13. Any threshold from 1e-28 to 1e-24 gives the same fits.
+        Coefficients are accurate to 1e-13. Fits are the same for thresholds from 1e-28 to 1e-24.
     """
 
     octaves: int = 3
@@ -127,17 +127,17 @@ class JumpSettings:
         Distance from a break at which g is evaluated on both sides.
         Detected breaks are accurate to 2^-46.
         Over this distance, g changes by at most `least` if its slope is below 500 times its RMS.
-        Any distance from 1e-9 to 1e-5 finds the same breaks.
+        The breaks are the same for distances from 1e-9 to 1e-5.
     least
         Smallest step that counts as a jump, relative to the root mean square of g.
         A jump of 1e-4 adds a variance 1e-8 times as large as the variance of random points.
         No feasible number of points measures such a small variance.
-        Any threshold for a jump from 1e-6 to 1e-2 gives the same rates.
+        The rates are the same if the threshold for a jump is from 1e-6 to 1e-2.
     border
         A jump does not cut a stratum if it is closer than this distance to the stratum's border.
         The distance is given as a fraction of the width of a stratum.
         For n up to 2^30, rounding moves positions in strata by less than this distance.
-        Any distance from 1e-8 to 1e-4 gives the same rates.
+        The rates are the same for distances from 1e-8 to 1e-4.
     """
 
     dims: int = 5
@@ -167,32 +167,32 @@ class LimitSettings:
     near
         The limit is a theoretical exponent that differs from the slope by less than this number.
         The difference is limited to 0.4/d, because theoretical exponents are 1/d apart.
-        Any threshold from 0.1 to 0.4 gives the same limits of rates.
+        The limits of rates are the same for thresholds from 0.1 to 0.4.
     agree
         Largest difference between local slopes in the octaves at the end of a curve.
-        Thresholds from 0.2 to 0.4 give the same limits. With 0.1, one limit of 64 is not found.
+        The limits are the same for thresholds from 0.2 to 0.4. With 0.1, one of 64 is not found.
     leaves
         Largest difference between the last slope and a theoretical exponent.
         If slopes move away from an exponent beyond this difference, the exponent is not the limit.
-        Any largest difference from 0.025 to 0.1 gives the same limits.
+        The limits are the same for allowed differences from 0.025 to 0.1.
     still
         Three successive slopes count as constant if they differ by at most this number.
         A constant slope may be the limit of the rate even if theory does not list it.
         For example, the variance next to a pole t^-a has the rate −1 − (1 − 2a)/d.
-        Any largest difference from 0.005 to 0.02 gives the same limits.
+        The limits are the same for allowed differences from 0.005 to 0.02.
     change
         A curve may bend if its first slope differs from its limit by more than this number.
-        Any threshold from 0.15 to 0.3 finds the same bends.
+        The bends are the same for thresholds from 0.15 to 0.3.
     most_change
         Largest candidate change of the exponent at a bend. Exponents lie between −1 and −5.
-        Any largest change from 4 to 8 finds the same bends.
+        The bends are the same for largest changes from 4 to 8.
     tried
         Numbers of candidates for the position of a bend, and for the change of the exponent.
         Over 10 octaves, candidate bends are 0.1 octaves apart. This is the accuracy of a bend.
     better
         A curve has a bend if two power laws fit it much better than one power law.
         The scatter about two power laws must be below this fraction of the scatter about one.
-        Any fraction from 0.125 to 0.25 finds the same bends. With 0.5, one more curve bends.
+        The bends are the same for fractions from 0.125 to 0.25. With 0.5, one more curve bends.
     """
 
     late: int = 4
@@ -405,8 +405,8 @@ def rates_of(
 
         Limit: the theoretical bound, if it is certain and the last slope is at least as steep.
         The last slope is over the last four octaves.
-        Without a certain bound, the limit is a theoretical exponent close to the last slope.
-        Without a certain bound, a limit is given only in up to 3 dims.
+        If no bound is certain, the limit is the theoretical exponent nearest to the last slope.
+        This exponent must be close to the last slope, and is used only in up to 3 dims.
         A limit requires that the slope hardly changes over these octaves.
         The theoretical exponents are −1 − k/d, −2 and −3.
         Here k is 0 for white power, 1 for a jump, 2 for strata and 3 for a kink.

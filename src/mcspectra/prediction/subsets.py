@@ -138,7 +138,8 @@ class SubsetSettings:
         The energy is a fraction of the energy of all profiles of the axis.
         Halving or doubling either value changes only the variance of the ball in 4-D.
     rank, few_rank
-        Largest number of products in many dims, and in at most `few_dims` dims.
+        Largest number of products in a fit, if the fit has more than `few_dims` dims.
+        In at most `few_dims` dims, a fit has at most `few_rank` products.
         In few dims, only functions with jumps across axes are predicted by a sum of products.
         More products would not resolve the jumps of a function in few dims.
         The ball is predicted within ±86 % with three products, and within ±53 % with twelve.
@@ -341,7 +342,7 @@ def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
 @final
 @dataclass(frozen=True)
 class Curves:
-    """An axis in smooth pieces: the knots are the ends of pieces, with the nodes between them."""
+    """Curves along one axis: smooth between the knots, and given by their values at the nodes."""
 
     knots: Array
     nodes: Array

@@ -168,7 +168,7 @@ class DrawnSettings:
         With half this limit, more sets than `most_sets` would be needed.
         Twice the limit changes the variance by 1.9 %.
     low
-        Half width of the frequencies at which all sets are transformed.
+        Half width of the box of low frequencies. At low frequencies, all sets are transformed.
         The low frequencies hold the energy of smooth functions.
         Half or twice the half width changes the variance by less than 0.5 %.
     length, least_lengths
@@ -696,8 +696,9 @@ def _drawn(
     lawful = isotropic and len(np.unique(np.rint(length[inside] ** 2 * n))) >= _DRAWN.least_lengths
     core = replace(low, energy=np.where(inside, low.energy, 0.0) if lawful else 0.0 * low.energy)
     sums, low_sum, count = [np.zeros(r.shape) for r in regions], np.zeros(low.shape), 0
-    # Add three parts of the variance. The first is at low frequencies with a smooth power law.
-    # The other parts are at all other low frequencies, and at all higher frequencies
+    # Add three parts of the variance.
+    # The first part is from low frequencies at which a smooth function may fit the power.
+    # The second part is from all other low frequencies, and the third from higher frequencies
     values: tuple[list[Array], ...] = ([], [], [])
     while True:
         for x in (

@@ -348,7 +348,11 @@ class _Result:
 
 
 def _result(case: _Case, level: float, rng: int) -> _Result:
-    """Run the tests. Relabelings are used if there are enough of them and the noise is equal."""
+    """Run the tests of the difference between the two sets of frames.
+
+    The tests relabel frames if enough relabelings exist and both sets have equal noise.
+    Otherwise t tests are used.
+    """
     ours, theirs, contrast = case.ours, case.theirs, case.contrast
     rows = np.concatenate([ours.rows, theirs.rows])
     channels = np.concatenate([ours.channels, theirs.channels])

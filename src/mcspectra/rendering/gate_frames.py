@@ -2,7 +2,7 @@
 
 A stored reference is one EXR file with the mean image and the pixel variance of one frame.
 The file also stores the mean of every 4 × 4 tile of each frame, as a mosaic of small pictures.
-Frames can therefore be relabeled one by one, although the file has only a few layers.
+The tests can therefore relabel each frame, although frames are not separate layers of the file.
 """
 
 from __future__ import annotations

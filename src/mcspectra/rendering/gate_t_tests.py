@@ -216,7 +216,7 @@ def _skewness(frames: Array, contrast: Contrast) -> float:
 def _skewed_tail(probability: float, skewness: float) -> float:
     """Replace a normal tail probability by the tail of a Pearson III law at the same point.
 
-    The law has the given skewness, and its longer tail is used.
+    The law has the given skewness. The returned probability is that of its longer tail.
     """
     from scipy.special import gammaincc, ndtri
 

@@ -638,7 +638,7 @@ def variance_map(
             subjects.append(Subject(None, source))
         single = len(subjects) == 1
         if pixels is not None and not (single or isinstance(rng, int)):
-            # All samplers measure the same pixels, also with a generator or without a seed
+            # Let all samplers measure the same pixels, even if `rng` is a generator or None
             rng = np.random.SeedSequence(Stream.from_rng(rng).key)
         parts = [analysis] if single else checked(analysis).of_samplers(subjects)
         maps = [

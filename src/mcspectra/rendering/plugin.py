@@ -291,7 +291,9 @@ def _seeded(state: LaneState | PixelState | None) -> LaneState | PixelState:
 
 _TAKEN = ("coordinate", "single_offset", "pair_offset")
 _REQUESTS = 4  # number of sets that are drawn together for one pixel
-_MOST_REQUESTS = 2**16  # largest number of requests per pixel in scalar variants
+# In scalar variants of Mitsuba, the point sets repeat after this number of requests per sample.
+# A request asks for one or two random numbers
+_MOST_REQUESTS = 2**16
 
 
 class PixelState:

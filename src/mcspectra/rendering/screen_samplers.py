@@ -356,7 +356,7 @@ class CommandScreen(ScreenSampler):
         return runs, [size // part for size, part in zip(sizes, runs, strict=True)]
 
     def blocks(self, block: ScreenBlock, seeds: int) -> tuple[int, bool]:
-        """Return how many blocks differ: only one if the command has no placeholder of the seed."""
+        """Return how many blocks differ. If the command has no ``{seed}``, all blocks are equal."""
         del block
         return (seeds if "{seed}" in self.run else 1), False
 

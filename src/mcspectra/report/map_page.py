@@ -245,7 +245,7 @@ def map_layers(result: xr.Dataset) -> dict[str, Array]:
 def _layers(name: str, data: xr.DataArray) -> Iterator[tuple[str, Array]]:
     """Yield a layer for each combination of sampler, strategy, bounce and count.
 
-    An interval has two layers, one for each end.
+    An interval gives two layers: an image of all lower ends, and an image of all upper ends.
     """
     outer = next((dim for dim in data.dims if dim not in ("y", "x")), None)
     if outer is None:

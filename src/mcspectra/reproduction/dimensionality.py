@@ -30,7 +30,7 @@ _BYTES = 16  # bytes per complex number
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Compare maps and bands with small matrices; for more dims, use maps and bands alone."""
+    """Check maps and bands against a matrix in 1-D and 2-D; in more dims, show maps and bands."""
     realizations = 200 if quick else 4000
     whole = {d: bell_terms("jittered", d, SMALL[d], realizations, seed, matrix=True) for d in SMALL}
     runs = {d: bell_terms("jittered", d, RUNS[d], realizations, seed) for d in RUNS}

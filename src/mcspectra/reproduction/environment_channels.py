@@ -139,7 +139,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 )
                 for way, curve in planes.items()
                 for c, color in enumerate(_COLORS)
-                # Luminance is mostly green: green has small jumps, and reaches its limit late
+                # Luminance is mostly green, so green sampled by luminance has only small jumps.
+                # Because of the small jumps, the rate for green reaches its limit late
                 if (way, color) != ("one", "green")
             ),
             *(

@@ -239,7 +239,7 @@ def matrix_panel(title: str, values: Array, *, y: bool = True) -> Panel:
 
 
 def in_columns(plot: Plot, first: int = 0) -> Plot:
-    """Rearrange a plot with two panels per sampler, one above the other; `first` is the upper."""
+    """Put the two panels of each sampler into one column; `first` (0 or 1) is the upper panel."""
     panels = (*plot.panels[first::2], *plot.panels[1 - first :: 2])
     return replace(plot, panels=panels, columns=len(panels) // 2, wide=True)
 
@@ -247,7 +247,7 @@ def in_columns(plot: Plot, first: int = 0) -> Plot:
 def interval_panel(
     rows: Mapping[str, Sequence[Measured]], labels: Sequence[str], x: str, at: float | None = None
 ) -> Panel:
-    """Return horizontal intervals in one row per name. Each interval of a row has one label."""
+    """Return a panel with one row for each name, and one horizontal interval for each label."""
     marks: list[Mark] = (
         [] if at is None else [ReferenceLine(at=at, axis="x", color=INK, dashes="--")]
     )

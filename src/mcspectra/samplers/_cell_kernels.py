@@ -220,7 +220,8 @@ class Diagram(NamedTuple):
         The coupling of a face is length / (2 distance).
         If the weight of the neighbor grows by ε, the area of cell i shrinks by ε · coupling.
     work
-        Amount of work: each visit of a site or grid cell adds the number of corners of the cell.
+        Amount of work to compute all cells. Each visit to a square of the search grid adds 1.
+        Each comparison with another site adds the number of corners that the cell has then.
     """
 
     areas: Array

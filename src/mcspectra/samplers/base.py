@@ -359,7 +359,7 @@ class Randomization(Component, ABC):
         return Unknown(n=n, dims=law.dims, is_uniform=law.uniform or self.debiases)
 
     def count_inside(self, sampler: Sampler, n: int) -> int:  # noqa: ARG002
-        """Return the number of points of `sampler` that yield `n` randomized points."""
+        """Return how many points `sampler` must draw to get `n` randomized points."""
         return n
 
     def fit(self, sampler: Sampler) -> Randomization:

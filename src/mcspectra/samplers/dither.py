@@ -23,7 +23,7 @@ Arrays ``points`` float64 (s, s, 2) have one point in each of s × s cells, in u
 the point of cell (i, j) is in [i, i+1) × [j, j+1), on the torus.
 
 The width of the Gaussian is 1.5 cells, as in Ulichney's paper.
-If the spacing of the ones exceeds three cells, the width grows with the spacing.
+If the ones of the pattern are more than three cells apart, a wider Gaussian is used.
 The reason is that voids are found only if the Gaussian of each point reaches the next point.
 """
 

@@ -147,7 +147,7 @@ def nested_lattices(sampler: Sampler, n: int, parts: int, *, at_once: bool = Fal
         By default, `parts` is a power of two.
         For each power of two k up to `parts`, the points 0, k, 2k, … form a lattice.
         With `at_once`, only the points 0, parts, 2 parts, … form a lattice.
-        The smallest lattice is the default lattice of n/parts points.
+        The points 0, parts, 2 parts, … are the default lattice of n/parts points.
     """
     plain = sampler.plain
     if not isinstance(plain, Rank1Lattice) or plain.vector is not None:

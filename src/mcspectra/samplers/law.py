@@ -170,7 +170,8 @@ class Motif(ABC):
         Whether points may leave their cell and are then wrapped around the torus.
         If points wrap, transforms are valid only at integer frequencies.
     uniform
-        Whether a point of the motif is uniform in its cell, or on the torus if points wrap.
+        Whether every point of the motif is uniform in its cell.
+        If points wrap, the points must instead be uniform on the torus.
     """
 
     size: ClassVar[int] = 1

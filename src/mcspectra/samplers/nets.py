@@ -374,8 +374,8 @@ class JoinedPairs(_BinaryNet):
     The ten columns give the least quality parameter t: 1, 2 and 3 for 16, 64 and 256 points.
     For Larcher and Pillichshammer's net of 2^m points, with m up to 16,
     the matrix U is the best of 80 to 3000 random matrices.
-    The best U has the smallest variance of a digital shift in four dims.
-    The variance of the digital shift is a sum over the dual net.
+    With the best U, the digitally shifted points in 4-D give the smallest variance.
+    This variance is a sum over the dual net.
     In this sum, a Walsh function has the weight Π_i 4^-a_i, where index k_i has a_i binary digits.
     """
 

@@ -84,7 +84,7 @@ class PMJ(_PlaneSequence):
 
     def _law(self, n: int) -> Law:
         # Each set is Owen-scrambled by construction.
-        # The numbers of leading digits that pairs of points share differ between sets.
+        # In different sets, two points have different numbers of common leading digits.
         # The mean over a few random sets represents all sets.
         sets = (Fixed(n=n, dims=2, bases=(2, 2), seed=k).of(self) for k in range(_SETS))
         return Choice(n=n, dims=2, laws=tuple(scrambled(each, "nested", (2, 2)) for each in sets))

@@ -306,7 +306,7 @@ class Owen(_OfDigits):
     def law_of(self, law: Law, n: int) -> Law:  # noqa: ARG002
         """Return the law after nested scrambling.
 
-        Scrambling by hashes gives the same joint distribution of two points.
+        For two points, scrambling by hashes gives the same joint distribution as nested scrambling.
         """
         return scrambled(law, "nested", self._bases(law.dims))
 

@@ -147,7 +147,7 @@ def analyse_path(
         A request is one decision at one bounce. Coordinates are not grouped.
         ``lights``: shares of the variance by `shares_by_light`, for 2 to 64 lights.
         ``remedies``: result of `path_remedies` for the last sampler at the largest n.
-        ``predict``, with full effort: predicted variances by `mcspectra.predict` on (sampler, n).
+        ``predict``: result of `mcspectra.predict` on (sampler, n), only with full effort.
         Attributes of the tree's root: the pixel, the integrator, and names of the coordinates.
         ``lights_note`` gives the reason if shares of lights are unknown.
 

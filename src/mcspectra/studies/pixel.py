@@ -187,8 +187,9 @@ def analyse_pixel(
         ``incident``: `incident_light`.
         ``picture``: ``image`` of the scene on (y, x, channel), small, by few paths.
         ``remedies``: remedies by `mcspectra.remedies` for the balance heuristic.
-        Attributes of the root describe the pixel and what it shows, and name the terms' sampler.
-        Sentences in ``diagnosis_STRATEGY`` describe the causes for that sampler.
+        Attributes of the root describe the pixel and what the pixel shows.
+        The attribute ``sampler`` is the sampler of the variance terms.
+        The text ``diagnosis_STRATEGY`` describes the causes of the noise with this sampler.
 
     Raises
     ------

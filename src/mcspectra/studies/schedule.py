@@ -325,7 +325,7 @@ class Schedule:
             self._paces[kind] = 0.5 * (self._paces.get(kind, pace) + pace)
         if not self._guarded(active.cell, lambda: active.add(outcome)):
             return
-        # Do not record a cell whose chunks are all done, because it soon has its result.
+        # If all chunks of a cell are done, do not record them: the result of the cell follows soon.
         # Only a cell with a target precision may need many further steps
         if not active.complete or _is_adaptive(active.cell):
             active.record(outcome.host, least=_RECORDED_AFTER)

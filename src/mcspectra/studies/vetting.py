@@ -96,7 +96,7 @@ class Vetting:
         Raises
         ------
         ConfigError
-            Same as in `calls`, or if the code is not allowed.
+            If a file is outside the allowed folders, or if the code is not allowed.
         """
         (first, *rest), inputs = self.calls(text)
         self._trust.check_code(first)

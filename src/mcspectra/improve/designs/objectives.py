@@ -81,7 +81,7 @@ class Objective:
         Name of the class in messages.
     draw
         Function of M and a random generator that returns M random integrands of the class.
-        A list of integrands is the whole class.
+        For a list of integrands, the function returns all integrands of the list.
     whole
         The functions of the whole class if all of them are known; otherwise None.
     """
