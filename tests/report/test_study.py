@@ -43,7 +43,7 @@ def page(folder):
 @pytest.fixture
 def blank(monkeypatch):
     """Replace the contents of figure files by nothing."""
-    monkeypatch.setattr(backend_matplotlib, "draw", lambda plot: None)
+    monkeypatch.setattr(backend_matplotlib, "draw", lambda plot, **_: None)
     # A PDF without bytes would count as not drawn
     monkeypatch.setattr(backend_matplotlib, "encode", lambda figure, **_: (bytes(24), b" "))
     monkeypatch.setattr(backend_bokeh, "packed", lambda model: "")
