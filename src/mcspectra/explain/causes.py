@@ -91,29 +91,29 @@ class CauseSettings:
     # Least number of scrambled nets at which the integrand is evaluated.
     # A variance estimated from 20 normal values has a relative standard error of a third.
     # With 40 nets of half the size, one of 152 test cases gets a wrong cause.
-    # With 10 nets instead of 20, all test cases get the right cause.
+    # All test cases get the right cause with 10 nets instead of 20.
     nets: int = 20
     # With a larger budget of evaluations, the number of nets grows as the budget's square root.
     # Nets then have 512 points or more, so a curve of variance covers ten or more counts of points.
     # Beyond ten counts, more nets improve the measured rate more than larger nets do.
     more_from: int = 16384
     # Fraction of the budget that is spent on lines through g and on the search for poles.
-    # With a fraction from 0.1 to 0.4, all test cases get the right cause.
+    # All test cases get the right cause with a fraction from 0.1 to 0.4.
     lines_share: float = 0.2
     # Fraction of the budget that is left to check a change of the estimator.
-    # With a fraction from 0.075 to 0.15, all test cases get the right cause.
+    # All test cases get the right cause with a fraction from 0.075 to 0.15.
     # With 0.3, too few evaluations are left for nets, and one test case gets a wrong cause.
     check_share: float = 0.15
     # Fraction of the budget for the given sampler, if nets cannot estimate its variance.
     # The scrambled nets then get 40 % of the budget.
-    # With a fraction from 0.125 to 0.5, all test cases get the right cause.
+    # All test cases get the right cause with a fraction from 0.125 to 0.5.
     given_share: float = 0.25
     # Largest fraction of `lines_share` that the search for a pole may spend. Lines get the rest.
-    # With a fraction from 0.4 to 0.8, all test cases get the right cause.
+    # All test cases get the right cause with a fraction from 0.4 to 0.8.
     # If the pole search leaves no evaluations for lines, four test cases get a wrong cause.
     pole_share: float = 0.8
     # Fraction of `lines_share` that is spent on an estimate of the mean dimension of g.
-    # With a fraction from 0.125 to 0.25, all test cases get the right cause.
+    # All test cases get the right cause with a fraction from 0.125 to 0.25.
     # With 0.5, fewer evaluations are left for lines, and four test cases get a wrong cause.
     dimension_share: float = 0.25
     # Number of points at which g is evaluated a second time, to detect random values.
@@ -125,7 +125,7 @@ class CauseSettings:
     same_value: float = 1e-6
     # In many dims, a pole is searched for only if one value of g is an outlier.
     # The largest squared deviation of g from its mean must exceed the variance by this factor.
-    # With a factor from 150 to 600, all test cases get the right cause.
+    # All test cases get the right cause with a factor from 150 to 600.
     climbed: float = 300.0
     # Smallest and largest allowed size of g.
     # Sums of squares of numbers within these limits stay in the range of float64.
@@ -133,7 +133,7 @@ class CauseSettings:
     largest: float = 1e120
     # Least number of dims in which the mean dimension is estimated.
     # In 1 to 3 dims, nets resolve the interactions of all axes well enough.
-    # With 4 to 8 dims, all test cases get the right cause. With 2 dims, one gets a wrong cause.
+    # All test cases get the right cause with 4 to 8 dims. With 2 dims, one gets a wrong cause.
     many_dims: int = 4
     # Number of points for which the joint distribution of a sampler's points is examined.
     # The kind of distribution is the same for all n (tested with 32 and 128).
@@ -141,10 +141,10 @@ class CauseSettings:
     # Error of a measured exponent of growth. The variance is infinite for exponents above ½.
     # Exponents above 0.48, which is ½ minus the error, are also reported as infinite variance.
     # In all 18 test cases with a pole, the measured exponent has an error of at most 0.02.
-    # With an error from 0.01 to 0.04, all test cases get the right cause.
+    # All test cases get the right cause with an error from 0.01 to 0.04.
     exponent_error: float = 0.02
     # Error of the order of a pole inside the cube if the pole is found by lines only.
-    # With an error from 0.04 to 0.16, all test cases get the right cause.
+    # All test cases get the right cause with an error from 0.04 to 0.16.
     bend_error: float = 0.08
     # Tail index of g above which the integral of g does not exist. In theory the limit is 1.
     # For a pole of order 1, the measured tail index is 0.95 or more.
@@ -153,34 +153,34 @@ class CauseSettings:
     # If g grows at the border with an exponent above this value, the growth is a main cause.
     # Growth of g with a smaller exponent is listed after all other causes.
     # With an exponent of 0.04 as the limit, two test cases get a wrong cause.
-    # With a limit from 0.08 to 0.16, all test cases get the right cause.
+    # All test cases get the right cause with a limit from 0.08 to 0.16.
     grows: float = 0.08
     # Kurtosis of g above which a tail is heavy, if few values hold most of the variance.
     # The kurtosis is 3 for normal, 9 for exponential, and 114 for lognormal values with σ = 1.
-    # With a kurtosis from 15 to 60 as the limit, all test cases get the right cause.
+    # All test cases get the right cause with a kurtosis from 15 to 60 as the limit.
     heavy_kurtosis: float = 30.0
     # A tail is also heavy if a single value has more than this fraction of the sum of squares.
-    # With a fraction from 0.1 to 0.4, all test cases get the right cause.
+    # All test cases get the right cause with a fraction from 0.1 to 0.4.
     # Warnings about unresolved tails use the same fraction (`measure/blindness.py`).
     large_share: float = 0.2
     # The tail is judged by the fraction of the values that hold nine tenths of the variance.
     # A tail is heavy if this fraction is below `few_values`,
     # and the tail is the main cause of noise if the fraction is below `very_few_values`.
-    # With `few_values` from 0.025 to 0.1, all test cases get the right cause.
-    # With `very_few_values` from 0.005 to 0.01, all test cases get the right cause.
+    # All test cases get the right cause with `few_values` from 0.025 to 0.1.
+    # All test cases get the right cause with `very_few_values` from 0.005 to 0.01.
     # With `very_few_values` = 0.02, two test cases get a wrong cause.
     few_values: float = 0.05
     very_few_values: float = 0.01
     # Largest number of different values of a step function, as a fraction of all evaluations.
-    # With a fraction from 0.025 to 0.1, all test cases get the right cause.
+    # All test cases get the right cause with a fraction from 0.025 to 0.1.
     few_different: float = 0.05
     # Least number of lines from which a profile concludes that g has no problem.
     # 4 lines miss a feature that half of all lines cross with probability 1/16.
-    # With 2 to 8 lines, all test cases get the right cause.
+    # All test cases get the right cause with 2 to 8 lines.
     least_lines: int = 4
     # Of the jumps that lines cross, the fraction that seems to lie on planes normal to an axis.
     # Above this limit, the discontinuity of g is reported as parallel to axes.
-    # With a limit from 0.35 to 0.7, all test cases get the right cause.
+    # All test cases get the right cause with a limit from 0.35 to 0.7.
     # With a limit above 1, no discontinuity is reported as parallel to an axis.
     straight: float = 0.7
     # Least ratio of the number of lines with a jump to the number of lines with a cusp.
@@ -189,30 +189,30 @@ class CauseSettings:
     jumps_of_cusps: float = 0.05
     # The function oscillates if more than this fraction of places along a line are local extremes.
     # For noise, ⅔ of all places are local extremes.
-    # With a fraction from 0.165 to 0.33, all test cases get the right cause.
-    # With a fraction of ⅔, four test cases get a wrong cause.
+    # All test cases get the right cause with a fraction from 0.165 to 0.33.
+    # Four test cases get a wrong cause with a fraction of ⅔.
     turns: float = 0.33
     # Least number of waves along a line at which g is called oscillating.
     # The 16 steps along a line resolve functions with fewer than 6 waves.
-    # With 3 to 12 waves as the limit, all test cases get the right cause.
+    # All test cases get the right cause with 3 to 12 waves as the limit.
     waves: float = 6.0
     # Nets resolve g if their variance is lower than that of random points by this factor.
-    # With a factor from 2 to 8, all test cases get the right cause.
+    # All test cases get the right cause with a factor from 2 to 8.
     resolved: float = 4.0
     # Number of points that resolve a smooth function that does not oscillate.
     # The number of points is doubled for each axis along which g oscillates.
-    # With 8 to 32 points, all test cases get the right cause.
+    # All test cases get the right cause with 8 to 32 points.
     coarse_cube: float = 16.0
     # Mean dimension above which g varies with many axes at once.
     # The mean dimension is 1 for additive functions, and 2 for functions of pairs of axes.
-    # With a mean dimension from 0.9 to 3.6, all test cases get the right cause.
+    # All test cases get the right cause with a mean dimension from 0.9 to 3.6.
     low_dimension: float = 1.8
     # Many dims are not a problem if nets have less variance than random points by this factor.
-    # With a factor from 4 to 16, all test cases get the right cause.
+    # All test cases get the right cause with a factor from 4 to 16.
     little_gain: float = 8.0
     # A random shift of the points adds variance if g differs between opposite faces of the cube.
     # The limit applies to the mean squared difference of g, divided by the variance of g.
-    # With a limit from 5e-4 to 2e-3, all test cases get the right cause.
+    # All test cases get the right cause with a limit from 5e-4 to 2e-3.
     opposite: float = 1e-3
     # Number of points at which 1/p is averaged if the pdf p does not match its samples.
     # If 1/p is smooth, a net of 4096 points gives four correct digits, as many as are printed.
@@ -236,13 +236,13 @@ class CauseSettings:
     # Rounding g to steps of 1 % of its spread changes the variance by 1e-5.
     # The same fraction selects the lines on which g may oscillate:
     # the variance along a line must exceed this fraction of the largest variance along any line.
-    # With a fraction from 0.005 to 0.02, all test cases get the right cause.
+    # All test cases get the right cause with a fraction from 0.005 to 0.02.
     coarse: float = 1e-2
     # A technique of MIS can be a cause if its part of the variance is large.
     # Any technique with more than the fraction `dominant` of the variance is reported.
     # The technique with the slowest rate is also reported above the fraction `largest_part`.
-    # With `dominant` from 0.4 to 1.6, all test cases get the right cause.
-    # With `largest_part` from 0.25 to 1, all test cases get the right cause.
+    # All test cases get the right cause with `dominant` from 0.4 to 1.6.
+    # All test cases get the right cause with `largest_part` from 0.25 to 1.
     dominant: float = 0.8
     largest_part: float = 0.5
     # Rates of two techniques are different if they are this many standard errors apart.
