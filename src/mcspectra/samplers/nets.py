@@ -327,8 +327,8 @@ def _irreducible() -> tuple[int, ...]:
 # Columns of the matrices U in `JoinedPairs`, as numbers whose lowest bit is row 0.
 # One matrix U serves all counts of Sobol' points.
 # The matrices of Larcher and Pillichshammer depend on m, so each m has its own matrix U
-_LINK = (1, 3, 5, 14, 16, 49, 122, 170, 459, 612)
-_LARCHER_LINKS = (
+_LINK: tuple[int, ...] = (1, 3, 5, 14, 16, 49, 122, 170, 459, 612)
+_LARCHER_LINKS: tuple[tuple[int, ...], ...] = (
     (),
     (1,),
     (3, 1),
