@@ -32,6 +32,7 @@ LINE, BELL = "linear", "gaussian(center=0.35, width=0.12)"
 DENSITY = "linear(slope=1)"  # p = ½ + x, for which ∫1/p = ln 3
 N = 16
 HALF_WIDTH = 40
+_SHOWN = 16  # half width of the matrices in the figure
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
@@ -87,7 +88,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         each[~np.eye(len(each), dtype=bool)]
         for each in (data["cross_matrix"].values for data in every)
     ]
-    entries = exact_matrix(f, "jittered", DENSITY, HALF_WIDTH)
+    entries = exact_matrix(f, "jittered", DENSITY, _SHOWN)
 
     # Exact terms over all frequencies. The bell needs only a few frequencies
     terms_of = {
@@ -118,7 +119,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             plot_of(
                 "exact-matrices",
                 matrix_panel("real part", entries.real),
-                matrix_panel("imaginary part", entries.imag, y=False),
+                _without_y(matrix_panel("imaginary part", entries.imag, y=False)),
                 _conjugates(values, [measured["bell, p = ½ + x, jittered"], other]),
             ),
             _matrices(1, line),
@@ -230,30 +231,31 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     )
 
 
+def _without_y(panel: Panel) -> Panel:
+    return replace(panel, y=replace(panel.y, ticks={}))
+
+
 def _conjugates(values: Sequence[float], variances: Sequence[Measured]) -> Panel:
     """Plot the sums of both products, and the measured variances of f(x) and f(1 − x)."""
     at, scale = np.arange(2.0), 1e-5
     names = dict(zip(at.tolist(), ("⟨Sₘ Sₗ*⟩", "⟨Sₘ* Sₗ⟩"), strict=True))
     value = np.array(values) / scale
-    color = TERM_COLORS["predicted_variance"]
-    bars = BarChart(at=at, value=value, color=color, thickness=0.5, label="sum of all entries")
-    marks: list[Mark] = [bars]
-    for k, (each, label) in enumerate(zip(variances, ("f(x)", "f(1 − x)"), strict=True)):
-        marks.append(
-            ReferenceLine(
-                at=each.value / scale, color=PALETTE[2 * k], dashes=("-", "--")[k],  # type: ignore[arg-type]
-                width=1.8, label=f"measured variance of {label}",
-            )
-        )  # fmt: skip
+    marks: list[Mark] = [
+        BarChart(at=at, value=value, color=TERM_COLORS["predicted_variance"], thickness=0.5)
+    ]
+    for x, each, label in zip((0.6, 1.1), variances, ("f(x)", "f(1 − x)"), strict=True):
+        y = each.value / scale
+        marks.append(ReferenceLine(at=y, color=PALETTE[0], dashes="--", width=1.8))
+        marks.append(TextMark(x=x, y=y, text=f"Var, {label}", color=PALETTE[0], side="above"))
     marks += [
         TextMark(x=float(x), y=float(y) / 2, text=number(float(y), 3), side="middle")
         for x, y in zip(at, value, strict=True)
     ]
     return Panel(
         marks=tuple(marks),
-        x=Axis(low=-0.6, high=1.6, ticks=names),
-        y=Axis(label="sum · 10⁵", low=0.0, high=1.15 * float(value.max())),
-        title="sum of the matrix",
+        x=Axis(low=-0.5, high=1.7, ticks=names),
+        y=Axis(label="sum · 10⁵", low=0.0, high=1.2 * float(value.max())),
+        title="sums",
     )
 
 

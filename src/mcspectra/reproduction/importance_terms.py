@@ -155,13 +155,14 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             "N": N,
             "without": number(LINE.exact()[1] / sum(LINE.exact()), 2),
             "two": number(sum(GOOD.exact()[:2]) / sum(GOOD.exact()), 2),
+            "strata": number(sum(STRATIFIED.exact()[:2]) / sum(STRATIFIED.exact()), 2),
         },
         plots=(
             plot_of(
                 "crucial-terms",
                 *(
-                    case.panel(of[case], "" if k else "terms · 10³")
-                    for k, case in enumerate((LINE, GOOD, FLAT))
+                    case.panel(of[case], "" if k % 2 else "terms · 10³")
+                    for k, case in enumerate((LINE, GOOD, STRATIFIED, FLAT))
                 ),
             ),
             frames["0.8"],
@@ -268,7 +269,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                     expected=sum(case.exact()),
                     digits=4,
                 )
-                for case in (LINE, GOOD, FLAT)
+                for case in (LINE, GOOD, STRATIFIED, FLAT)
             ),
         ),
     )
