@@ -118,8 +118,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         plots=(
             plot_of(
                 "exact-matrices",
-                matrix_panel("real part", entries.real),
-                _without_y(matrix_panel("imaginary part", entries.imag, y=False)),
+                _plain(matrix_panel("real part", entries.real)),
+                _plain(matrix_panel("imaginary part", entries.imag, y=False)),
                 _conjugates(values, [measured["bell, p = ½ + x, jittered"], other]),
             ),
             _matrices(1, line),
@@ -231,8 +231,10 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     )
 
 
-def _without_y(panel: Panel) -> Panel:
-    return replace(panel, y=replace(panel.y, ticks={}))
+def _plain(panel: Panel) -> Panel:
+    """Return a map of a matrix with short labels, which leave room for the map."""
+    y = Axis(label="m", ticks=panel.y.ticks) if panel.y.label else Axis(ticks={})
+    return replace(panel, x=replace(panel.x, label="l"), y=y)
 
 
 def _conjugates(values: Sequence[float], variances: Sequence[Measured]) -> Panel:
@@ -243,7 +245,7 @@ def _conjugates(values: Sequence[float], variances: Sequence[Measured]) -> Panel
     marks: list[Mark] = [
         BarChart(at=at, value=value, color=TERM_COLORS["predicted_variance"], thickness=0.5)
     ]
-    for x, each, label in zip((0.6, 1.1), variances, ("f(x)", "f(1 − x)"), strict=True):
+    for x, each, label in zip((0.6, 1.0), variances, ("f(x)", "f(1 − x)"), strict=True):
         y = each.value / scale
         marks.append(ReferenceLine(at=y, color=PALETTE[0], dashes="--", width=1.8))
         marks.append(TextMark(x=x, y=y, text=f"Var, {label}", color=PALETTE[0], side="above"))

@@ -87,6 +87,7 @@ def variance_panel(
     title: str = "",
     x: str = "number of points N",
     limits: tuple[float, float] | None = None,
+    letters: float = 1.0,
 ) -> Panel:
     """Return measured variances with 95 % intervals against N, and exact and theoretical lines.
 
@@ -107,6 +108,8 @@ def variance_panel(
         Title of the panel and label of the x axis.
     limits
         Limits of the variance axis. Default: the limits of the data.
+    letters
+        Size of slope labels relative to the panel. A panel that fills the figure has 0.7.
     """
     marks: list[Mark] = []
     values: list[float] = []
@@ -134,7 +137,7 @@ def variance_panel(
         counts |= {int(v) for v in n}
     low, high = limits or (min(values), max(values))
     if lines:
-        marks += slope_labels(n, lines, (low, high), dots)
+        marks += slope_labels(n, lines, (low, high), dots, letters)
     y = "variance / mean²" if relative else "variance"
     x_axis, y_axis = count_axis(x, counts, most=5), log_axis(y, low, high, most=5)
     return Panel(marks=tuple(marks), x=x_axis, y=y_axis, title=title, grid=True)
@@ -145,14 +148,15 @@ def slope_labels(
     lines: Sequence[tuple[Array, float, str]],
     limits: tuple[float, float],
     others: Sequence[Array] = (),
+    letters: float = 1.0,
 ) -> list[TextMark]:
     """Label falling lines with their slopes, above or below them, where no line is in the way.
 
     `lines` are variances, a slope and a color; `limits` are the limits of the variance axis.
-    `others` are variances that labels must not cover either.
+    `others` are variances that labels must not cover either. `letters` scales the labels' size.
     Lines that coincide have one label, in black. A line without room has no label.
     """
-    reach = math.log(limits[1] / limits[0])
+    reach, wide, tall = math.log(limits[1] / limits[0]), _WIDE * letters, _TALL * letters
     u = np.log(n / n[0]) / math.log(n[-1] / n[0])
     with np.errstate(divide="ignore"):
         paths = [np.log(np.asarray(y) / limits[0]) / reach for y, _, _ in lines]
@@ -165,20 +169,20 @@ def slope_labels(
         if any(np.abs(path - paths[k]).max() < _COINCIDENT for path in done):
             continue
         best, place = -math.inf, (0.0, 0.0)
-        for left in np.linspace(0.0, 1.0 - _WIDE, 16):
-            across = np.linspace(left, left + _WIDE, 9)
+        for left in np.linspace(0.0, 1.0 - wide, 16):
+            across = np.linspace(left, left + wide, 9)
             own = np.interp(across, u, paths[k])
             away = [np.interp(across, u, path) for path in (*paths, *beside)]
             for below, height in (
-                (0, own.max() + _GAP + _TALL / 2),
-                (1, own.min() - _GAP - _TALL / 2),
+                (0, own.max() + _GAP + tall / 2),
+                (1, own.min() - _GAP - tall / 2),
             ):
-                room = [np.abs(path - height).min() - _TALL / 2 for path in away]
-                room += [abs(v - height) - _TALL for x, v in boxes if abs(x - left) < _WIDE]
-                room += [1.0 - _TALL / 2 - height + _GAP, height - _TALL / 2 + _GAP]
+                room = [np.abs(path - height).min() - tall / 2 for path in away]
+                room += [abs(v - height) - tall for x, v in boxes if abs(x - left) < wide]
+                room += [1.0 - tall / 2 - height + _GAP, height - tall / 2 + _GAP]
                 if min(room) < 0.99 * _GAP:
                     continue
-                score = min(*room, _FREE) - 0.1 * abs(left + _WIDE / 2 - 0.5) - 0.01 * below
+                score = min(*room, _FREE) - 0.1 * abs(left + wide / 2 - 0.5) - 0.01 * below
                 if score > best:
                     best, place = score, (float(left), float(height))
         if best == -math.inf:
@@ -188,7 +192,7 @@ def slope_labels(
         done.append(paths[k])
         found.append(
             TextMark(
-                x=float(n[0] * (n[-1] / n[0]) ** (place[0] + _WIDE / 2)),
+                x=float(n[0] * (n[-1] / n[0]) ** (place[0] + wide / 2)),
                 y=limits[0] * math.exp(place[1] * reach),
                 text=f"slope {number(rate, 2)}",
                 color=INK if sum(same) > 1 else color,
