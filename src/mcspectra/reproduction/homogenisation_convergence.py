@@ -70,7 +70,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             plot_of(
                 "homogenisation-convergence",
                 *(
-                    variance_panel(curves[case], exact=known[case], title=case.title)
+                    variance_panel(curves[case], exact=known[case], title=case.title, letters=2.2)
                     for case in (BELL, DISK, COSINE)
                 ),
             ),

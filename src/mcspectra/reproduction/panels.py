@@ -61,7 +61,7 @@ _TERMS = {"dc_term": "1st", "power_term": "2nd", "cross_term": "3rd", "predicted
 _RESOLUTION = 256
 # Parts of an axis: the distance of lines that look the same, the width and the height of a slope
 # label, its distance from lines and markers, and the distance beyond which more does not help.
-_COINCIDENT, _WIDE, _TALL, _GAP, _FREE = 0.02, 0.27, 0.07, 0.025, 0.1
+_COINCIDENT, _WIDE, _TALL, _GAP, _FREE = 0.02, 0.27, 0.07, 0.035, 0.1
 # A variance term counts as a rounding error if it is smaller than this share of the largest term.
 _ROUNDING = 1e-12
 
@@ -109,7 +109,7 @@ def variance_panel(
     limits
         Limits of the variance axis. Default: the limits of the data.
     letters
-        Size of slope labels relative to the panel. A panel that fills the figure has 0.7.
+        Size of slope labels relative to the panel. Two panels side by side have 1.
     """
     marks: list[Mark] = []
     values: list[float] = []
@@ -180,7 +180,7 @@ def slope_labels(
                 room = [np.abs(path - height).min() - tall / 2 for path in away]
                 room += [abs(v - height) - tall for x, v in boxes if abs(x - left) < wide]
                 room += [1.0 - tall / 2 - height + _GAP, height - tall / 2 + _GAP]
-                if min(room) < 0.99 * _GAP:
+                if min(room) < 0.6 * _GAP:
                     continue
                 score = min(*room, _FREE) - 0.1 * abs(left + wide / 2 - 0.5) - 0.01 * below
                 if score > best:

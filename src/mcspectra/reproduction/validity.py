@@ -68,7 +68,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     return Exhibit(
         numbers={
             "N": N,
-            "plain": number(float(ratios[1, 1]), 3),
+            "times": number(variances[0].value / variances[1].value, 2),
             "random": number(float(ratios[1, 2]), 3),
             "weighted": number(float(ratios[1, 3]), 3),
         },
@@ -198,12 +198,15 @@ def _checklist(
     )
     columns = Axis(low=-0.5, high=len(names) - 0.5, ticks=dict(zip(x.tolist(), names, strict=True)))
     titles = [
-        f"{case.title}: Var = {number(each.value, 2)}"
+        f"{case.title} ({number(each.value, 2)})"
         for case, each in reversed(list(zip(CASES, variances, strict=True)))
     ]
     rows = Axis(low=-0.5, high=len(CASES) - 0.5, ticks=dict(zip(y.tolist(), titles, strict=True)))
     image = Heatmap(values=wrong, x=x, y=y, scale=scale, name="valid")
     panel = Panel(
-        marks=(image, *texts), x=columns, y=rows, title="prediction / measured variance Var"
+        marks=(image, *texts),
+        x=columns,
+        y=rows,
+        title="prediction / variance (in brackets: variance)",
     )
     return plot_of(kind, panel)
