@@ -125,7 +125,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             plot_of(
                 "contribution-map",
                 *(_terms_beside(data, name) for name, data in cases.items()),
-                replace(maps.panels[0], title="jittered points: c_m"),
+                replace(maps.panels[0], title="jittered points: cₘ"),
                 _orders_panel(bands),
             ),
             replace(maps, kind="maps"),
@@ -306,7 +306,7 @@ def _orders_panel(bands: dict[str, xr.Dataset]) -> Panel:
         x=Axis(
             label="share of the variance", low=0.0, high=1.0, ticks={0.0: "0", 0.5: "0.5", 1.0: "1"}
         ),
-        y=name_axis([name.replace("-", " ") for name in bands]),
+        y=name_axis([name.replace("latin-h", "Latin h") for name in bands]),
         title="three dims: functions of",
     )
 
