@@ -255,7 +255,8 @@ def order_shares(data: xr.Dataset) -> Array:
     """
     orders = np.array([subset.bit_count() for subset in labelled_subsets(data)])
     rows = data["band_covariance"].sum("band_other").values
-    return np.array([rows[orders == k].sum() for k in range(1, orders.max() + 1)]) / rows.sum()
+    parts = [rows[orders == k].sum() for k in range(1, int(orders.max()) + 1)]
+    return np.asarray(np.array(parts) / rows.sum())
 
 
 def main_share(data: xr.Dataset) -> float:

@@ -277,7 +277,7 @@ def _band_panel(data: xr.Dataset, title: str) -> Panel:
 def _change_panel(data: xr.Dataset, title: str) -> Panel:
     """Return the variances after some changes, divided by the variance as given."""
     marks: list[Mark] = [ReferenceLine(at=1.0, axis="x", color=INK)]
-    ends = []
+    ends: list[float] = []
     for k, name in enumerate(_CHANGES):
         row = data.sel(remedy=name)
         low, high = row["error_ratio_ci"].values

@@ -9,7 +9,7 @@ import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.confidence import CONFIDENCE_Z
-from mcspectra.plots.description import Axis, Dots, Line, Mark, Panel
+from mcspectra.plots.description import Axis, Dots, Line, Mark, Marker, Panel
 from mcspectra.plots.style import INK, PALETTE
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, largest_distance
@@ -60,9 +60,10 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     rows = {_TITLES[name]: [each / 1e-4 for each in pair] for name, pair in variances.items()}
     panel = interval_panel(rows, ("from pairs", "measured"), "variance · 10⁴")
     # Colors other than those of the samplers
+    markers: tuple[Marker, ...] = ("D", "P")
     recolored = tuple(
         replace(mark, color=color, marker=marker)
-        for mark, color, marker in zip(panel.marks, (INK, PALETTE[3]), "DP", strict=True)
+        for mark, color, marker in zip(panel.marks, (INK, PALETTE[3]), markers, strict=True)
         if isinstance(mark, Dots)
     )
     return Exhibit(
