@@ -62,6 +62,7 @@ _RESOLUTION = 256
 # Parts of an axis: the distance of lines that look the same, the width and the height of a slope
 # label, its distance from lines and markers, and the distance beyond which more does not help.
 _COINCIDENT, _WIDE, _TALL, _GAP, _FREE = 0.02, 0.27, 0.07, 0.035, 0.1
+_END_GAP = 0.11  # least distance of slopes beside their lines
 # A variance term counts as a rounding error if it is smaller than this share of the largest term.
 _ROUNDING = 1e-12
 
@@ -88,6 +89,7 @@ def variance_panel(
     x: str = "number of points N",
     limits: tuple[float, float] | None = None,
     letters: float = 1.0,
+    beside: float = 0.0,
 ) -> Panel:
     """Return measured variances with 95 % intervals against N, and exact and theoretical lines.
 
@@ -110,6 +112,9 @@ def variance_panel(
         Limits of the variance axis. Default: the limits of the data.
     letters
         Size of slope labels relative to the panel. Two panels side by side have 1.
+    beside
+        Room to the right of the lines, relative to their length. If it is not 0, slopes are
+        written there, where no line or marker is.
     """
     marks: list[Mark] = []
     values: list[float] = []
@@ -136,10 +141,16 @@ def variance_panel(
         values += [*ends.ravel(), *([] if line is None else line)]
         counts |= {int(v) for v in n}
     low, high = limits or (min(values), max(values))
-    if lines:
-        marks += slope_labels(n, lines, (low, high), dots, letters)
     y = "variance / mean²" if relative else "variance"
     x_axis, y_axis = count_axis(x, counts, most=5), log_axis(y, low, high, most=5)
+    if lines and beside:
+        length = max(counts) / min(counts)
+        marks += _end_slopes(lines, max(counts) * length**0.06, math.log(high / low))
+        x_axis = replace(
+            count_axis(x, counts, most=round(2 / beside)), high=max(counts) * length**beside
+        )
+    elif lines:
+        marks += slope_labels(n, lines, (low, high), dots, letters)
     return Panel(marks=tuple(marks), x=x_axis, y=y_axis, title=title, grid=True)
 
 
@@ -199,6 +210,17 @@ def slope_labels(
                 side="middle",
             )
         )
+    return found
+
+
+def _end_slopes(
+    lines: Sequence[tuple[Array, float, str]], x: float, reach: float
+) -> list[TextMark]:
+    """Write the slopes of lines next to their last points. Labels keep a distance."""
+    found, last = list[TextMark](), math.inf
+    for y, rate, color in sorted(lines, key=lambda line: -line[0][-1]):
+        last = min(math.log(y[-1]), last - _END_GAP * reach)
+        found.append(TextMark(x=x, y=math.exp(last), text=f"slope {number(rate, 2)}", color=color))
     return found
 
 
