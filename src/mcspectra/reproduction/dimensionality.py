@@ -22,7 +22,7 @@ from mcspectra.plots.description import (
 )
 from mcspectra.plots.kinds import describe
 from mcspectra.plots.scales import log_axis, name_axis
-from mcspectra.plots.style import INK, PALETTE, TERM_COLORS
+from mcspectra.plots.style import INK, PALETTE
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import (
     Claim,
@@ -268,26 +268,9 @@ def main_share(data: xr.Dataset) -> float:
 
 def _terms_beside(data: xr.Dataset, title: str) -> Panel:
     """Return the three terms, their sum and the measured variance."""
-    panel = term_panel(data, 1e-4, title, "variance · 10⁴")
-    measured, third = (
-        Measured.of(data, name) / 1e-4 for name in ("measured_variance", "cross_term")
-    )
-    bar = BarChart(
-        at=np.array([4.0]), value=np.array([measured.value]), low=np.array([measured.low]),
-        high=np.array([measured.high]), color=TERM_COLORS["measured_variance"], thickness=0.72,
-    )  # fmt: skip
-    text = TextMark(x=4.0, y=measured.high, text=number(measured.value, 2), side="above")
-    # Write the number of the third term, which is negative, below its bar
-    below = float(data["predicted_variance"]) / 1e-4 + third.low - third.value
-    marks = [
-        replace(mark, y=below, side="below")
-        if isinstance(mark, TextMark) and mark.x == _THIRD
-        else mark
-        for mark in panel.marks
-    ]
-    ticks = {**(panel.x.ticks or {}), 4.0: "meas."}
-    x = replace(panel.x, high=4.6, ticks=ticks)
-    return replace(panel, marks=(*marks, bar, text), x=x)
+    terms = [float(data[name]) for name in ("dc_term", "power_term", "cross_term")]
+    measured = Measured.of(data, "measured_variance")
+    return term_panel(terms, measured, 1e-4, title, "variance · 10⁴")
 
 
 def _orders_panel(bands: dict[str, xr.Dataset]) -> Panel:
