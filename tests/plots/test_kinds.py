@@ -18,6 +18,7 @@ from mcspectra.plots.groups import labelled
 from mcspectra.plots.kinds import PLOT_KINDS, describe, kinds_of
 from mcspectra.plots.style import TERM_COLORS, sampler_styles
 from mcspectra.plots.variance import usable_counts
+from mcspectra.reproduction.claims import Measured
 from mcspectra.reproduction.panels import term_panel
 
 # Kinds of plots of the results of `QUICK`
@@ -178,9 +179,10 @@ def test_terms__colors_are_those_of_the_exhibits(make):
     for name in ("dc_term", "power_term", "cross_term"):
         data[f"{name}_ci"] = ("bound", float(data[name]) * np.array([0.5, 2.0]))
     (bars,) = marks(describe("terms", {"jittered": data}), BarChart)
-    (slide,) = (m for m in term_panel(data, 1.0, "title").marks if isinstance(m, BarChart))
+    panel = term_panel([1.0, 2.0, -1.0], Measured(2.0, 1.9, 2.1), 1.0, "title")
+    (slide,) = (m for m in panel.marks if isinstance(m, BarChart))
     assert list(bars.color) == list(TERM_COLORS.values())
-    assert list(slide.color) == list(bars.color)[:4]
+    assert list(slide.color) == list(bars.color)
 
 
 def test_contributions__a_panel_for_each_technique(make):

@@ -13,6 +13,7 @@ from tests.reproduction.conftest import Disagreeing
 from mcspectra.plots.description import TextMark
 from mcspectra.prediction.exact import exact_variance
 from mcspectra.reproduction import importance_terms as module
+from mcspectra.reproduction.claims import Measured
 from mcspectra.reproduction.panels import term_panel
 
 
@@ -39,6 +40,12 @@ def test_the_third_term_of_the_bar_is_removed_by_a_shift() -> None:
     assert gap == pytest.approx(1 / (6 * module.N**2), rel=1e-6)
 
 
+@pytest.mark.parametrize("case", [module.LINE, module.BAR, module.STRATIFIED])
+def test_exact_terms_sum_to_the_exact_variance(case: module.TermsCase) -> None:
+    expected = exact_variance(case.estimator, case.sampler, module.N)
+    assert sum(case.exact()) == pytest.approx(expected, rel=1e-6)
+
+
 def test_wrong_cases_and_an_undecided_second_term_disagree(
     disagreeing: Disagreeing, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -59,12 +66,11 @@ def test_wrong_cases_and_an_undecided_second_term_disagree(
         return data.assign(power_term_ci=("bound", [-0.01 * size, 3 * size]))
 
     monkeypatch.setattr(module.TermsCase, "terms", wrong)
-    assert disagreeing(module) == [0, 3, 4, 5, 6, 7, 8, 9, 12, 13]
+    assert disagreeing(module) == [0, 3, 4, 5, 6, 7, 8, 9, 12, 13, 16, 17, 18]
 
 
 def test_bars_of_rounding_errors_have_the_label_0() -> None:
-    data = module.FLAT.terms(100, 1)
-    panel = term_panel(data.assign(cross_term=1e-14 * data["dc_term"]), 1e-3, "f = 1")
+    panel = term_panel([1.0, 1e-14, -1e-14], Measured(1.0, 0.9, 1.1), 1e-3, "f = 1")
     labels = [mark.text for mark in panel.marks if isinstance(mark, TextMark)]
     assert labels[1:3] == ["0", "0"]
-    assert labels[0] == labels[3] != "0"
+    assert labels[0] == labels[3] == labels[4] != "0"

@@ -9,13 +9,30 @@ import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Axis, Dots, Line, Mark, Panel, Plot, ReferenceLine, TextMark
+from mcspectra.plots.description import (
+    Axis,
+    BarChart,
+    Dots,
+    Line,
+    Mark,
+    Panel,
+    Plot,
+    ReferenceLine,
+    TextMark,
+)
 from mcspectra.plots.kinds import describe
-from mcspectra.plots.scales import log_axis
-from mcspectra.plots.style import ACCENT, PALETTE
+from mcspectra.plots.scales import log_axis, name_axis
+from mcspectra.plots.style import INK, PALETTE
 from mcspectra.plots.text import number
-from mcspectra.reproduction.claims import Claim, Exhibit, about, correction, largest_distance
-from mcspectra.reproduction.panels import in_columns, plot_of
+from mcspectra.reproduction.claims import (
+    Claim,
+    Exhibit,
+    Measured,
+    about,
+    correction,
+    largest_distance,
+)
+from mcspectra.reproduction.panels import in_columns, plot_of, term_panel
 
 __all__ = ["exhibit"]
 
@@ -26,6 +43,13 @@ SMALL = {1: (64, 24), 2: (64, 7)}
 # Number of points and half width for each number of dims, for maps and bands
 RUNS = {1: (64, 256), 2: (64, 48), 3: (64, 8), 4: (81, 4)}
 _WORDS = {1: "one dim", 2: "two dims", 3: "three dims", 4: "four dims"}
+DENSITY = "linear(slope=-1.2)"
+_ORDERS = {
+    "one coordinate": PALETTE[2],
+    "two coordinates": PALETTE[5],
+    "three coordinates": PALETTE[3],
+}
+_THIRD = 2.0  # place of the third term in a waterfall
 _BYTES = 16  # bytes per complex number
 
 
@@ -41,6 +65,22 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         name: bell_terms(name, 2, (64, 24), 600 if quick else 20_000, seed)
         for name in ("jittered", "jittered | shift")
     }
+    weighted = mcs.variance_terms(
+        mcs.Estimator(mcs.integrand(BELL, 2), mcs.density(DENSITY, 2)),
+        "random",
+        64,
+        half_width=24,
+        realizations=400 if quick else 20_000,
+        rng=seed,
+    )
+    cases = {"jittered points": mapped["jittered"], "importance sampling": weighted}
+    without = {
+        name: (Measured.of(data, "predicted_variance") - Measured.of(data, "cross_term"))
+        / Measured.of(data, "measured_variance")
+        for name, data in cases.items()
+    }
+
+    maps = describe("contributions", mapped)
 
     # Check the formula for the size of a matrix, and the error message for too large a matrix
     wrong = [d for d, x in whole.items() if x["cross_matrix"].size != entries(d, SMALL[d][1])]
@@ -77,10 +117,18 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             "gib": number(two * _BYTES / 2**30),
             "three": number(three),
             "shares": shares,
+            "jittered": number(without["jittered points"].value, 2),
+            "weighted": number(without["importance sampling"].value, 2),
         },
         plots=(
             _sizes(),
-            replace(describe("contributions", mapped), kind="contribution-map"),
+            plot_of(
+                "contribution-map",
+                *(_terms_beside(data, name) for name, data in cases.items()),
+                replace(maps.panels[0], title="jittered points: cₘ"),
+                _orders_panel(bands),
+            ),
+            replace(maps, kind="maps"),
             replace(in_columns(describe("bands", bands), first=1), kind="band-map"),
         ),
         claims=(
@@ -134,6 +182,15 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                         shown=f"< {number(tenth)}",
                         note="Stein (1987).",
                     )
+                ),
+                *(
+                    Claim(
+                        f"Without the third term the prediction is too large, {name} in two dims: "
+                        "first plus second term, divided by the measured variance.",
+                        ratio,
+                        above=1.0,
+                    )
+                    for name, ratio in without.items()
                 ),
             ),
         ),
@@ -191,11 +248,51 @@ def labelled_subsets(data: xr.Dataset) -> list[int]:
     return [sum(2 ** int(axis) for axis in name.split("x")[1:]) for name in names]
 
 
+def order_shares(data: xr.Dataset) -> Array:
+    """Return the shares of the variance from functions of one, two, … coordinates.
+
+    The covariance of two bands belongs half to each of them.
+    """
+    orders = np.array([subset.bit_count() for subset in labelled_subsets(data)])
+    rows = data["band_covariance"].sum("band_other").values
+    parts = [rows[orders == k].sum() for k in range(1, int(orders.max()) + 1)]
+    return np.asarray(np.array(parts) / rows.sum())
+
+
 def main_share(data: xr.Dataset) -> float:
     """Return the share of the variance from functions of one coordinate, including covariances."""
     alone = [k for k, subset in enumerate(labelled_subsets(data)) if subset in (1, 2, 4)]
     matrix = data["band_covariance"].values
     return float(matrix[alone].sum() / matrix.sum())
+
+
+def _terms_beside(data: xr.Dataset, title: str) -> Panel:
+    """Return the three terms, their sum and the measured variance."""
+    terms = [float(data[name]) for name in ("dc_term", "power_term", "cross_term")]
+    measured = Measured.of(data, "measured_variance")
+    return term_panel(terms, measured, 1e-4, title, "variance · 10⁴")
+
+
+def _orders_panel(bands: dict[str, xr.Dataset]) -> Panel:
+    """Return stacked bars: the variance from functions of one, two and three coordinates."""
+    rows = np.array([order_shares(data) for data in bands.values()])
+    base = np.cumsum(rows, axis=1) - rows
+    at = np.arange(float(len(bands)))
+    bars = [
+        BarChart(
+            at=at, value=base[:, k] + rows[:, k], base=base[:, k], lying=True, thickness=0.6,
+            color=color, label=label,
+        )
+        for k, (label, color) in enumerate(_ORDERS.items())
+    ]  # fmt: skip
+    return Panel(
+        marks=tuple(bars),
+        x=Axis(
+            label="share of the variance", low=0.0, high=1.0, ticks={0.0: "0", 0.5: "0.5", 1.0: "1"}
+        ),
+        y=name_axis([name.replace("latin-h", "Latin h") for name in bands]),
+        title="three dims: functions of",
+    )
 
 
 def _map_is_row_sums(dims: int, data: xr.Dataset) -> Claim:
@@ -245,8 +342,8 @@ def _sizes() -> Plot:
             marks.append(Dots(x=dims, y=y, color=color))
     memory = 2**36 / _BYTES
     marks += [
-        ReferenceLine(at=memory, color=ACCENT, width=1.0),
-        TextMark(x=1.0, y=memory, text="64 GiB", color=ACCENT, side="above"),
+        ReferenceLine(at=memory, color=INK, width=1.0),
+        TextMark(x=1.0, y=memory, text="64 GiB", color=INK, side="above"),
     ]
     ticks = {float(d): str(int(d)) for d in dims}
     x = Axis(label="number of dims d", low=0.8, high=6.2, ticks=ticks)

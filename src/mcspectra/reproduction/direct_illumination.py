@@ -25,6 +25,7 @@ _CASES = tuple(itertools.product("PQ", ("light", "bsdf")))
 SAMPLERS = ("jittered", "jittered | shift")
 _COUNTS = tuple(side**2 for side in (8, 11, 16, 23, 32, 45, 64))
 _NAMES = {"light": "light sampling", "bsdf": "BSDF sampling"}
+_SHORT = {"light": "light", "bsdf": "BSDF"}
 _SEEN = {"P": "all of the light is visible", "Q": "a part of the light is visible"}
 
 Case: TypeAlias = tuple[str, str]
@@ -50,7 +51,19 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             "spp": spp,
         },
         plots=(
-            _sketch(f, seed),
+            plot_of(
+                "direct-illumination-sketch",
+                _sketch(seed),
+                variance_panel(
+                    {f"{p}, {_SHORT[s]}": curves[(p, s), "jittered"] for p, s in _CASES},
+                    rates={f"{p}, {_SHORT[s]}": _expected((p, s), "jittered") for p, s in _CASES},
+                    relative=True,
+                    title="variance, jittered points",
+                    x="number of samples N",
+                    beside=0.7,
+                ),
+                *(primary_panel(f["P", s], f"f/p at P, {_NAMES[s]}") for s in _NAMES),
+            ),
             _scene(spp, seed),
             plot_of(
                 "direct-illumination-integrands",
@@ -110,62 +123,63 @@ def _same_integral(curves: Mapping[tuple[Case, str], xr.Dataset]) -> Claim:
     return largest_distance(text, np.array(differences), np.array(errors))
 
 
-def _sketch(f: Mapping[Case, Any], seed: int) -> Plot:
-    """Return sketches of sensor, light and lobe for each strategy, above f/p on the unit square."""
-    place, eye, light = np.array([0.45, 0.0]), np.array([0.05, 0.62]), (0.62, 0.88, 0.85)
+def _sketch(seed: int) -> Panel:
+    """Return a sketch of sensor, light, lobe, occluder and samples at the points P and Q."""
+    p, q = np.array([0.42, 0.0]), np.array([1.02, 0.0])
+    eye, light = np.array([0.05, 0.62]), (0.62, 0.88, 0.85)
+    shade = (0.86, 1.02, 0.42)  # ends and height of the occluder
     u = mcs.sampler("jittered", 1).draw(6, rng=seed)[0, :, 0]
     lobe_axis, half = math.atan2(1.0, 0.75), 0.62
+    turns = np.linspace(-0.999, 0.999, 80)
+    size = 0.42 * np.cos(np.pi / 2 * turns) ** 0.7
+    angles = lobe_axis + half * turns
+    edge = p + size[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
 
-    def arrow(angle: Array | float) -> Array:
-        """Return points on the outline of a cosine lobe about its axis."""
-        away = np.asarray(angle, float)
-        size = 0.5 * np.cos(np.pi / 2 * (away - lobe_axis) / half) ** 0.7
-        return np.asarray(place + size[..., None] * np.stack([np.cos(away), np.sin(away)], axis=-1))
-
-    edge = arrow(np.linspace(lobe_axis - 0.999 * half, lobe_axis + 0.999 * half, 80))
     on_light = np.stack([light[0] + u * (light[1] - light[0]), np.full(6, light[2])], axis=-1)
-    angles = lobe_axis + half * (2 * u - 1) * 0.9
-    far = place + (light[2] / np.sin(angles))[:, None] * np.stack(
-        [np.cos(angles), np.sin(angles)], axis=-1
-    )
+    slopes = 1 / np.tan(lobe_axis + half * (2 * u - 1) * 0.9)
+    far = np.stack([p[0] + light[2] * slopes, np.full(6, light[2])], axis=-1)
     hits = (far[:, 0] >= light[0]) & (far[:, 0] <= light[1])
-    panels = []
-    for strategy, ends in (("light", on_light), ("bsdf", far)):
-        rays = np.stack([np.broadcast_to(place, ends.shape), ends], axis=1)
-        seen = np.ones(6, bool) if strategy == "light" else hits
-        corner = np.array([[-0.04, 0.05], [0.05, 0.05], [0.05, -0.05], [-0.04, -0.05]])
-        box = eye + corner
-        panels.append(
-            Panel(
-                marks=(
-                    Line(x=edge[:, 0], y=edge[:, 1], low=0 * edge[:, 1], high=edge[:, 1],
-                         color="#F5E3B8", width=0.0),
-                    Line(x=edge[:, 0], y=edge[:, 1], color=PALETTE[4], width=1.6),
-                    Segments(ends=np.array([[[0.0, 0.0], [1.0, 0.0]]]), color=INK, width=2.5),
-                    Segments(ends=np.stack([box, np.roll(box, -1, axis=0)], axis=1), color=INK),
-                    Segments(ends=np.array([[eye, place]]), color=GRAY, width=1.4),
-                    Segments(ends=rays[~seen], color=GRAY, width=0.8),
-                    Segments(ends=rays[seen], color=PALETTE[0] if strategy == "light" else ACCENT),
-                    Segments(ends=np.array([[[light[0], light[2]], [light[1], light[2]]]]),
-                             color=PALETTE[4], width=5.0),
-                    Dots(x=place[:1], y=place[1:], color=INK, size=8.0),
-                    TextMark(x=0.0, y=0.74, text="sensor"),
-                    TextMark(x=0.75, y=0.93, text="light", side="middle"),
-                    TextMark(x=0.36, y=0.06, text="P"),
-                    TextMark(x=0.2, y=0.2, text="lobe f_r →", side="middle"),
-                ),
-                x=Axis(low=-0.02, high=1.1, ticks={}),
-                y=Axis(low=-0.04, high=1.0, ticks={}),
-                title="light sampling"
-                if strategy == "light"
-                else "BSDF sampling",
-            )
-        )  # fmt: skip
-    return plot_of(
-        "direct-illumination-sketch",
-        *panels,
-        *(primary_panel(f["P", s], f"f/p at P, {_NAMES[s]}") for s in _NAMES),
-    )
+    # Rays end at the occluder if they cross it
+    at = shade[2] / light[2]
+    crossing = {"P": p + at * (far - p), "Q": q + at * (on_light - q)}
+    blocked = {k: (c[:, 0] >= shade[0]) & (c[:, 0] <= shade[1]) for k, c in crossing.items()}
+    far = np.where(blocked["P"][:, None], crossing["P"], far)
+    from_q = np.where(blocked["Q"][:, None], crossing["Q"], on_light)
+
+    def rays(place: Array, ends: Array) -> Array:
+        return np.stack([np.broadcast_to(place, ends.shape), ends], axis=1)
+
+    def level(low: float, high: float, y: float) -> Array:
+        return np.array([[[low, y], [high, y]]])
+
+    box = eye + np.array([[-0.04, 0.05], [0.05, 0.05], [0.05, -0.05], [-0.04, -0.05]])
+    return Panel(
+        marks=(
+            Line(x=edge[:, 0], y=edge[:, 1], low=0 * turns, high=edge[:, 1], color="#F5E3B8",
+                 width=0.0),
+            Line(x=edge[:, 0], y=edge[:, 1], color=PALETTE[4], width=1.6),
+            Segments(ends=level(0.0, 1.12, 0.0), color=INK, width=2.5),
+            Segments(ends=np.stack([box, np.roll(box, -1, axis=0)], axis=1), color=INK),
+            Segments(ends=np.array([[eye, p]]), color=GRAY, width=1.4),
+            Segments(ends=rays(p, far[~hits]), color=GRAY, width=0.8),
+            Segments(ends=rays(q, from_q[blocked["Q"]]), color=GRAY, width=0.8),
+            Segments(ends=rays(p, on_light), color=PALETTE[0]),
+            Segments(ends=rays(p, far[hits]), color=PALETTE[1], width=2.0),
+            Segments(ends=rays(q, from_q[~blocked["Q"]]), color=PALETTE[2]),
+            Segments(ends=level(light[0], light[1], light[2]), color=PALETTE[4], width=5.0),
+            Segments(ends=level(*shade), color=INK, width=4.0),
+            Dots(x=np.array([p[0], q[0]]), y=np.zeros(2), color=INK, size=8.0),
+            TextMark(x=0.0, y=0.74, text="sensor"),
+            TextMark(x=0.75, y=0.93, text="light", side="middle"),
+            TextMark(x=1.03, y=0.52, text="occluder", side="middle"),
+            TextMark(x=p[0], y=-0.1, text="P", side="middle"),
+            TextMark(x=q[0], y=-0.1, text="Q", side="middle"),
+            TextMark(x=0.2, y=0.28, text="lobe →", side="middle"),
+        ),
+        x=Axis(low=-0.02, high=1.22, ticks={}),
+        y=Axis(low=-0.16, high=1.0, ticks={}),
+        title="samples at P and Q",
+    )  # fmt: skip
 
 
 def _scene(spp: int, seed: int) -> Plot:

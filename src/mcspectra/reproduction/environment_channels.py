@@ -20,6 +20,7 @@ from mcspectra.reproduction.claims import (
     Claim,
     Exhibit,
     Measured,
+    correction,
     known_rate,
     pixel_rate,
     rate_text,
@@ -59,7 +60,7 @@ DOME = np.array(
      [_LEAF, _LEAF, _LEAF, _HAZE, _BRICK, _BRICK, _LEAF, _HAZE]]
 )  # fmt: skip
 DOME_COUNTS = tuple(side**2 for side in (16, 23, 32, 45, 64))
-DOME_RATES = {"one": -1.5, "own": -2.0}
+DOME_RATES = {"one": -1.5, "own": -2.0, "mis": -1.5}
 _SIDE = 256
 _COSTS = {"one": 1, "own": 3, "mis": 3}  # number of evaluations of f per point
 
@@ -87,7 +88,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     by = dome_ways()
     options["realizations"] = 100 if quick else 600
     planes = {
-        way: mcs.convergence(by[way], "jittered", DOME_COUNTS, **options) for way in ("one", "own")
+        way: mcs.convergence(by[way], "jittered", DOME_COUNTS, **options) for way in DOME_RATES
     }
     dome = {
         way: ", ".join(rate_text(curve.sel(channel=c)) for c in range(3))
@@ -119,6 +120,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         numbers={
             "dome_gray": dome["one"],
             "dome_own": dome["own"],
+            "dome_mis": rate_text(planes["mis"].sel(channel=0)),
             "gray": shown["one"],
             "own": shown["own"],
             "evaluations": COUNTS["one"][-1],
@@ -138,6 +140,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                     DOME_RATES[way],
                 )
                 for way, curve in planes.items()
+                if way != "mis"
                 for c, color in enumerate(_COLORS)
                 # Luminance is mostly green, so green sampled by luminance has only small jumps.
                 # Because of the small jumps, the rate for green reaches its limit late
@@ -150,6 +153,13 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             ),
             *gains,
             *(_continuous(c) for c in range(3)),
+            correction(
+                pixel_rate(
+                    f"Dome, variance of red sampled by {_WAYS['mis']}, jittered: rate.",
+                    planes["mis"].sel(channel=0),
+                    DOME_RATES["mis"],
+                )
+            ),
             Claim(
                 "Red irradiance from a whole sky with 1024 jittered points: variance by luminance "
                 "divided by variance by red.",
@@ -225,6 +235,7 @@ def _sky(planes: Mapping[str, xr.Dataset]) -> Plot:
         rates={_WAYS[way]: rate for way, rate in DOME_RATES.items()},
         title="variance of red, jittered",
         x="number of points N",
+        beside=0.6,
     )
     kinds = {name: np.array(color) for name, color in _KINDS.items()}
     place = np.array(

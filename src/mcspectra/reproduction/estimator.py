@@ -17,7 +17,7 @@ from mcspectra.plots.description import (
     TextMark,
 )
 from mcspectra.plots.scales import unit_panel
-from mcspectra.plots.style import ACCENT, INK, sampler_styles
+from mcspectra.plots.style import ACCENT, GRAY, INK, sampler_styles
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, about
 from mcspectra.reproduction.panels import plot_of
@@ -29,6 +29,7 @@ BELL = "gaussian(center=0.4, width=0.2)"
 DENSITY = "linear(slope=-1.2)"
 SQUARE = "christensen-gaussian"
 N = 64
+_SHOWN = 16  # number of points in the figures of one dim
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
@@ -36,10 +37,20 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     realizations = 1000 if quick else 10_000
     curves = mcs.convergence(SQUARE, list(SAMPLERS), [N], realizations=realizations, rng=seed)
     one = {name: curves.sel(sampler=name).isel(n=0) for name in SAMPLERS}
-    means, variances = (
-        ", ".join(f"{number(float(d[key]), digits)} ({name})" for name, d in one.items())
-        for key, digits in (("mean", 4), ("variance", 3))
+    variances = ", ".join(f"{number(float(d['variance']))} ({name})" for name, d in one.items())
+    weighted = mcs.convergence(
+        mcs.Estimator(mcs.integrand(BELL, 1), DENSITY),
+        list(SAMPLERS),
+        [_SHOWN],
+        realizations=realizations,
+        rng=seed,
     )
+    mean_of = {
+        name: Measured.normal(float(data["mean"]), float(data["mean_se"]))
+        for name in SAMPLERS
+        for data in [weighted.sel(sampler=name).isel(n=0)]
+    }
+    means = ", ".join(f"{number(each.value, 3)} ({name})" for name, each in mean_of.items())
     # Sum conj(f_m) S_m for an integrand that has only the frequencies m = ±3
     at = _warped("jittered", N, seed, 1)[0]
     direct = float((np.cos(6 * np.pi * at) / pdf(at)).mean())
@@ -52,15 +63,16 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     return Exhibit(
         numbers={
             "area": number(bell_area(), 4),
-            "integral": number(integral(), 4),
             "N": N,
+            "shown": _SHOWN,
             "means": means,
             "variances": variances,
         },
         plots=(
             _area(),
-            _combs(seed),
+            _values(seed),
             plot_of("points", *panels),
+            _combs(seed),
         ),
         claims=(
             Claim(
@@ -72,12 +84,13 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 "estimator",
                 *(
                     Claim(
-                        f"The mean of I_N is the integral for {name} points.",
-                        Measured.normal(float(data["mean"]), float(data["mean_se"])),
-                        expected=integral(),
+                        f"The mean of I_N is the integral of the bell, {_SHOWN} {name} points of "
+                        "density p.",
+                        mean,
+                        expected=bell_area(),
                         digits=7,
                     )
-                    for name, data in one.items()
+                    for name, mean in mean_of.items()
                 ),
                 Claim(
                     "The peaks of S, with weights 1/(N p), sum to 1 on average, for p = "
@@ -118,11 +131,6 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     )
 
 
-def integral() -> float:
-    """Return the integral of exp(−x² − y²) over the unit square."""
-    return float(np.squeeze(mcs.integrand(SQUARE).integral))
-
-
 def _exact(name: str) -> float:
     return float(mcs.exact_variance(SQUARE, name, N))
 
@@ -161,14 +169,15 @@ def _area() -> Plot:
     )
 
 
-def _combs(seed: int) -> Plot:
-    n = 16
+def _values(seed: int) -> Plot:
+    """Plot f and p, and for three samplers the values f/p at the points and their mean I_N."""
+    f, area = mcs.integrand(BELL, 1), bell_area()
     x = np.linspace(0.0, 1.0, 400, endpoint=False)
-    f = np.asarray(mcs.integrand(BELL, 1)(x[:, None]))
+    y = np.asarray(f(x[:, None]))
     top = Panel(
         marks=(
-            Line(x=x, y=f, low=0 * f, high=f, color="#D9E8F2", width=0.0),
-            Line(x=x, y=f, color=INK, width=1.4),
+            Line(x=x, y=y, low=0 * y, high=y, color="#D9E8F2", width=0.0),
+            Line(x=x, y=y, color=INK, width=1.4),
             Line(x=x, y=pdf(x), color=ACCENT, dashes="--", width=1.4),
             ReferenceLine(at=0.0, width=0.6),
             TextMark(x=0.24, y=1.0, text="f(x)", side="left"),
@@ -178,9 +187,36 @@ def _combs(seed: int) -> Plot:
     )
     rows = []
     for name, style in sampler_styles(SAMPLERS).items():
-        at = _warped(name, n, seed, 1)[0]
-        peak = 1 / (n * pdf(at))
+        at = _warped(name, _SHOWN, seed, 1)[0]
+        value = np.asarray(f(at[:, None])) / pdf(at)
+        mean = float(value.mean())
+        ends = np.stack([np.stack([at, 0 * value], -1), np.stack([at, value], -1)], 1)
+        rows.append(
+            Panel(
+                marks=(
+                    Segments(ends=ends, color=style.color, width=1.3),
+                    Dots(x=at, y=value, color=style.color, size=4.5),
+                    ReferenceLine(at=area, color=GRAY, dashes="--", width=1.6, label="integral I"),
+                    ReferenceLine(
+                        at=mean, color=INK, width=1.6, label=f"I_N, the mean of {_SHOWN} values f/p"
+                    ),
+                ),
+                x=Axis(label="x (domain, 0 to 1)", low=0.0, high=1.0),
+                y=Axis(label="f/p", low=0.0, high=1.15, ticks={0.0: "0", 0.5: "0.5", 1.0: "1"}),
+                title=f"{name}: I_N = {number(mean)} (I = {number(area)})",
+            )
+        )
+    return Plot(kind="estimator", panels=(top, *rows), rows=(1.5, 1.0, 1.0, 1.0))
+
+
+def _combs(seed: int) -> Plot:
+    """Plot the sampling function S of three samplers."""
+    rows = []
+    for name, style in sampler_styles(SAMPLERS).items():
+        at = _warped(name, _SHOWN, seed, 1)[0]
+        peak = 1 / (_SHOWN * pdf(at))
         ends = np.stack([np.stack([at, 0 * peak], -1), np.stack([at, peak], -1)], 1)
+        tick = 2 / _SHOWN
         rows.append(
             Panel(
                 marks=(
@@ -188,8 +224,10 @@ def _combs(seed: int) -> Plot:
                     Dots(x=at, y=peak, color=style.color, marker="^", size=3.5),
                 ),
                 x=Axis(label="x (domain, 0 to 1)", low=0.0, high=1.0),
-                y=Axis(label="S(x)", low=0.0, high=3.2 / n, ticks={0.0: "0", 2 / n: number(2 / n)}),
+                y=Axis(
+                    label="S(x)", low=0.0, high=1.6 * tick, ticks={0.0: "0", tick: number(tick)}
+                ),
                 title=name,
             )
         )
-    return Plot(kind="estimator", panels=(top, *rows), rows=(2.2, 1.0, 1.0, 1.0))
+    return plot_of("sampling-function", *rows)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,8 +10,17 @@ import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Plot
+from mcspectra.plots.description import (
+    Axis,
+    BarChart,
+    Mark,
+    Panel,
+    Plot,
+    ReferenceLine,
+    TextMark,
+)
 from mcspectra.plots.kinds import describe
+from mcspectra.plots.style import PALETTE, TERM_COLORS
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, about
 from mcspectra.reproduction.panels import in_columns, matrix_panel, plot_of, term_panel
@@ -23,11 +32,12 @@ LINE, BELL = "linear", "gaussian(center=0.35, width=0.12)"
 DENSITY = "linear(slope=1)"  # p = ½ + x, for which ∫1/p = ln 3
 N = 16
 HALF_WIDTH = 40
+_SHOWN = 16  # half width of the matrices in the figure
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
     """Estimate terms and matrices of all samplers and integrands, and compare with closed forms."""
-    realizations = 500 if quick else 10_000
+    realizations = 2000 if quick else 10_000
     line, bell = (
         {name: terms(mcs.integrand(spec, 1), name, realizations, seed) for name in SAMPLERS}
         for spec in (LINE, BELL)
@@ -35,8 +45,6 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     by_density = mcs.Estimator(mcs.integrand(BELL, 1), DENSITY)
     weighted = {name: terms(by_density, name, realizations, seed) for name in SAMPLERS[:2]}
     every = [*line.values(), *bell.values(), *weighted.values()]
-    power, cross = (number(abs(float(line["jittered"][k]))) for k in ("power_term", "cross_term"))
-    first, all_ = (number(float(weighted["random"][k])) for k in ("dc_term", "predicted_variance"))
     variances = {name: float(mcs.exact_variance(by_density, name, N)) for name in weighted}
     integral = float(np.squeeze(mcs.integrand(BELL, 1).integral))
 
@@ -54,22 +62,24 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         "third term is 1/(6N³) − 1/(6N²)": 1 / (6 * N**3) - 1 / (6 * N**2),
     }
 
-    # For random importance samples, sum the terms of the formula with ⟨S_m conj(S_l)⟩.
+    # For jittered importance samples, sum the terms of the formula with ⟨S_m conj(S_l)⟩.
     # Sum them again with ⟨conj(S_m) S_l⟩, as printed on the slides
     f = mcs.integrand(BELL, 1)
     mirrored = mcs.Integrand.from_function(lambda x: f(1.0 - x), dims=1, integral=f.integral)
-    matrix = exact_matrix(f, "random", DENSITY, 128)
-    coefficient = f.fourier(np.arange(-128, 129)[:, None])
+    matrix = exact_matrix(f, "jittered", DENSITY, 64)
+    coefficient = f.fourier(np.arange(-64, 65)[:, None])
     pairs = coefficient.conj()[:, None] * coefficient[None]
     as_printed = float((pairs * (matrix / pairs).conj()).sum().real)
-    known = [
-        float(mcs.exact_variance(mcs.Estimator(g, DENSITY), "random", N)) for g in (f, mirrored)
-    ]
+    reflected = mcs.Estimator(mirrored, DENSITY)
+    known = [float(mcs.exact_variance(e, "jittered", N)) for e in (by_density, reflected)]
     texts = (
         "with ⟨S_m conj(S_l)⟩ the sum is the variance",
         "with ⟨conj(S_m) S_l⟩, as on the slides, it is the variance of the reflected f(1 − x)",
     )
     values = (float(matrix.sum().real), as_printed)
+
+    curve = mcs.convergence(reflected, "jittered", [N], realizations=2 * realizations, rng=seed)
+    other = Measured.of(curve.isel(n=0), "variance", log=True)
 
     # Compare the sum of the terms with the truncated variance in each case.
     # The third term of each case is the sum of the off-diagonal entries of its matrix
@@ -78,38 +88,49 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         each[~np.eye(len(each), dtype=bool)]
         for each in (data["cross_matrix"].values for data in every)
     ]
-    exact_panels = []
-    for density, title in ((None, "p = 1"), ("linear(slope=1)", "p = ½ + x")):
-        entries = exact_matrix(mcs.integrand(LINE, 1), "jittered", density, HALF_WIDTH)
-        exact_panels += [
-            matrix_panel(f"real, {title}", entries.real),
-            matrix_panel(
-                f"imaginary, {title}{': all 0' if not entries.imag.any() else ''}",
-                entries.imag,
-                y=False,
-            ),
-        ]
-    shown = {f"f(x) = x: {name}": data for name, data in line.items()}
-    shown |= {f"bell, p = ½ + x: {name}": data for name, data in weighted.items()}
-    shown["bell: jittered"] = bell["jittered"]
+    entries = exact_matrix(f, "jittered", DENSITY, _SHOWN)
+
+    # Exact terms over all frequencies. The bell needs only a few frequencies
+    terms_of = {
+        "f = x, random": (line["random"], (0.0, 1 / (12 * N), 0.0)),
+        "f = x, jittered": (line["jittered"], (0.0, *limits.values())),
+        "bell, p = ½ + x, random": (
+            weighted["random"],
+            split(exact_matrix(f, "random", DENSITY, 128)),
+        ),
+        "bell, p = ½ + x, jittered": (weighted["jittered"], split(matrix)),
+    }
+    measured = {
+        title: Measured.of(data, "measured_variance", log=True)
+        for title, (data, _) in terms_of.items()
+    }
+    random = terms_of["bell, p = ½ + x, random"][1]
     return Exhibit(
         numbers={
             "N": N,
-            "power": power,
-            "cross": cross,
-            "first": first,
-            "all": all_,
-            "half_width": HALF_WIDTH,
+            "power": number(limits["second term is 1/(6N²) − 1/(12N³)"]),
+            "cross": number(-limits["third term is 1/(6N³) − 1/(6N²)"]),
+            "first": number(random[0]),
+            "all": number(sum(random)),
+            "right": number(values[0]),
+            "printed": number(values[1]),
         },
         plots=(
-            plot_of("exact-matrices", *exact_panels),
+            plot_of(
+                "exact-matrices",
+                _plain(matrix_panel("real part", entries.real)),
+                _plain(matrix_panel("imaginary part", entries.imag, y=False)),
+                _conjugates(values, [measured["bell, p = ½ + x, jittered"], other]),
+            ),
             _matrices(1, line),
             _matrices(2, bell),
             plot_of(
                 "three-terms",
                 *(
-                    term_panel(data, 1e-5, title, "" if k % 3 else "terms · 10⁵")
-                    for k, (title, data) in enumerate(shown.items())
+                    term_panel(
+                        known_terms, measured[title], 1e-5, title, "" if k % 2 else "terms · 10⁵"
+                    )
+                    for k, (title, (_, known_terms)) in enumerate(terms_of.items())
                 ),
             ),
         ),
@@ -180,7 +201,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 *(
                     replace(
                         Claim(
-                            "It matters which S is conjugated, for random points with p = ½ + x "
+                            "It matters which S is conjugated, for jittered points, p = ½ + x "
                             "and the "
                             f"bell: {text}: relative difference.",
                             value / right - 1.0,
@@ -197,7 +218,46 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                     )
                 ),
             ),
+            *(
+                Claim(
+                    f"{title}: the exact three terms sum to the measured variance.",
+                    measured[title],
+                    expected=sum(known_terms),
+                    digits=4,
+                )
+                for title, (_, known_terms) in terms_of.items()
+            ),
         ),
+    )
+
+
+def _plain(panel: Panel) -> Panel:
+    """Return a map of a matrix with short labels, which leave room for the map."""
+    y = Axis(label="m", ticks=panel.y.ticks) if panel.y.label else Axis(ticks={})
+    return replace(panel, x=replace(panel.x, label="l"), y=y)
+
+
+def _conjugates(values: Sequence[float], variances: Sequence[Measured]) -> Panel:
+    """Plot the sums of both products, and the measured variances of f(x) and f(1 − x)."""
+    at, scale = np.arange(2.0), 1e-5
+    names = dict(zip(at.tolist(), ("⟨Sₘ Sₗ*⟩", "⟨Sₘ* Sₗ⟩"), strict=True))
+    value = np.array(values) / scale
+    marks: list[Mark] = [
+        BarChart(at=at, value=value, color=TERM_COLORS["predicted_variance"], thickness=0.5)
+    ]
+    for x, each, label in zip((0.6, 1.0), variances, ("f(x)", "f(1 − x)"), strict=True):
+        y = each.value / scale
+        marks.append(ReferenceLine(at=y, color=PALETTE[0], dashes="--", width=1.8))
+        marks.append(TextMark(x=x, y=y, text=f"Var, {label}", color=PALETTE[0], side="above"))
+    marks += [
+        TextMark(x=float(x), y=float(y) / 2, text=number(float(y), 3), side="middle")
+        for x, y in zip(at, value, strict=True)
+    ]
+    return Panel(
+        marks=tuple(marks),
+        x=Axis(low=-0.5, high=1.7, ticks=names),
+        y=Axis(label="sum · 10⁵", low=0.0, high=1.2 * float(value.max())),
+        title="sums",
     )
 
 

@@ -63,6 +63,35 @@ class TermsCase:
             self.estimator, self.sampler, N, half_width=wide, realizations=realizations, rng=seed
         )
 
+    def exact(self) -> tuple[float, float, float]:
+        """Return the exact variance terms, summed over all frequencies.
+
+        After a random shift only the second term remains, so it is the variance of shifted points.
+        The variance of jittered points is 1/(12N³) for the line. For the bar it is 1/(2N²),
+        because each edge halves a stratum.
+        """
+        if self.sampler == "random":
+            return self.exact_random()
+        if self.function == "line":
+            second = 1 / (6 * N**2) - 1 / (12 * N**3)
+            return 0.0, second, 1 / (12 * N**3) - second
+        if self.function == "bar":
+            return 0.0, 1 / (3 * N**2), 1 / (6 * N**2)
+        # The wave has only the frequencies −1, 0 and 1
+        m = np.arange(-1, 2)[:, None]
+        f = self.integrand.fourier(m)
+        c = mcs.spectra.closed_form_covariance(
+            self.sampler, N, m[:, None], m[None], self.estimator.density
+        )
+        matrix = (f.conj()[:, None] * f * c).real
+        first, second = float(matrix[1, 1]), float(matrix[0, 0] + matrix[2, 2])
+        return first, second, float(matrix.sum()) - first - second
+
+    def panel(self, data: xr.Dataset, y: str = "") -> Panel:
+        """Return a waterfall of the exact terms, beside the measured variance."""
+        variance = Measured.of(data, "measured_variance")
+        return term_panel(self.exact(), variance, 1e-3, self.title, y)
+
     def exact_random(self) -> tuple[float, float, float]:
         """Return the exact variance terms for random points.
 
@@ -79,12 +108,12 @@ class TermsCase:
         return float(first) / N, float(second) / N, float(third) / N
 
 
-LINE = TermsCase("f = x, p = 1, jittered", "line", 0.0, "jittered")
-BAR = TermsCase("bar, p = 1, jittered", "bar", 0.0, "jittered")
-GOOD = TermsCase("cosine, p as f, random", "cosine", -0.8, "random")
-STRATIFIED = TermsCase("cosine, p as f, jittered", "cosine", -0.8, "jittered")
-BAD = TermsCase("cosine, p against f, random", "cosine", 0.8, "random")
-FLAT = TermsCase("f = 1, p as cosine, random", "one", -0.8, "random")
+LINE = TermsCase("f = x, jittered", "line", 0.0, "jittered")
+BAR = TermsCase("bar, jittered", "bar", 0.0, "jittered")
+GOOD = TermsCase("p as f, random", "cosine", -0.8, "random")
+STRATIFIED = TermsCase("p as f, jittered", "cosine", -0.8, "jittered")
+BAD = TermsCase("p against f, random", "cosine", 0.8, "random")
+FLAT = TermsCase("f = 1, random", "one", -0.8, "random")
 
 
 def _wave(height: float) -> mcs.Integrand:
@@ -103,10 +132,10 @@ def _density(amplitude: float) -> mcs.Density:
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
     """Measure the terms in cases that confirm statements of the slides, and in counterexamples."""
-    realizations = 1000 if quick else 20_000
+    realizations = 2000 if quick else 20_000
     of = {case: case.terms(realizations, seed) for case in (LINE, BAR, GOOD, STRATIFIED, BAD, FLAT)}
     shifted = TermsCase("", "line", 0.0, "jittered | shift").terms(realizations, seed)
-    third = {case: number(float(data["cross_term"])) for case, data in of.items()}
+    third = {case: number(case.exact()[2]) for case in of}
     with_f = "With importance sampling that follows f, {} points, the third term is negative."
     # If p = f, every estimate is I, so the third term is minus the sum of the other two
     estimator = mcs.Estimator(_wave(0.8), _density(-0.8))
@@ -115,7 +144,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     )
     every = [*(data for case, data in of.items() if case != FLAT), shifted]
     found = [Measured.of(data, "power_term") for data in every]
-    frames = {f"{a:g}": _scanned(a) for a in (-0.8, -0.4, 0.0, 0.4, 0.8, 0.95)}
+    counter = BAR.panel(of[BAR], "terms · 10³")
+    frames = {f"{a:g}": _scanned(a, counter) for a in (-0.8, -0.4, 0.0, 0.4, 0.8, 0.95)}
     return Exhibit(
         numbers={
             "line": third[LINE],
@@ -123,20 +153,23 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             "good": third[GOOD],
             "bad": third[BAD],
             "N": N,
+            "without": number(LINE.exact()[1] / sum(LINE.exact()), 2),
+            "two": number(sum(GOOD.exact()[:2]) / sum(GOOD.exact()), 2),
+            "strata": number(sum(STRATIFIED.exact()[:2]) / sum(STRATIFIED.exact()), 2),
         },
         plots=(
             plot_of(
                 "crucial-terms",
                 *(
-                    term_panel(of[case], 1e-3, case.title, "" if k else "terms · 10³")
-                    for k, case in enumerate((LINE, GOOD, FLAT))
+                    case.panel(of[case], "" if k % 2 else "terms · 10³")
+                    for k, case in enumerate((LINE, GOOD, STRATIFIED, FLAT))
                 ),
             ),
             frames["0.8"],
             plot_of(
                 "six-cases",
                 *(
-                    term_panel(data, 1e-3, case.title, "" if k % 3 else "terms · 10³")
+                    case.panel(data, "" if k % 3 else "terms · 10³")
                     for k, (case, data) in enumerate(of.items())
                 ),
             ),
@@ -229,12 +262,21 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 / float(perfect["dc_term"] + perfect["power_term"]),
                 at_most=1e-9,
             ),
+            *(
+                Claim(
+                    f"{case.title}: the exact three terms sum to the measured variance.",
+                    Measured.of(of[case], "measured_variance", log=True),
+                    expected=sum(case.exact()),
+                    digits=4,
+                )
+                for case in (LINE, GOOD, STRATIFIED, FLAT)
+            ),
         ),
     )
 
 
-def _scanned(slope: float) -> Plot:
-    """Plot f and p = 1 − a cos(2πx), and the exact terms for random points against a."""
+def _scanned(slope: float, counter: Panel) -> Plot:
+    """Plot f and p = 1 − a cos(2πx), exact terms for random points against a, and a third panel."""
     x = np.linspace(0.0, 1.0, 200)
     wave = np.cos(2 * np.pi * x)
     pair = Panel(
@@ -244,7 +286,7 @@ def _scanned(slope: float) -> Plot:
         ),
         x=Axis(label="x (domain, 0 to 1)", low=0.0, high=1.0),
         y=Axis(low=0.0, high=2.1),
-        title="integrand and density",
+        title="f and p",
         grid=True,
     )
     names = {"dc_term": "first term", "power_term": "second term", "cross_term": "third term"}
@@ -264,12 +306,12 @@ def _scanned(slope: float) -> Plot:
     marks.append(Dots(x=np.array([slope]), y=here[None].sum(axis=1), color=INK, size=8.0))
     curves = Panel(
         marks=tuple(marks),
-        x=Axis(label="a (p as f: a > 0; p against f: a < 0)", low=-0.92, high=1.0),
-        y=Axis(label=f"terms · 10³, {N} random points", low=-170.0, high=270.0),
-        title=f"variance {number(float(here.sum()) / 1e3)} at a = {number(slope, 2)}",
+        x=Axis(label="a (a > 0: p as f)", low=-0.92, high=1.0),
+        y=Axis(label="terms · 10³", low=-170.0, high=270.0),
+        title=f"random, a = {number(slope, 2)}",
         grid=True,
     )
-    return plot_of("importance-terms", pair, curves)
+    return plot_of("importance-terms", pair, curves, counter)
 
 
 def _negative(statement: str, data: xr.Dataset) -> Claim:

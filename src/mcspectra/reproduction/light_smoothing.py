@@ -23,6 +23,7 @@ _COUNTS = tuple(side**2 for side in (16, 23, 32, 45, 64))
 DISK, RADIUS = "disk(center=0.47)", 0.25
 WIDTHS = (0.0, 0.02, 0.05, 0.1, 0.2)
 BUDGETS = (64, 256, 1024)
+_OTHERS = 2  # colors that the light already has
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
@@ -43,8 +44,9 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         {f"{name} edge": curve for name, curve in curves.items()},
         rates={f"{name} edge": rate for name, rate in _RATES.items()},
         relative=True,
-        title="BSDF sampling at P, jittered",
+        title="light that fades: rate",
         x="number of samples N",
+        beside=0.6,
     )
     widths, marks = np.array(WIDTHS[1:]), list[Mark]()
     for k, n in enumerate(BUDGETS):
@@ -52,14 +54,14 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         mse = cell["mse"].values
         edge = float(scan["mse"].sel(n=n, width=0.0))
         marks += [
-            ReferenceLine(at=edge, color=PALETTE[k], dashes=":"),
-            Line(x=widths, y=mse, color=PALETTE[k], width=1.1, label=label),
-            whiskers(widths, mse, cell["mse_ci"].values, k, label),
+            ReferenceLine(at=edge, color=PALETTE[k + _OTHERS], dashes=":"),
+            Line(x=widths, y=mse, color=PALETTE[k + _OTHERS], width=1.1, label=label),
+            whiskers(widths, mse, cell["mse_ci"].values, k + _OTHERS, label),
         ]
     dense = np.geomspace(widths[0], widths[-1], 50)
     line = (np.pi * dense**2 / 12) ** 2
-    marks.append(Line(x=dense, y=line, color=INK, width=1.1, label="bias², (πδ²/12)²"))
-    x = log_axis("width δ of the edge (sides of the domain)", widths[0], widths[-1])
+    marks.append(Line(x=dense, y=line, color=INK, width=1.1, label="bias²"))
+    x = log_axis("width δ of the edge", widths[0], widths[-1])
     y = log_axis("mean squared error", 1e-7, 5e-4)
     return Exhibit(
         numbers={"sharp": sharp, "smooth": smooth, "best": best, "radius": RADIUS},
@@ -67,8 +69,11 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             plot_of(
                 "smoothed-light", *(primary_panel(g, f"{name} edge") for name, g in pixels.items())
             ),
-            plot_of("light-smoothing", panel),
-            plot_of("smoothing-widths", Panel(marks=tuple(marks), x=x, y=y, grid=True)),
+            plot_of(
+                "light-smoothing",
+                panel,
+                Panel(marks=tuple(marks), x=x, y=y, title="smoothed disk: error", grid=True),
+            ),
         ),
         claims=(
             *(

@@ -11,7 +11,6 @@ The sum is over integers m ≠ 0, and is computed from products over the axes.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Mapping
 from functools import cache
@@ -23,7 +22,6 @@ import mcspectra as mcs
 from mcspectra.core.checks import BELOW_ONE, Array
 from mcspectra.plots.description import (
     Axis,
-    BarChart,
     Dots,
     Heatmap,
     Line,
@@ -33,9 +31,10 @@ from mcspectra.plots.description import (
     ReferenceLine,
     Scale,
     Segments,
+    TextMark,
 )
 from mcspectra.plots.scales import log_axis, name_axis, unit_panel
-from mcspectra.plots.style import ACCENT, FAINT, INK, PALETTE
+from mcspectra.plots.style import ACCENT, FAINT, INK, MARKERS, PALETTE
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import (
     Claim,
@@ -93,25 +92,27 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         if mirroring == "uniform":
             marks.append(Dots(x=own[:, 0], y=own[:, 1], color=ACCENT, size=3.0))
         panels.append(unit_panel(marks, _TITLES[mirroring], "x", "y"))
-    curves, label = [], "measured and exact"
-    for shifted, mirroring in itertools.product((True, False), _TITLES):
-        key = mirroring, shifted
-        panel = variance_panel(
-            {label: cells[key]},
-            exact={label: exact[key]},
-            rates={label: RATES[key]},
-            title=f"{_TITLES[mirroring]}, {'shifted' if shifted else 'not shifted'}",
-            x="number of samples N",
-            limits=(1e-9, 1e-3),
+    curves = [
+        variance_panel(
+            {_WORDS[h]: cells[m, h] for h in (False, True)},
+            exact={_WORDS[h]: exact[m, h] for h in (False, True)},
+            rates={_WORDS[h]: RATES[m, h] for h in (False, True)},
+            title=title,
+            x="evaluations N",
+            limits=(3e-10, 1e-3),
+            beside=0.9,
         )
-        curves.append(panel)
+        for m, title in _TITLES.items()
+    ]
     together = [
         variance_panel(
             {_TITLES[m]: cells[m, shifted] for m in _TITLES},
             exact={_TITLES[m]: exact[m, shifted] for m in _TITLES},
+            rates={_TITLES[m]: RATES[m, shifted] for m in _TITLES},
             title=_WORDS[shifted],
             x="number of evaluations N",
-            limits=(1e-9, 1e-3),
+            limits=(3e-10, 1e-3),
+            beside=0.6,
         )
         for shifted in (True, False)
     ]
@@ -161,8 +162,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         plots=(
             _integrands(),
             plot_of("mirrored-samples", *panels),
-            plot_of("mirroring-homogenized", *curves[:3]),
-            plot_of("mirroring-plain", *curves[3:]),
+            plot_of("mirroring-homogenized", *curves),
+            plot_of("mirroring-plain", *curves),
             plot_of("mirroring-convergence", *together),
             _take_away(last, seed),
         ),
@@ -265,20 +266,27 @@ def _domain(dims: int) -> Claim:
 
 def _take_away(last: Mapping[tuple[str, bool], Measured], seed: int) -> Plot:
     """Return plots: the jump and its removal, the domains of both integrands, and the variances."""
-    t = np.linspace(-1.0, 1.0, 801)
+    t = np.linspace(0.0, 2.0, 801)
     sections: list[Mark] = []
     for folded, color, label in (
         (t % 1.0, ACCENT, "wrapped around: jumps"),
-        (np.abs(t), PALETTE[0], "mirrored: no jump"),
+        (1.0 - np.abs(1.0 - t), PALETTE[0], "mirrored: no jump"),
     ):
         jumps = np.abs(np.diff(folded, append=folded[-1])) > 0.5
         y = np.where(jumps, np.nan, np.exp(-(folded**2)))
-        sections.append(Line(x=t, y=y, color=color, width=2.0, label=label))
-    axis = {"low": -1.0, "high": 1.0, "ticks": {-1.0: "−1", 0.0: "0", 1.0: "1"}}
+        width = 4.0 if color == ACCENT else 1.6
+        sections.append(Line(x=t, y=y, color=color, width=width, label=label))
+    jump = np.exp([-1.0, 0.0])
+    sections += [
+        Line(x=np.ones(2), y=jump, color=ACCENT, dashes=":", width=2.0),
+        TextMark(x=1.0, y=1.02, text="jump", color=ACCENT, side="above"),
+        TextMark(x=1.0, y=0.32, text="no jump", color=PALETTE[0], side="below"),
+    ]
+    ticks = {0.0: "0", 1.0: "1", 2.0: "2"}
     cut = Panel(
         marks=tuple(sections),
-        x=Axis(label="x", **axis),  # type: ignore[arg-type]
-        y=Axis(label="f(x, 0)", low=0.0, high=1.15),
+        x=Axis(label="x", low=0.0, high=2.0, ticks=ticks),
+        y=Axis(label="f(x, 0)", low=0.0, high=1.25),
         title="boundary discontinuities",
         grid=True,
     )
@@ -293,7 +301,7 @@ def _take_away(last: Mapping[tuple[str, bool], Measured], seed: int) -> Plot:
         marks=(
             *lines,
             Dots(x=x, y=y, color=PALETTE[0], size=3.5),
-            Segments(ends=square, color=ACCENT, width=2.4),
+            Segments(ends=square, color=INK, width=2.4, label="domain of f"),
         ),
         x=Axis(label="x", low=0.0, high=2.0, ticks={0.0: "0", 1.0: "1", 2.0: "2"}),
         y=Axis(label="y", low=0.0, high=2.0, ticks={0.0: "0", 1.0: "1", 2.0: "2"}),
@@ -308,15 +316,23 @@ def _take_away(last: Mapping[tuple[str, bool], Measured], seed: int) -> Plot:
     }
     found = [last[key] for key in rows.values()]
     value, low, high = np.array([(each.value, each.low, each.high) for each in found]).T
-    least = 10.0 ** math.floor(math.log10(low.min()))
-    bars = BarChart(
-        at=np.arange(4.0), value=value, base=least, low=low, high=high, thickness=0.6, lying=True,
-        color=[PALETTE[6], ACCENT, PALETTE[3], PALETTE[0]],
-    )  # fmt: skip
     names = ["original", "original, shifted", "mirror-random, shifted", "mirror-uniform, shifted"]
+    dots = [
+        Dots(
+            x=value[[k]], y=np.array([float(k)]), low=low[[k]], high=high[[k]], across=True,
+            size=7.0, color=color, marker=marker,
+        )
+        for k, (color, marker) in enumerate(
+            zip((PALETTE[6], ACCENT, PALETTE[3], PALETTE[0]), MARKERS, strict=False)
+        )
+    ]  # fmt: skip
+    said = [
+        TextMark(x=2.2 * float(value[k]), y=float(k), text=number(float(value[k]), 2))
+        for k in range(len(names))
+    ]
     variances = Panel(
-        marks=(bars,),
-        x=log_axis("variance", least, float(high.max()), most=3),
+        marks=(*dots, *said),
+        x=log_axis("variance", float(low.min()) / 2, 1000 * float(high.max()), most=3),
         y=name_axis(names),
         title=f"variance with {_COUNTS[-1]} evaluations",
         grid=True,

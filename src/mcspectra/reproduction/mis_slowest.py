@@ -41,7 +41,11 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     pixels = {name: _pixel(name, sides, 80 if quick else 500, seed) for name in _PIXELS}
     rates = "; ".join(
         f"{_WHERE[where]}: "
-        + ", ".join(f"{name} {rate_text(found.isel(estimator=i))}" for i, name in enumerate(_RATES))
+        + ", ".join(
+            f"{name} {rate_text(found.isel(estimator=i))}"
+            for i, name in enumerate(_RATES)
+            if name != "light sampling"
+        )
         for where, found in pixels.items()
     )
     known = dict(zip(toy, (exact(0), exact(1), exact(0) + exact(1)), strict=True))
@@ -59,6 +63,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                         relative=True,
                         title=_WHERE[where],
                         x="samples N of each technique",
+                        beside=0.6,
                     )
                     for where, found in pixels.items()
                 ),

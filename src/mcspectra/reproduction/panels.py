@@ -57,11 +57,12 @@ __all__ = [
 
 AXES: tuple[Literal["x", "y"], ...] = ("x", "y")
 
-_TERMS = {"dc_term": "1st", "power_term": "2nd", "cross_term": "3rd"}
+_TERMS = {"dc_term": "1st", "power_term": "2nd", "cross_term": "3rd", "predicted_variance": "sum"}
 _RESOLUTION = 256
-# Parts of a logarithmic axis: distance of lines that look the same, room for a slope label,
-# and distance of the label from its line
-_COINCIDENT, _ROOM, _LIFT = 0.02, 0.12, 0.05
+# Parts of an axis: the distance of lines that look the same, the width and the height of a slope
+# label, its distance from lines and markers, and the distance beyond which more does not help.
+_COINCIDENT, _WIDE, _TALL, _GAP, _FREE = 0.02, 0.27, 0.07, 0.035, 0.1
+_END_GAP = 0.11  # least distance of slopes beside their lines
 # A variance term counts as a rounding error if it is smaller than this share of the largest term.
 _ROUNDING = 1e-12
 
@@ -87,6 +88,8 @@ def variance_panel(
     title: str = "",
     x: str = "number of points N",
     limits: tuple[float, float] | None = None,
+    letters: float = 1.0,
+    beside: float = 0.0,
 ) -> Panel:
     """Return measured variances with 95 % intervals against N, and exact and theoretical lines.
 
@@ -107,12 +110,18 @@ def variance_panel(
         Title of the panel and label of the x axis.
     limits
         Limits of the variance axis. Default: the limits of the data.
+    letters
+        Size of slope labels relative to the panel. Two panels side by side have 1.
+    beside
+        Room to the right of the lines, relative to their length. If it is not 0, slopes are
+        written there, where no line or marker is.
     """
     marks: list[Mark] = []
     values: list[float] = []
     counts: set[int] = set()
     widths = line_widths(len(curves))
     lines: list[tuple[Array, float, str]] = []
+    dots: list[Array] = []
     for k, (label, curve) in enumerate(curves.items()):
         scale = float(curve["mean"][-1]) ** -2 if relative else 1.0
         n, ends = curve["n"].values.astype(float), scale * curve["variance_ci"].values
@@ -128,43 +137,90 @@ def variance_panel(
         elif line is not None:
             lines.append((line, float(np.polyfit(np.log(n), np.log(line), 1)[0]), PALETTE[k]))
         marks.append(whiskers(n, scale * curve["variance"].values, ends, k, label))
+        dots.append(scale * curve["variance"].values)
         values += [*ends.ravel(), *([] if line is None else line)]
         counts |= {int(v) for v in n}
     low, high = limits or (min(values), max(values))
-    if lines:
-        marks += slope_labels(n, lines, math.log(high / low))
     y = "variance / mean²" if relative else "variance"
     x_axis, y_axis = count_axis(x, counts, most=5), log_axis(y, low, high, most=5)
+    if lines and beside:
+        length = max(counts) / min(counts)
+        marks += _end_slopes(lines, max(counts) * length**0.06, math.log(high / low))
+        x_axis = replace(
+            count_axis(x, counts, most=round(2 / beside)), high=max(counts) * length**beside
+        )
+    elif lines:
+        marks += slope_labels(n, lines, (low, high), dots, letters)
     return Panel(marks=tuple(marks), x=x_axis, y=y_axis, title=title, grid=True)
 
 
 def slope_labels(
-    n: Array, lines: Sequence[tuple[Array, float, str]], reach: float
+    n: Array,
+    lines: Sequence[tuple[Array, float, str]],
+    limits: tuple[float, float],
+    others: Sequence[Array] = (),
+    letters: float = 1.0,
 ) -> list[TextMark]:
-    """Label falling lines with their slopes, right above or left below their middles.
+    """Label falling lines with their slopes, above or below them, where no line is in the way.
 
-    `lines` are variances, a slope and a color. `reach` is the logarithm of the ratio of the limits.
-    A line that almost coincides with a labeled line gets no label.
+    `lines` are variances, a slope and a color; `limits` are the limits of the variance axis.
+    `others` are variances that labels must not cover either. `letters` scales the labels' size.
+    Lines that coincide have one label, in black. A line without room has no label.
     """
-    middle = len(n) // 2
-    x, found = math.sqrt(n[middle - 1] * n[middle]), list[TextMark]()
-    heights = [math.log(y[middle - 1] * y[middle]) / 2 for y, _, _ in lines]
-    order = np.argsort(heights, kind="stable")[::-1].tolist()
-    for place, k in enumerate(order):
-        # Distances to the lines above and below, as parts of the axis
-        away = [abs(heights[i] - heights[k]) / reach for i in order]
-        above = min(away[:place], default=1.0)
-        below = min((d for d in away[place + 1 :] if d >= _COINCIDENT), default=1.0)
-        if above < _COINCIDENT or max(above, below) < _ROOM:
+    reach, wide, tall = math.log(limits[1] / limits[0]), _WIDE * letters, _TALL * letters
+    u = np.log(n / n[0]) / math.log(n[-1] / n[0])
+    with np.errstate(divide="ignore"):
+        paths = [np.log(np.asarray(y) / limits[0]) / reach for y, _, _ in lines]
+        beside = [np.log(np.asarray(y) / limits[0]) / reach for y in others]
+    found = list[TextMark]()
+    done = list[Array]()
+    boxes = list[tuple[float, float]]()
+    for k in np.argsort([-path.mean() for path in paths], kind="stable").tolist():
+        same = [bool(np.abs(path - paths[k]).max() < _COINCIDENT) for path in paths]
+        if any(np.abs(path - paths[k]).max() < _COINCIDENT for path in done):
+            continue
+        best, place = -math.inf, (0.0, 0.0)
+        for left in np.linspace(0.0, 1.0 - wide, 16):
+            across = np.linspace(left, left + wide, 9)
+            own = np.interp(across, u, paths[k])
+            away = [np.interp(across, u, path) for path in (*paths, *beside)]
+            for below, height in (
+                (0, own.max() + _GAP + tall / 2),
+                (1, own.min() - _GAP - tall / 2),
+            ):
+                room = [np.abs(path - height).min() - tall / 2 for path in away]
+                room += [abs(v - height) - tall for x, v in boxes if abs(x - left) < wide]
+                room += [1.0 - tall / 2 - height + _GAP, height - tall / 2 + _GAP]
+                if min(room) < 0.6 * _GAP:
+                    continue
+                score = min(*room, _FREE) - 0.1 * abs(left + wide / 2 - 0.5) - 0.01 * below
+                if score > best:
+                    best, place = score, (float(left), float(height))
+        if best == -math.inf:
             continue
         _, rate, color = lines[k]
-        raised = _LIFT if above >= _ROOM else -_LIFT
+        boxes.append(place)
+        done.append(paths[k])
         found.append(
             TextMark(
-                x=x, y=math.exp(heights[k] + raised * reach), text=f"slope {number(rate, 2)}",
-                color=color, side="right" if raised > 0 else "left",
+                x=float(n[0] * (n[-1] / n[0]) ** (place[0] + wide / 2)),
+                y=limits[0] * math.exp(place[1] * reach),
+                text=f"slope {number(rate, 2)}",
+                color=INK if sum(same) > 1 else color,
+                side="middle",
             )
-        )  # fmt: skip
+        )
+    return found
+
+
+def _end_slopes(
+    lines: Sequence[tuple[Array, float, str]], x: float, reach: float
+) -> list[TextMark]:
+    """Write the slopes of lines next to their last points. Labels keep a distance."""
+    found, last = list[TextMark](), math.inf
+    for y, rate, color in sorted(lines, key=lambda line: -line[0][-1]):
+        last = min(math.log(y[-1]), last - _END_GAP * reach)
+        found.append(TextMark(x=x, y=math.exp(last), text=f"slope {number(rate, 2)}", color=color))
     return found
 
 
@@ -245,9 +301,17 @@ def in_columns(plot: Plot, first: int = 0) -> Plot:
 
 
 def interval_panel(
-    rows: Mapping[str, Sequence[Measured]], labels: Sequence[str], x: str, at: float | None = None
+    rows: Mapping[str, Sequence[Measured]],
+    labels: Sequence[str],
+    x: str,
+    at: float | None = None,
+    *,
+    ratio: bool = False,
 ) -> Panel:
-    """Return a panel with one row for each name, and one horizontal interval for each label."""
+    """Return a panel with one row for each name, and one horizontal interval for each label.
+
+    With `ratio`, the axis is logarithmic.
+    """
     marks: list[Mark] = (
         [] if at is None else [ReferenceLine(at=at, axis="x", color=INK, dashes="--")]
     )
@@ -261,35 +325,50 @@ def interval_panel(
                 color=PALETTE[k], marker=MARKERS[k], size=5.0, label=label,
             )
         )  # fmt: skip
-    high = max(each.high for row in rows.values() for each in row)
+        if ratio:
+            marks += [
+                TextMark(x=each.high, y=place + away, text=number(each.value, 3), color=PALETTE[k])
+                for place, each in enumerate(found)
+            ]
+    every = [each for row in rows.values() for each in row]
+    high = max(each.high for each in every)
     axis = Axis(label=x, low=0.0, high=1.08 * high)
+    if ratio:
+        axis = log_axis(x, 0.9 * min(each.low for each in every), 1.6 * high)
     return Panel(marks=tuple(marks), x=axis, y=name_axis(list(rows)), grid=True)
 
 
-def term_panel(data: xr.Dataset, scale: float, title: str, y: str = "") -> Panel:
-    """Return a waterfall of the three terms, divided by `scale`, with 95 % intervals."""
-    names = {**_TERMS, "predicted_variance": "sum"}
-    found = [Measured.of(data, name) / scale for name in names]
-    value, low, high = np.array([(each.value, each.low, each.high) for each in found]).T
+def term_panel(
+    terms: Sequence[float], variance: Measured, scale: float, title: str, y: str = ""
+) -> Panel:
+    """Return a waterfall of the three terms and their sum, beside the measured variance.
+
+    All values are divided by `scale`. The measured variance has its 95 % interval.
+    """
+    value = np.array([*terms, sum(terms), variance.value]) / scale
     rounding = _ROUNDING * np.abs(value).max()
     texts = [number(v, 2) if abs(v) > rounding else "0" for v in value]
-    at, base = np.arange(4.0), np.append(0.0, np.cumsum(value[:3]))
-    base[3] = 0.0
-    low, high, value = low + base, high + base, value + base
-    colors = [TERM_COLORS[name] for name in names]
-    bars = BarChart(at=at, value=value, base=base, low=low, high=high, color=colors, thickness=0.72)
+    at, base = np.arange(5.0), np.zeros(5)
+    base[1:3] = np.cumsum(value[:2])
+    value += base
+    colors = [TERM_COLORS[name] for name in (*_TERMS, "measured_variance")]
+    bars = BarChart(at=at, value=value, base=base, color=colors, thickness=0.72)
+    ends = np.array([variance.low, variance.high]) / scale
+    interval = Dots(x=at[4:], y=value[4:], low=ends[:1], high=ends[1:], color=INK, size=2.0)
     steps = [[[k, value[k]], [k + 1.0, value[k]]] for k in range(3)]
     joints = Segments(ends=np.array(steps), color=GRAY, width=0.6)
-    tops = np.maximum(high, np.maximum(base, value))
+    tops = np.maximum(base, value)
+    tops[4] = ends[1]
     above = (
         TextMark(x=float(place), y=float(end), text=text, side="above")
         for place, end, text in zip(at, tops, texts, strict=True)
     )
-    bottom, top = min(low.min(), 0.0), max(tops.max(), 0.0)
+    bottom, top = min(value.min(), 0.0), max(tops.max(), 0.0)
     room = top - bottom
+    names = (*_TERMS.values(), "Var")
     return Panel(
-        marks=(joints, bars, ReferenceLine(at=0.0, color=INK, width=0.7), *above),
-        x=Axis(low=-0.6, high=3.6, ticks=dict(zip(at.tolist(), names.values(), strict=True))),
+        marks=(joints, bars, interval, ReferenceLine(at=0.0, color=INK, width=0.7), *above),
+        x=Axis(low=-0.6, high=4.6, ticks=dict(zip(at.tolist(), names, strict=True))),
         y=Axis(label=y, low=bottom - 0.05 * room * (bottom < 0), high=top + 0.17 * room),
         title=title,
     )

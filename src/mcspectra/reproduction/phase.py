@@ -86,13 +86,16 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             "least": number(min(third)),
             "most": number(max(third)),
             "rates": rates,
+            "pairs": f"{(2 * HALF_WIDTH + 1) * 2 * HALF_WIDTH:,}",
             "half_width": HALF_WIDTH,
         },
         plots=(
             frames["0.5"],
             plot_of(
                 "phase-convergence",
-                variance_panel(shown, exact=exact, title="bar and cosine, jittered points"),
+                variance_panel(
+                    shown, exact=exact, title="bar and cosine, jittered points", letters=0.7
+                ),
             ),
             _functions(),
         ),
@@ -189,9 +192,9 @@ def _displaced(offset: float, terms: Panel) -> Plot:
         ),
         x=Axis(label="x (domain, 0 to 1)", low=0.0, high=1.0),
         y=Axis(label="f(x)", low=0.0, high=1.1),
-        title=f"strata displaced by {offset:g} sides",
+        title=f"offset {offset:g}",
     )
-    here = ReferenceLine(at=offset, axis="x", color=INK, dashes="--", width=1.4)
+    here = ReferenceLine(at=offset, axis="x", color="#F5C9A9", width=5.0)
     return plot_of("phase-offsets", bar, replace(terms, marks=(here, *terms.marks)))
 
 

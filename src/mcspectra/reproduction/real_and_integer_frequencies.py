@@ -9,7 +9,6 @@ This limit holds because |⟨S_ν⟩|² is the power spectrum of a box: 1 on [0,
 
 from __future__ import annotations
 
-import math
 from functools import cache
 
 import numpy as np
@@ -71,7 +70,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             marks.append(whiskers(n, curve["variance"].values, ends, k, f"{sampler}: measured"))
         low = float(exact_variances(name, "jittered").min()) / 2
         high = 2 * float(frequency_sums(name, "random", 0.5).max())
-        marks += slope_labels(n, lines, math.log(high / low))
+        marks += slope_labels(n, lines, (low, high))
         x, y_axis = count_axis("number of points N", COUNTS), log_axis("variance", low, high)
         panels.append(Panel(marks=tuple(marks), x=x, y=y_axis, title=title, grid=True))
     # Draw curves over real frequencies ν, which include the integers, and dots at the integers
