@@ -7,11 +7,13 @@ import pytest
 from bokeh.document import Document
 from bokeh.models import InlineStyleSheet
 
+from mcspectra.app import compute as compute_module
 from mcspectra.app.board import Board
-from mcspectra.app.compute import UPDATE_KINDS
+from mcspectra.app.compute import UPDATE_KINDS, compute
 from mcspectra.app.figures import FIGURES
 from mcspectra.app.page import Explorer
 from mcspectra.app.state import ExplorerSetup, ExplorerState
+from mcspectra.core.errors import McspectraError
 from mcspectra.measure import convergence
 from mcspectra.plots.backend_bokeh import Drawn
 
@@ -22,9 +24,9 @@ class Page:
     """A page as seen by a board: functions from a job run in the page's own thread."""
 
     def __init__(self):
-        self.acts = SimpleQueue()
+        self.acts, self.texts = SimpleQueue(), []
         self.board = Board(
-            "A", InlineStyleSheet(), later=self.acts.put, on_update=lambda _: None,
+            "A", InlineStyleSheet(), later=self.acts.put, on_update=self.texts.append,
             on_shown=lambda _: None,
         )  # fmt: skip
 
@@ -136,3 +138,26 @@ def test_each_update_has_a_callback_of_its_own(page, board):
         assert list(board.latest) == list(UPDATE_KINDS[:done])
     acts[-1]()
     assert not board.busy
+
+
+def test_texts_are_written_once_also_if_the_first_round_does_not_end(page, board, monkeypatch):
+    board.run(SMALL)
+    while board.busy:
+        page.acts.get(timeout=60)()
+    assert page.texts == [""]
+
+    def fail(kind, setup, realizations):
+        if kind == "spectrum":
+            raise McspectraError("refused")
+        return compute(kind, setup, realizations)
+
+    monkeypatch.setattr(compute_module, "compute", fail)
+    board.run(replace(SMALL, seed=1))
+    while board.busy:
+        page.acts.get(timeout=60)()
+    assert page.texts == ["", ""]
+    board.run(replace(SMALL, sampler="no-such"))
+    while board.busy:
+        page.acts.get(timeout=60)()
+    assert page.texts[:2] == ["", ""]
+    assert [text[:30] for text in page.texts[2:]] == ["There is no sampler called 'no"]

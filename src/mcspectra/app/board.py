@@ -51,7 +51,8 @@ class Board:
     later
         Schedules a function without arguments in the page's thread, with the lock of the page.
     on_update
-        Called in the job's thread, with an empty text, before the first results are shown.
+        Called once with an empty text: after the first round of results, in the job's thread,
+        or when the job ends or is canceled during the first round.
         If nothing can be computed, the text is a sentence with the reason.
     on_shown
         Called in the page's thread after results were shown, and after the job has ended.
@@ -97,17 +98,19 @@ class Board:
         self._job = job = Job(
             setup,
             lambda update: self._hear(job, update),
-            lambda sentence: self._post(job, sentence),
+            lambda sentence: self._hear_end(job, sentence),
         )
         job.start()
 
     def cancel(self, *, quiet: bool = False) -> None:
         """Cancel the running job."""
-        if self._job is not None:
-            self._job.cancel()
+        job = self._job
+        if job is not None:
+            job.cancel()
             self._job = None
             if not quiet:
                 self._end("Canceled; the figures show the results so far.")
+                self._update_early(job)
 
     @property
     def busy(self) -> bool:
@@ -146,9 +149,20 @@ class Board:
         return _heading(kind, self._side if self._paired else "")
 
     def _hear(self, job: Job, update: Update) -> None:
+        first_round = (job, UPDATE_KINDS[-1]) not in self._newest
         self._post(job, update)
         # The texts are written after the first round of figures, which would wait for them
-        if update.kind == UPDATE_KINDS[-1]:
+        if first_round and update.kind == UPDATE_KINDS[-1]:
+            self._on_update("")
+
+    def _hear_end(self, job: Job, sentence: str) -> None:
+        self._update_early(job)
+        self._post(job, sentence)
+
+    def _update_early(self, job: Job) -> None:
+        """Call `on_update` if the job ends in its first round, with some results."""
+        first, last = ((job, UPDATE_KINDS[k]) in self._newest for k in (0, -1))
+        if first and not last:
             self._on_update("")
 
     def _post(self, job: Job, news: Update | str) -> None:

@@ -425,7 +425,7 @@ class _Pairs:
     def tables(self, parts: AnovaModel) -> tuple[Array, Array, Array, Array]:
         """Return four tables from which `pair_sums` computes covariances.
 
-        The tables hold the covariances of the functions g_i and of the factors of products,
+        The tables hold the covariances of the functions g_i and of the factors of products.
         They also hold the means of the factors, and the weights of the products.
         """
         singles, pairs, averages = list[Array](), list[Array](), list[Array]()

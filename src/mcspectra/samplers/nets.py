@@ -48,6 +48,10 @@ class _BinaryNet(FixedSet):
     def direction_numbers(self, n: int) -> Array:
         """Return columns of matrices for n points: uint32 (dims, 32), where 2^31 means ½."""
 
+    def link(self, n: int) -> tuple[int, ...]:  # noqa: ARG002
+        """Return the columns of the matrix U of `JoinedPairs` for n points; bit 0 is row 0."""
+        return _LINK
+
     def _law(self, n: int) -> Law:
         count = n.bit_length() - 1
         digital = 2**count == n and set(self.digit_bases) == {2}
@@ -392,10 +396,8 @@ class JoinedPairs(_BinaryNet):
         """Return the columns of the generator matrices: uint32 (4, 32); 2^31 means ½."""
         own = np.asarray(self.plane.direction_numbers(n), np.uint32)
         linked = own.copy()
-        link = _LINK
-        if isinstance(self.plane, LarcherPillichshammer):
-            most = 2 ** (len(_LARCHER_LINKS) - 1)
-            link = _LARCHER_LINKS[as_integer("n", n, least=1, most=most).bit_length() - 1]
+        # Nets from outside of this package need not have links of their own
+        link = self.plane.link(n) if isinstance(self.plane, _BinaryNet) else _LINK
         for column, rows in enumerate(link):
             parts = [own[:, j] for j in range(len(link)) if rows >> j & 1]
             linked[:, column] = np.bitwise_xor.reduce(parts)
@@ -426,6 +428,11 @@ class LarcherPillichshammer(PlaneSampler, _BinaryNet):
             out[0, k] = 1 << (_BITS - m + k)
             out[1, k] = 2**_BITS - (1 << (_BITS - 1 - k))
         return out
+
+    def link(self, n: int) -> tuple[int, ...]:
+        """Return the columns of the matrix U of `JoinedPairs` for n = 2^m ≤ 65,536 points."""
+        most = 2 ** (len(_LARCHER_LINKS) - 1)
+        return _LARCHER_LINKS[as_integer("n", n, least=1, most=most).bit_length() - 1]
 
     def _counts_near(self, n: int) -> tuple[int | None, int]:
         below = 1 << (n.bit_length() - 1)
