@@ -9,8 +9,11 @@ import threading
 import time
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
+from unittest.mock import Mock
 
 import pytest
+from bokeh.server.connection import ServerConnection
+from bokeh.server.protocol_handler import ProtocolHandler
 from tornado import httputil, web
 
 from mcspectra.app import compute, server
@@ -258,6 +261,22 @@ def test_requests_write_nothing_on_the_terminal(port, caplog):
         assert "exception GET /\\x9b2J" in caplog.text
     finally:
         own.removeFilter(server._is_own_error)
+
+
+def test_messages_of_closed_tabs_write_nothing_on_the_terminal(caplog):
+    """A message can arrive after its tab has closed; bokeh logs a traceback then."""
+    connection = ServerConnection(Mock(), Mock(), Mock(), Mock())
+    connection.detach_session()
+    message = Mock(msgtype="PATCH-DOC", header={"msgid": "1"})
+    own = logging.getLogger("bokeh.server.protocol_handler")
+    own.addFilter(server._has_open_tab)
+    try:
+        asyncio.run(ProtocolHandler().handle(message, connection))
+        assert caplog.text == ""
+        own.error("a failure", exc_info=ValueError("no"))
+        assert "a failure" in caplog.text
+    finally:
+        own.removeFilter(server._has_open_tab)
 
 
 @pytest.mark.parametrize("port", [-1, 65536, 1.5, "x", None])

@@ -15,6 +15,7 @@ from __future__ import annotations
 import logging
 import socket
 import threading
+import traceback
 import warnings
 import weakref
 from collections.abc import Awaitable, Callable
@@ -218,8 +219,9 @@ def serve(port: int = 0, *, open_browser: bool = True, quiet: bool = False) -> N
     server = make_server(port)
     # The page itself shows warnings, so do not repeat them on standard error.
     warnings.simplefilter("ignore")
-    # If a tab closes early, bokeh logs a warning and an assertion fails: ignore both
+    # If a tab closes early, bokeh logs a warning and assertions fail: ignore them
     logging.getLogger("bokeh.server.views.ws").setLevel(logging.ERROR)
+    logging.getLogger("bokeh.server.protocol_handler").addFilter(_has_open_tab)
     logging.getLogger("tornado.application").addFilter(_is_own_error)
     address = f"http://{ADDRESS}:{server.port}/"
     if not quiet:
@@ -239,6 +241,17 @@ def _is_own_error(record: logging.LogRecord) -> bool:
     text = record.getMessage()
     record.msg, record.args = printable(text, lines=True), ()
     return "GET /ws" not in text and "GET /static" not in text
+
+
+def _has_open_tab(record: logging.LogRecord) -> bool:
+    """Return False if a message failed only because its tab had closed before.
+
+    Bokeh's ``ServerConnection.session`` asserts that the tab is still connected.
+    """
+    error = record.exc_info[1] if record.exc_info else None
+    if not isinstance(error, AssertionError):
+        return True
+    return traceback.extract_tb(error.__traceback__)[-1].name != "session"
 
 
 def _warm_up() -> None:
