@@ -1,8 +1,14 @@
 """Blocks of realizations: every realization once, in order, within the requested size."""
 
+import math
+import multiprocessing
+import os
+import time
+
 import pytest
 
-from mcspectra.core.parallel import map_in_order, realization_blocks, slices
+from mcspectra.core.errors import ParameterError
+from mcspectra.core.parallel import map_in_order, process_map, realization_blocks, slices
 
 SLICE_NUMBERS = 2**19
 
@@ -46,3 +52,26 @@ def test_blocks_of_a_billion_realizations_use_no_memory():
 @pytest.mark.parametrize("workers", [1, 3])
 def test_results_come_in_order(workers):
     assert list(map_in_order(lambda x: x * x, range(50), workers)) == [x * x for x in range(50)]
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_processes_return_results_in_order(workers):
+    with process_map(workers) as mapped:
+        assert list(mapped(math.sqrt, [4.0, 9.0, 0.0])) == [2.0, 3.0, 0.0]
+        with pytest.raises(ValueError, match="domain"):
+            list(mapped(math.sqrt, [-1.0]))
+
+
+def test_a_process_that_dies_gives_an_error():
+    with pytest.raises(ParameterError, match="One of 2 processes died"), process_map(2) as mapped:
+        list(mapped(os._exit, [1]))
+
+
+def test_an_interrupt_ends_the_processes():
+    start = time.perf_counter()
+    with pytest.raises(KeyboardInterrupt), process_map(2) as mapped:
+        done = mapped(time.sleep, [0.0, 60.0, 60.0])
+        next(done)
+        raise KeyboardInterrupt
+    while multiprocessing.active_children():
+        assert time.perf_counter() - start < 50

@@ -94,6 +94,8 @@ def exhibits():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(gallery, "texts", lambda: TEXTS)
         patch.setattr(gallery, "load_exhibit", here.__getitem__)
+        # Other processes would not have these exhibits
+        patch.setattr("mcspectra.core.parallel.available_workers", lambda: 1)
         yield
 
 

@@ -48,7 +48,7 @@ _ITSELF = f"""@software{{mcspectra,
 @verb(
     option("FIGURE", "figures (default: all)", dest="figures", nargs="*"),
     option("--list", "list the figures and stop"),
-    option("--quick", "fewer realizations and no PDF files: one to two minutes"),
+    option("--quick", "fewer realizations and no PDF files: about a minute"),
     option("-o, --out DIR", "output folder (default out/reproduce)", repeated="once"),
 )
 def reproduce_(options: argparse.Namespace) -> VerbOutput:
@@ -59,6 +59,7 @@ def reproduce_(options: argparse.Namespace) -> VerbOutput:
     Without FIGURE it makes all figures; --list names them.
     A figure that fails does not stop the others; the exit code is then 1.
     """
+    from mcspectra.core.parallel import available_workers
     from mcspectra.reproduction.gallery import (
         FINDINGS_NAME,
         exhibit_names,
@@ -92,6 +93,7 @@ def reproduce_(options: argparse.Namespace) -> VerbOutput:
         seed=seed,
         command=shlex.join([*words, "--seed", str(seed)]),
         done=None if options.quiet or options.json else show,
+        workers=min(available_workers(), len(exhibit_names(options.figures))),
     )
     for entry in made.entries:
         if entry.problem:

@@ -1,4 +1,4 @@
-"""Work on blocks of realizations: a fixed partition, a thread pool, and results in order.
+"""Work on blocks of realizations: a fixed partition, pools of workers, and results in order.
 
 The partition depends only on the size of the problem, and never on the number of workers.
 Results of blocks are returned in order, so sums have the same bits for any number of workers.
@@ -6,22 +6,29 @@ Results of blocks are returned in order, so sums have the same bits for any numb
 
 from __future__ import annotations
 
+import multiprocessing
 import os
+import signal
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from contextvars import copy_context
 from dataclasses import dataclass
-from typing import TypeVar, final
+from typing import Any, TypeAlias, TypeVar, final
 
 from mcspectra.core.checks import as_integer
+from mcspectra.core.errors import ParameterError
 
 __all__ = [
     "MAX_REALIZATIONS",
     "Block",
+    "Mapper",
     "RealizationBlocks",
     "available_workers",
     "map_in_order",
+    "process_map",
     "realization_blocks",
     "slices",
 ]
@@ -31,6 +38,9 @@ Result = TypeVar("Result")
 
 Block = tuple[int, int]
 """First realization of a block, and number of realizations in it."""
+
+Mapper: TypeAlias = Callable[[Callable[[Any], Any], Iterable[Any]], Iterator[Any]]
+"""Function that is called as ``map`` with a function of one argument, and keeps the order."""
 
 MAX_REALIZATIONS = 10**9
 """Largest number of realizations of one analysis."""
@@ -116,3 +126,42 @@ def map_in_order(
         finally:
             for future in waiting:
                 future.cancel()
+
+
+@contextmanager
+def process_map(workers: int) -> Iterator[Mapper]:
+    """Provide ``map`` for work that holds Python's lock, such as drawing figures.
+
+    One worker is this process, and the work is done when a result is asked for.
+    More workers are new processes, which import the function and start all work at once.
+    They are spawned, because forking a process with threads may hang.
+
+    Raises
+    ------
+    ParameterError
+        If a process dies. A script without the usual guard kills them at their start.
+    """
+    if workers == 1:
+        yield map
+        return
+    others = set(multiprocessing.active_children())
+    spawn = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(workers, spawn, _ignore_interrupts)
+    try:
+        yield pool.map
+    except BaseException as error:
+        # Ending the pool would wait for the work in progress, also after Ctrl-C
+        for process in set(multiprocessing.active_children()) - others:
+            process.terminate()
+        if isinstance(error, BrokenProcessPool):
+            raise ParameterError(
+                f"One of {workers} processes died; check its output and the free memory, guard "
+                'the script by if __name__ == "__main__":, or give workers=1.'
+            ) from None
+        raise
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _ignore_interrupts() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the main process ends the workers

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mcspectra.core.checks import Array
 from mcspectra.core.display import printable
@@ -217,14 +218,16 @@ def encode(figure: Figure, *, with_pdf: bool = True, dpi: float = _DPI) -> tuple
     """Return the PNG, with `dpi` pixels per inch, and the PDF of a figure without time stamps.
 
     If `with_pdf` is off, the bytes of the PDF are empty. Both files use one computed layout.
-
-    If the figure has no maps or images, the PNG has a palette of 256 colors.
-    In maps and images, rounded colors would be visible, so these PNG files have all colors.
     """
+    pixels, pdf = rasterize(figure, with_pdf=with_pdf, dpi=dpi)
+    return png_of(pixels, has_few_colors(figure)), pdf
+
+
+def rasterize(figure: Figure, *, with_pdf: bool, dpi: float) -> tuple[NDArray[np.uint8], bytes]:
+    """Return the pixels of a figure, shape (height, width, 3), and its PDF; see `encode`."""
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.backends.backend_pdf import FigureCanvasPdf
-    from PIL import Image as Picture
 
     # Ignore warnings about characters that the font lacks: the text of the page has them
     with warnings.catch_warnings(), mpl.rc_context({"pdf.fonttype": 42}):
@@ -245,16 +248,31 @@ def encode(figure: Figure, *, with_pdf: bool = True, dpi: float = _DPI) -> tuple
             FigureCanvasPdf(figure).print_pdf(pdf, metadata=metadata)  # type: ignore[no-untyped-call]
             figure.set_dpi(dpi)
             figure.set_canvas(canvas)
+    return pixels, pdf.getvalue()
+
+
+def has_few_colors(figure: Figure) -> bool:
+    """Return whether a palette is enough. In maps and images, rounded colors would be visible."""
+    return not any(axes.images for axes in figure.axes)
+
+
+def png_of(pixels: NDArray[np.uint8], palette: bool) -> bytes:
+    """Return a PNG with all colors, or with a palette of 256 colors.
+
+    The first pixel has the color of the background.
+    """
+    from PIL import Image as Picture
+
     image, png = Picture.fromarray(pixels), io.BytesIO()
-    if not any(axes.images for axes in figure.axes):
+    if palette:
         octree, no_dither = Picture.Quantize.FASTOCTREE, Picture.Dither.NONE
         image = image.quantize(_COLORS, method=octree, dither=no_dither)
         # Reduction to a palette rounds colors. Restore the background, which must match the page
-        palette, paper = image.getpalette() or [], int(np.asarray(image)[0, 0])
-        palette[3 * paper : 3 * paper + 3] = pixels[0, 0].tolist()
-        image.putpalette(palette)
+        rounded, paper = image.getpalette() or [], int(np.asarray(image)[0, 0])
+        rounded[3 * paper : 3 * paper + 3] = pixels[0, 0].tolist()
+        image.putpalette(rounded)
     image.save(png, format="PNG", compress_level=6)
-    return png.getvalue(), pdf.getvalue()
+    return png.getvalue()
 
 
 def write(plot: Plot, path: str | PathLike[str], *, captioned: bool = False) -> None:

@@ -21,14 +21,19 @@ import json
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from mcspectra.core.checks import as_path
 from mcspectra.core.display import printable
 from mcspectra.core.errors import Parameter, ParameterError, StoreError, writing
+from mcspectra.core.parallel import Mapper
 from mcspectra.core.registry import optional_package
 from mcspectra.core.results import strict_json
 from mcspectra.plots.description import Plot
@@ -449,7 +454,12 @@ def page_file(folder: Path, name: str, out: object) -> Path:
 
 
 def write_page(
-    page: Page | Deck, file: Path, figures: Path | None = None, *, with_pdf: bool = True
+    page: Page | Deck,
+    file: Path,
+    figures: Path | None = None,
+    *,
+    with_pdf: bool = True,
+    mapped: Mapper = map,
 ) -> Path:
     """Draw the figures of a page or a deck and write it.
 
@@ -463,6 +473,8 @@ def write_page(
         Folder for ``NAME.png`` and ``NAME.pdf`` of every named figure; created if missing.
     with_pdf
         Whether PDF files are written; this takes half of the time of a figure.
+    mapped
+        Function that draws the figures in order: ``map``, or that of `process_map`.
 
     Raises
     ------
@@ -476,16 +488,22 @@ def write_page(
     check_page_packages()
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    template, live = "deck.html.j2", False
+    template = "deck.html.j2"
     if isinstance(page, Page):
         template = "page.html.j2"
         page = replace(page, sections=tuple(section for section in page.sections if section.blocks))
-        live = any(f.live for section in page.sections for f in _figures_in(section.blocks))
+    shown = list(_figures_on(page))
+    draw = partial(
+        _images, lecture=isinstance(page, Deck), filed=figures is not None, with_pdf=with_pdf
+    )
     with writing(file, StoreError):
         if figures is not None:
             figures.mkdir(exist_ok=True)
-
-        # The template draws the figures one at a time, which limits memory
+        # Figures are drawn one at a time in each process, which limits memory
+        drawn = {
+            figure: _embedded(figure, images, figures, file.parent)
+            for figure, images in zip(shown, mapped(draw, shown), strict=True)
+        }
         environment = Environment(
             loader=PackageLoader("mcspectra.report", ""),
             autoescape=True,
@@ -504,22 +522,20 @@ def write_page(
 
         environment.globals["label"] = label
         environment.globals["maths"] = maths
-        environment.globals["drawn"] = lambda figure: _drawn(
-            figure, figures, file.parent, lecture=isinstance(page, Deck), with_pdf=with_pdf
-        )
+        environment.globals["drawn"] = drawn
         script = ""
-        if live:
+        if any(figure.live for figure in shown):
             from mcspectra.plots.backend_bokeh import script as bokeh_script
 
             script = bokeh_script()
         text = environment.get_template(template).render(page=page, bokeh=script)
-        partial = file.parent / f".{file.name}.partial"
+        unfinished = file.parent / f".{file.name}.partial"
         try:
-            partial.unlink(missing_ok=True)  # removes a symbolic link itself, not its target
-            partial.write_text(text, encoding="utf-8")
-            partial.replace(file)
+            unfinished.unlink(missing_ok=True)  # removes a symbolic link itself, not its target
+            unfinished.write_text(text, encoding="utf-8")
+            unfinished.replace(file)
         finally:
-            partial.unlink(missing_ok=True)
+            unfinished.unlink(missing_ok=True)
     return file
 
 
@@ -556,7 +572,21 @@ def _shown(value: Any) -> Any:
     return _JOINER.join(printable(part, lines=True) for part in value.split(_JOINER))
 
 
-def _figures_in(blocks: Iterable[Block]) -> Iterable[Figure]:
+def _figures_on(page: Page | Deck) -> Iterator[Figure]:
+    yield from _figures_in(page.lead)
+    if isinstance(page, Page):
+        for section in page.sections:
+            yield from _figures_in(section.blocks)
+        return
+    for screen in page.screens:
+        if screen.figure is not None:
+            yield screen.figure
+        yield from _figures_in(screen.folded)
+    if page.last is not None:
+        yield from _figures_in(page.last.blocks)
+
+
+def _figures_in(blocks: Iterable[Block]) -> Iterator[Figure]:
     for block in blocks:
         if isinstance(block, Figures):
             yield from block.figures
@@ -567,26 +597,52 @@ def _figures_in(blocks: Iterable[Block]) -> Iterable[Figure]:
 _THUMBNAIL = (176, 112)  # largest width and height in pixels: twice the size on the page
 
 
-def _drawn(
-    figure: Figure, folder: Path | None, root: Path, *, lecture: bool, with_pdf: bool
-) -> Mapping[str, Any]:
-    """Return a figure for the template: base64 PNG, its size, and the compressed live plot."""
+@final
+@dataclass(frozen=True, kw_only=True)
+class _Images:
+    """Image files of a figure: PNG, PDF if it is written, and PNG for each value of its slider."""
+
+    png: bytes
+    pdf: bytes
+    frames: Mapping[str, bytes]
+    thumbnail: bytes
+
+
+def _images(figure: Figure, *, lecture: bool, filed: bool, with_pdf: bool) -> _Images:
+    """Draw a figure. Figures of a lecture are cropped and have thumbnails."""
     from mcspectra.plots import backend_matplotlib
 
-    plot, file, filed = figure.plot, "", folder is not None and bool(figure.name)
     look = backend_matplotlib.LECTURE if lecture else backend_matplotlib.Look()
-
-    def encoded(plot: Plot, with_pdf: bool) -> tuple[bytes, bytes]:
+    with_pdf = with_pdf and filed and bool(figure.name)
+    pdf, palettes = b"", []
+    pixels: list[NDArray[np.uint8]] = []
+    for plot in (figure.plot, *_others(figure).values()):
         drawn = backend_matplotlib.draw(plot, look=look)
-        return backend_matplotlib.encode(drawn, with_pdf=with_pdf, dpi=look.dpi)
-
-    png, pdf = encoded(plot, filed and with_pdf)
-    pngs = {value: encoded(p, False)[0] for value, p in _others(figure).items()}
+        first = not pixels
+        found, file = backend_matplotlib.rasterize(drawn, with_pdf=with_pdf and first, dpi=look.dpi)
+        pdf = file if first else pdf
+        pixels.append(found)
+        palettes.append(backend_matplotlib.has_few_colors(drawn))
     if lecture:
-        png, *rest = _cropped([png, *pngs.values()])
-        pngs = dict(zip(pngs, rest, strict=True))
-    if folder is not None and filed:
-        for end, content in ((".png", png), (".pdf", pdf)):
+        pixels = _cropped(pixels)
+    png, *others = map(backend_matplotlib.png_of, pixels, palettes)
+    pngs = dict(zip(_others(figure), others, strict=True))
+    values = figure.slider.plots if figure.slider else {}
+    return _Images(
+        png=png,
+        pdf=pdf,
+        frames={value: pngs.get(value, png) for value in values},
+        thumbnail=_thumbnail(pixels[0]) if lecture else b"",
+    )
+
+
+def _embedded(
+    figure: Figure, images: _Images, folder: Path | None, root: Path
+) -> Mapping[str, Any]:
+    """Write the files of a figure, and return its images in base64 for the template."""
+    plot, png, file = figure.plot, images.png, ""
+    if folder is not None and figure.name:
+        for end, content in ((".png", png), (".pdf", images.pdf)):
             place = folder / f"{figure.name}{end}"
             place.unlink(missing_ok=True)
             if content:
@@ -597,11 +653,9 @@ def _drawn(
         from mcspectra.plots import backend_bokeh
 
         live = backend_bokeh.packed(backend_bokeh.draw(plot).model)
-    slider = figure.slider.plots if figure.slider else {}
-    frames = {v: base64.b64encode(pngs.get(v, png)).decode("ascii") for v in slider}
     return {
-        "png": base64.b64encode(png).decode("ascii"),
-        "thumbnail": _thumbnail(png) if lecture else "",
+        "png": _base64(png),
+        "thumbnail": _base64(images.thumbnail),
         # Bytes 16 to 24 of a PNG hold its width and height
         "width": int.from_bytes(png[16:20], "big"),
         "height": int.from_bytes(png[20:24], "big"),
@@ -611,8 +665,12 @@ def _drawn(
         "abreast": min(plot.columns, len(plot.panels)) > 1,
         "file": file,
         "live": live,
-        "frames": frames,
+        "frames": {value: _base64(frame) for value, frame in images.frames.items()},
     }
+
+
+def _base64(content: bytes) -> str:
+    return base64.b64encode(content).decode("ascii")
 
 
 def _others(figure: Figure) -> Mapping[str, Plot]:
@@ -624,47 +682,28 @@ def _others(figure: Figure) -> Mapping[str, Plot]:
 _MARGIN = 14  # pixels around a cropped figure
 
 
-def _cropped(pngs: Sequence[bytes]) -> list[bytes]:
+def _cropped(images: Sequence[NDArray[np.uint8]]) -> list[NDArray[np.uint8]]:
     """Remove the empty border that all images of equal size have, except for a margin."""
-    import io
-
-    from PIL import Image, ImageChops
-
-    images = [Image.open(io.BytesIO(png)) for png in pngs]
-    boxes = []
-    for each in images:
-        plain = each.convert("RGB")
-        paper = Image.new("RGB", plain.size, plain.getpixel((0, 0)))
-        boxes.append(ImageChops.difference(plain, paper).getbbox() or (0, 0, *plain.size))
-    if len({each.size for each in images}) > 1:
-        return list(pngs)
-    left, top, right, bottom = (
-        f(box[i] for box in boxes) for i, f in enumerate((min, min, max, max))
-    )
-    width, height = images[0].size
-    box = (
-        max(left - _MARGIN, 0),
-        max(top - _MARGIN, 0),
-        min(right + _MARGIN, width),
-        min(bottom + _MARGIN, height),
-    )
-    found = []
-    for each in images:
-        small = io.BytesIO()
-        each.crop(box).save(small, format="PNG")
-        found.append(small.getvalue())
-    return found
+    if len({image.shape for image in images}) > 1:
+        return list(images)
+    drawn = np.logical_or.reduce([(image != image[0, 0]).any(axis=-1) for image in images])
+    if not drawn.any():
+        return list(images)
+    within = []
+    for axis in (1, 0):
+        (places,) = np.nonzero(drawn.any(axis=axis))
+        within.append(slice(max(places[0] - _MARGIN, 0), places[-1] + 1 + _MARGIN))
+    rows, columns = within
+    return [np.ascontiguousarray(image[rows, columns]) for image in images]
 
 
-def _thumbnail(png: bytes) -> str:
-    """Return a base64 PNG that fits in the thumbnails of a deck."""
+def _thumbnail(pixels: NDArray[np.uint8]) -> bytes:
+    """Return a PNG that fits in the thumbnails of a deck."""
     import io
 
     from PIL import Image
 
-    small = io.BytesIO()
-    with Image.open(io.BytesIO(png)) as image:
-        picture = image.convert("RGB")
-        picture.thumbnail(_THUMBNAIL, Image.Resampling.LANCZOS)
-        picture.quantize(64).save(small, format="PNG")
-    return base64.b64encode(small.getvalue()).decode("ascii")
+    small, picture = io.BytesIO(), Image.fromarray(pixels)
+    picture.thumbnail(_THUMBNAIL, Image.Resampling.LANCZOS)
+    picture.quantize(64).save(small, format="PNG")
+    return small.getvalue()

@@ -14,7 +14,7 @@ import time
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cache
+from functools import cache, partial
 from importlib import resources
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, cast, final
@@ -30,6 +30,7 @@ from mcspectra.core.errors import (
     close_match_hint,
     writing,
 )
+from mcspectra.core.parallel import available_workers, process_map
 from mcspectra.core.progress import report
 from mcspectra.core.registry import optional_package
 from mcspectra.plots.description import Plot
@@ -258,6 +259,7 @@ def reproduce(
     seed: int = 0,
     command: str = "mcspectra reproduce",
     done: Callable[[Entry], object] | None = None,
+    workers: int = 1,
 ) -> Reproduction:
     """Reproduce the figures and statements of the slides.
 
@@ -276,6 +278,9 @@ def reproduce(
         Command that the page shows for repeating the run.
     done
         Function that is called with each entry once it is finished.
+    workers
+        Number of processes, at least 1. The results do not depend on it.
+        With more than one, the main part of a script needs ``if __name__ == "__main__":``.
 
     Returns
     -------
@@ -287,7 +292,7 @@ def reproduce(
     UnknownName
         If a name is unknown.
     ParameterError
-        If the folder name is empty, or the seed is out of range.
+        If the folder name is empty, a number is out of range, or a process dies.
     StoreError
         If the folder cannot be written.
     MissingDependency
@@ -297,19 +302,21 @@ def reproduce(
     optional_package("latex2mathml", "report", "The formulas of the slides need")
     chosen = exhibit_names(names)
     seed = as_integer("seed", seed, least=0)
+    workers = available_workers(workers)
     if not str(folder).strip():
         raise ParameterError(
             "The name of the output folder is empty; give one, such as out/reproduce."
         )
     root = Path(folder)
-    with writing(root, StoreError):
+    with writing(root, StoreError), process_map(workers) as mapped:
         (root / _FIGURES).mkdir(parents=True, exist_ok=True)
+        report("reproduce", 0.0)
         entries = []
-        for i, name in enumerate(chosen):
-            report("reproduce", i / len(chosen))
-            entries.append(_entry(name, quick, seed))
+        for entry in mapped(partial(_entry, quick=quick, seed=seed), chosen):
+            entries.append(entry)
+            report("reproduce", len(entries) / (len(chosen) + 1))
             if done is not None:
-                done(entries[-1])
+                done(entry)
         rows = [
             {"exhibit": entry.name, "slide": slide.number} | asdict(finding)
             for entry in entries
@@ -318,7 +325,7 @@ def reproduce(
         ]
         html.write_json(root / FINDINGS_NAME, rows)
         deck = _deck(entries, command, quick, seed)
-        html.write_page(deck, root / PAGE_NAME, root / _FIGURES, with_pdf=not quick)
+        html.write_page(deck, root / PAGE_NAME, root / _FIGURES, with_pdf=not quick, mapped=mapped)
         report("reproduce", 1.0)
     return Reproduction(page=root / PAGE_NAME, entries=tuple(entries))
 

@@ -120,11 +120,13 @@ def ratios(name: str, realizations: int, seed: int) -> tuple[Measured, Measured]
     The integrand x + y has only frequencies along the axes, with |f_m|² = 1/(4π²m²).
     A shift does not change any power, so both ratios have the same sum.
     """
-    z = np.exp(-2j * np.pi * mcs.sampler(name, 2).draw(N, realizations=realizations // 4, rng=seed))
-    wave, total = np.ones_like(z), 0.0
+    points = mcs.sampler(name, 2).draw(N, realizations=realizations // 4, rng=seed)
+    # Sums over points are several times faster if the points of each coordinate are contiguous
+    z = np.exp(-2j * np.pi * np.ascontiguousarray(points.swapaxes(1, 2)))
+    wave, total = np.ones_like(z), np.zeros(len(z))
     for m in range(1, _HIGHEST + 1):
-        wave = wave * z
-        total = total + (np.abs(wave.mean(axis=1)) ** 2).sum(axis=-1) / (2 * np.pi**2 * m**2)
+        wave *= z
+        total += (np.abs(wave.mean(axis=-1)) ** 2).sum(axis=-1) / (2 * np.pi**2 * m**2)
     # Beyond the highest frequency, points have the power 1/N. There Σ 1/m² is 1/(K + ½)
     power = Measured.mean(np.asarray(total) + 1 / (np.pi**2 * (_HIGHEST + 0.5) * N))
     plane = mcs.Integrand.from_function(lambda x: np.asarray(x.sum(axis=-1)), dims=2, integral=1.0)
