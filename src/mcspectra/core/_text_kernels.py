@@ -4,7 +4,7 @@ A decimal number w/10^k with at most 19 digits and k ≤ 22 is divided in twice 
 The integers w and 10^k are exact. Their float64 quotient has a remainder that is computed exactly.
 The remainder divided by 10^k gives a correction, which is added to the quotient.
 The corrected quotient is rounded correctly, except near a midpoint of two float64 numbers.
-There, within about 2^-40 of the distance between the two numbers, the rounding is in doubt.
+"Near" means within about 2^-40 of the distance between neighboring float64 numbers.
 The caller must read decimal numbers near a midpoint, and decimal numbers of other forms, itself.
 """
 
