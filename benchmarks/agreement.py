@@ -10,11 +10,11 @@ A function agrees with brute force under these conditions:
 * `profile`: for the recommended set-up, its RMSE interval overlaps the interval by brute force;
 * `remedies`: the recommended set-up is the same as in the profile.
     A different set-up is accepted if its RMSE intervals by `profile` and `remedies` overlap.
-    Examples of different set-ups are a preintegration along one direction, and a regression.
+    For example, one function may recommend a preintegration, and the other a regression.
     A different set-up is also accepted if both set-ups have the same RMSE within their intervals;
 * `plan`: the RMSE by brute force is the target, and `plan` returns an interval of the n needed.
   This interval overlaps a reference interval around the n that 4,096 evaluations allow.
-  The ends of the reference interval follow from the RMSE interval by brute force;
+  The reference interval is computed from the ends of the RMSE interval by brute force;
 * `predict`: its RMSE interval at 4,096 evaluations overlaps the interval by brute force.
 
 An interval with an unknown end counts as overlapping.

@@ -226,7 +226,8 @@ def cases() -> Iterator[Case]:
         many,
     )
 
-    # Points that are equal in every realization, a technique that misses a peak, and a call option
+    # Further cases have the same points in every realization, a technique that misses a peak,
+    # or the payoff of a call option
     yield Case("the same set", lambda x: np.exp(x[:, 0]), 1, e, ("deterministic-set",), "regular")
     yield Case(
         "the same set in 2-D",

@@ -23,12 +23,14 @@ from typing import Any
 PATTERNS = ("TABULATED_SOBOL", "BLUE_NOISE")
 SAMPLES, FRAMES = (4, 16, 64), 8
 SIZE = (96, 64)
-MEASURED, HELD = 24, 48  # number of frames for predictions, and of other frames
+# Errors after filters are predicted from MEASURED frames, and measured with HELD other frames
+MEASURED, HELD = 24, 48
 SEEDS, HELD_SEEDS, TIMES = 4, 8, 12
-# Only this number of columns of each frame of a sequence is compared.
-# In the other columns, 60 pixels of the light's reflection make half of the variance
+# In frames of a sequence, only this number of columns on the left is compared.
+# Farther to the right, 60 pixels of the light's reflection make half of the variance
 COLUMNS = 60
-PAIRS, EACH = 50, 8  # for the gate: number of pairs of sets, and of frames of a set
+# The gate compares PAIRS pairs of sets, and each set has EACH frames
+PAIRS, EACH = 50, 8
 INSTALL = (
     "Not run: Blender is not found. Put blender on the path, or run `pip install bpy` in a Python "
     "of the version that bpy needs, and name that Python in BLENDER_PYTHON."

@@ -24,10 +24,12 @@ import numpy as np
 from scipy.ndimage import convolve1d, gaussian_filter
 
 SIZE, SPP = 96, 4
-MEASURED, HELD = 24, 48  # number of independent frames for the prediction, and of other frames
+# Errors are predicted from MEASURED independent frames, and measured with HELD other frames
+MEASURED, HELD = 24, 48
 SEEDS, HELD_SEEDS, TIMES, REUSED = 4, 8, 24, 4
-FIRST = 0.1  # averages are compared once the weight of the first frame is below this
-BORDER = 16  # width in pixels of the border that one of the two measurements leaves out
+FIRST = 0.1  # averages in which the first frame has at least this weight are not compared
+# The column "inside" is the error without a border of the image, whose width in pixels is BORDER
+BORDER = 16
 SPLINE = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16.0
 
 

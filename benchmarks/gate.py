@@ -5,8 +5,9 @@ The flags ``--alarms``, ``--power``, ``--fp16`` and ``--speed`` print one table 
 Frames of a Cornell box with a glass sphere come from Mitsuba's path tracer, at 64 × 64 pixels.
 Every pair of sets is drawn anew from a library of frames.
 Frames of a faulty renderer are combinations of frames of whole paths and of direct light.
-Other tests get the same samples.
-With thresholds set on 1,000 pairs of equal sets, they raise as many false alarms as the gate.
+The gate is compared with Mitsuba's z-test, PSNR and SSIM, which get the same samples.
+Thresholds of the z-test, PSNR and SSIM are set on 1,000 pairs of sets without an error.
+With these thresholds, the three tests raise as many false alarms as the gate.
 The denoiser is an à-trous filter with edge stops.
 """
 
@@ -298,7 +299,10 @@ def _power(whole: Array, light: Array, trials: int) -> None:
 
 
 def _shares(hits: Array) -> str:
-    """Return the share of detections among the trials in %, by level; hits are (trial, level)."""
+    """Return the percentage of trials in which an error was detected, for each test level.
+
+    The array `hits` has the shape (trial, level).
+    """
     return " / ".join(f"{100 * share:.0f}" for share in hits.mean(axis=0))
 
 
@@ -306,7 +310,7 @@ def _half(whole: Array, pairs: int) -> None:
     """Print how many samples it takes until the gate detects that frames use half precision.
 
     Frames in half precision are sums of samples, or running means.
-    Samples of a frame are drawn from the library with replacement.
+    The samples of a frame are drawn with replacement from a library of rendered frames.
     New frames have 16 and N samples, and the reference has N samples in single precision.
     """
     from mcspectra.rendering import gate

@@ -56,7 +56,10 @@ def _pairing() -> None:
 
 
 def main() -> None:
-    """Print the largest difference for each number of dims, and predictions by two conventions."""
+    """Print how much the sum of the three terms differs from the variance, for 1, 2 and 3 dims.
+
+    The variances that our formula and the formula of the slides predict follow.
+    """
     names = ("random", "jittered", "jittered | shift", "one-sided")
     for dims in SIZES:
         cases = itertools.product(names, (None, "linear(slope=1.2)"), ("domain", "primary"))

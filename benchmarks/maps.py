@@ -47,7 +47,8 @@ def main(*flags: str) -> None:
             ("kernels alone", raw.loops),
         ]
     seconds = dict.fromkeys([name for name, _ in works], float("inf"))
-    for _ in range(1 if full else ROUNDS):  # time all in each round: the load varies
+    # The load of the machine varies, so each round times all computations
+    for _ in range(1 if full else ROUNDS):
         for name, work in works:
             start = time.perf_counter()
             work()

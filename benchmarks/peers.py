@@ -16,7 +16,7 @@ A line gives the RMS error of each method.
 The number in brackets counts the intervals that contain the integral.
 A method is a rival of ``profile`` only if at least 27 of its 30 intervals contain the integral.
 The errors of ``profile`` and ``after`` should be at most 1.2 times the error of the best rival.
-The last line gives the number of integrands whose errors are within this limit.
+For ``profile`` and ``after``, the last line counts the integrands that meet the limit of 1.2.
 """
 
 from __future__ import annotations

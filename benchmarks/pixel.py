@@ -2,7 +2,7 @@
 
 The raw calls pass the same NumPy points as float32 to Mitsuba's light or BSDF sampling.
 The raw calls use one kernel, and return the float32 values to NumPy.
-Both sides use the same million samples, in turn.
+The pixel and the raw calls are timed in turn, with the same million samples.
 """
 
 from __future__ import annotations

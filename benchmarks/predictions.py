@@ -34,7 +34,7 @@ from mcspectra.core.confidence import rounding_floor
 WITHIN, AT_MOST = 0.05, 0.2
 """Limits of the relative error of a prediction.
 
-Predictions within the first limit are right; no prediction may exceed the second limit.
+A prediction is right if its relative error is at most `WITHIN`; no error may exceed `AT_MOST`.
 """
 
 REALIZATIONS = 10_000
@@ -71,7 +71,7 @@ class Tail:
     """An unbounded function h of one variable, with the integrals of h and h² from 0 to u.
 
     The flag `even` means h(1 − u) = h(u).
-    For even h, values near 1 are computed from the precise distance to 1.
+    If h is even, values of h near x = 1 are computed from the precise distance 1 − x.
     """
 
     h: Callable[[Array], Array]

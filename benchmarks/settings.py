@@ -115,7 +115,10 @@ def changed(settings: Any, name: str, factor: float) -> Any:
 
 
 def variants() -> Iterator[tuple[str, str, list[CauseSettings]]]:
-    """Yield each setting: class, name, and all settings with its value halved or doubled."""
+    """Yield the class and the name of each setting, and two changed versions of all settings.
+
+    In the two versions, the value of the setting is halved or doubled.
+    """
     for part in ("", *NESTED):
         own = getattr(CAUSE_SETTINGS, part) if part else CAUSE_SETTINGS
         for field in fields(own):
@@ -128,7 +131,10 @@ def variants() -> Iterator[tuple[str, str, list[CauseSettings]]]:
 
 
 def faulty_chains() -> dict[str, tuple[str, list[Array]]]:
-    """Return arrays (chain, draw) by type of fault, with the cause that should be reported."""
+    """Return groups of Markov chains, by the name of their fault; one group has no fault.
+
+    Each group has the cause that should be reported, and arrays of shape (chain, draw).
+    """
     rng = np.random.default_rng(5)
 
     def ar(rho: float, chains: int, n: int) -> Array:
@@ -275,7 +281,10 @@ def main(*only: str) -> None:
     ]
 
     def right(settings: CauseSettings, *, again: bool) -> str:
-        """Count cases with the right cause; with changed settings of poles, also right poles."""
+        """Return the number of cases for which the right cause is found, as text.
+
+        If settings of poles were changed, the number of correctly recognized poles is added.
+        """
         count = 0
         for (e, sampler, causes, seed), seen in zip(given, usual, strict=True):
             try:

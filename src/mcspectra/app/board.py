@@ -51,8 +51,8 @@ class Board:
     later
         Schedules a function without arguments in the page's thread, with the lock of the page.
     on_update
-        Called once with an empty text: after the first round of results, in the job's thread,
-        or when the job ends or is canceled during the first round.
+        Called once with an empty text in the job's thread, after the first round of results.
+        If the job ends or is canceled during the first round, the function is called at once.
         If nothing can be computed, the text is a sentence with the reason.
     on_shown
         Called in the page's thread after results were shown, and after the job has ended.
@@ -74,7 +74,8 @@ class Board:
         self._later, self._on_update, self._on_shown = later, on_update, on_shown
         self._job: Job | None = None
         self._inbox: SimpleQueue[tuple[Job, Update | str]] = SimpleQueue()
-        self._newest: dict[tuple[Job, str], Update] = {}  # last update of each kind
+        # For each job and each part of its results, the last update that the job has sent
+        self._newest: dict[tuple[Job, str], Update] = {}
         self._fresh: set[str] = set()  # kinds of figures that the current job has already shown
         self._drawn: dict[
             str, tuple[Any, list[str]]
@@ -151,7 +152,7 @@ class Board:
     def _hear(self, job: Job, update: Update) -> None:
         first_round = (job, UPDATE_KINDS[-1]) not in self._newest
         self._post(job, update)
-        # The texts are written after the first round of figures, which would wait for them
+        # The first figures should not wait until texts are written, so they are shown first
         if first_round and update.kind == UPDATE_KINDS[-1]:
             self._on_update("")
 
@@ -184,7 +185,7 @@ class Board:
             self._end(news or "Done.", alert=bool(news) and not self.latest)
             return
         if news.kind in self.latest and self._newest[job, news.kind] is not news:
-            return  # a later round waits already
+            return  # the queue contains a newer update of the same part
         # Show a part of the results. If the part has not changed, nothing is sent
         self.latest[news.kind] = news.value
         before, kinds = self._drawn.get(news.kind, (None, []))
@@ -247,8 +248,9 @@ class Board:
 def card_of(
     plot: Plot, side: str, before: Card | None, sheet: InlineStyleSheet, *, named: bool = True
 ) -> Card:
-    """Show a plot of a side in the card `before` if it fits, otherwise in a new card.
+    """Show a plot in the earlier card `before` if the plot fits into it, otherwise in a new card.
 
+    A card is a figure with a heading. The argument `side` is the name of the set-up, A or B.
     If `named` is true, the heading contains the name of the set-up.
     The label for screen readers always names the set-up.
     """

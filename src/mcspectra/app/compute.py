@@ -52,7 +52,10 @@ __all__ = [
 ]
 
 UPDATE_KINDS = ("points", "integrand", "spectrum", "convergence", "terms", "predict")
-"""Parts of a result, in order. Only the first round computes points, integrand and predict."""
+"""Parts of a result, in the order in which each round computes them.
+
+The parts "points", "integrand" and "predict" are computed only in the first round.
+"""
 
 MOST_AT_ONCE = 2
 """Maximum number of parts that all pages together compute at the same time.
@@ -68,7 +71,7 @@ _OWN = {  # for each part of a result, the fields of the set-up that affect this
 }
 
 _FIRST_ROUND, _GROWTH = 16, 4
-_LONGEST_ROUND = 30.0  # a round that is expected to take longer, in seconds, is not begun
+_LONGEST_ROUND = 30.0  # in seconds; the job stops before a round that should take longer
 # Largest half width of the frequencies for which the matrix of all cross terms is computed
 _MATRIX_HALF_WIDTH = 64
 _KEPT = 64  # maximum number of cached datasets, of about 1 MB each

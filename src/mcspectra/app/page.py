@@ -85,7 +85,7 @@ _EXAMPLES = {
     "&b.sampler=jittered | shift&b.integrand=linear&b.dims=1&b.n=16&b.mirror=integrand",
     "A pixel of Veach's scene": f"integrand={pixel_spec(96, 100)}&n=64",
 }
-"""Main examples of the talk: the text of the link, and the query string of the state."""
+"""Main examples of a talk: the text of each link, and the query string that shows the example."""
 
 
 @final

@@ -134,7 +134,7 @@ class _Refusal(web.RequestHandler):
     """Answers every request with 403 and a sentence."""
 
     def prepare(self) -> Awaitable[None] | None:
-        """Send the refusal before the method for GET, POST and so on is called."""
+        """Answer with the error 403 before a method for GET, POST and so on is called."""
         self.set_status(403)
         self.set_header("Content-Type", "text/plain; charset=utf-8")
         self.finish("The explorer answers only its own pages; open the address that it printed.\n")

@@ -93,7 +93,9 @@ def check_spec(name: str, text: object) -> None:
 
 
 def techniques(text: str) -> list[str]:
-    """Return the specs of the integrands in a sum. Usually there is only the spec itself.
+    """Return the specs of the integrands in a sum of techniques, as a list.
+
+    If `text` is the spec of another integrand, the list contains only this spec.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """Subcommands (verbs) that run analyses, with options and help derived from the analyses.
 
 Each analysis in `mcspectra.core.analysis.ANALYSES` may have a verb that runs it.
-Analyses from other packages may also have verbs.
+Analyses that other packages register may have verbs (subcommands) as well.
 The subject of the analysis comes first: a sampler, or an integrand with densities and a sampler.
 The options of the analysis follow (`mcspectra.core.options.options_of`).
 The module `mcspectra.cli.texts` writes the result as text.

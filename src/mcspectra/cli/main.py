@@ -194,7 +194,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _dispatch(given: list[str]) -> int:
     """Find the verb, parse its options, run it, and print its output."""
-    # Move options that come before the verb behind the verb
+    # If options were given before the verb, move them to the place after the verb
     first = 0
     while first < len(given) and (name := given[first].partition("=")[0]) in _BEFORE:
         first += 1 if "=" in given[first] else 1 + _BEFORE[name]
@@ -206,7 +206,7 @@ def _dispatch(given: list[str]) -> int:
     from mcspectra.core.progress import progress_bars
     from mcspectra.core.results import strict_json
 
-    # Find the verb in its module, or create it from the analyses that share it
+    # Load the verb from its module. A verb without a module is created from its analyses
     name, module = given[0], _MODULES.get(given[0], "analysis")
     verb: Verb
     if module == "analysis":
@@ -267,7 +267,8 @@ def _dispatch(given: list[str]) -> int:
 def _writer(parser: argparse.ArgumentParser) -> Callable[[Parameter | Function], str]:
     """Return a function that adapts names in messages to the command line.
 
-    For example, a parameter is named as its option, and a Python function as its verb.
+    For example, a message names the option ``--seed`` instead of the parameter `seed`,
+    and the command ``mcspectra predict`` instead of the Python function `predict`.
     """
     import shlex
 

@@ -744,7 +744,8 @@ def _map_cost(options: argparse.Namespace, parts: Any, subjects: Any) -> VerbOut
     first = costs[0]
     seconds, samples = (sum(getattr(c, k) for c in costs) for k in ("seconds", "samples"))
     # A map has five figures: mean, variance, rate, error of the rate, and the picture.
-    # Shares of the variance and choices of a strategy or a sampler add further figures
+    # Maps that compare strategies, or that show shares of the variance, have four more figures.
+    # A map of some of the pixels has one more figure, and a comparison of samplers another one
     figures = 5 + (4 if parts[0].integrator is None or parts[0].chains != 0 else 0)
     figures += (parts[0].pixels is not None) + (len(parts) > 1)
     profile = 0.0

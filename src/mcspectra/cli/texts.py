@@ -455,7 +455,7 @@ def remedies(result: xr.Dataset) -> VerbOutput:
 
 
 def remedies_table(result: xr.Dataset) -> str:
-    """Return the table of changes that were tried, with columns of the table in a report."""
+    """Return a table of the tried changes as text, with six columns of the table in reports."""
     from mcspectra.report.page import columns_of
     from mcspectra.report.tables import analysis_table
 

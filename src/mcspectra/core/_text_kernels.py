@@ -1,11 +1,11 @@
 """Numba kernel that reads the numbers of UTK text. They are rounded correctly, but not checked.
 
 A decimal number w/10^k with at most 19 digits and k ≤ 22 is divided in twice float64 precision.
-In this division, w, 10^k and the remainder of the first quotient are exact.
-A second quotient divides this remainder by 10^k.
-The sum of the first and the second quotient is correctly rounded, except in rare cases.
-In the rare cases, the sum is close to the midpoint of two float64 numbers (within about 2^-40).
-The kernel leaves numbers near a midpoint, and numbers of other forms, to the caller.
+The integers w and 10^k are exact. Their float64 quotient has a remainder that is computed exactly.
+The remainder divided by 10^k gives a correction, which is added to the quotient.
+The corrected quotient is rounded correctly, except near a midpoint of two float64 numbers.
+"Near" means within about 2^-40 of the distance between neighboring float64 numbers.
+The caller must read decimal numbers near a midpoint, and decimal numbers of other forms, itself.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def _quotient(w: np.uint64, power: float) -> float:
 
 @kernel
 def parse_lines(text: Array, values: Array, runs: Array, hard: Array) -> tuple[int, int, int, int]:
-    """Read lines of numbers from the bytes `text`. Return the number of entries of each output.
+    """Read lines of numbers from the bytes `text` into the arrays `values`, `runs` and `hard`.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def parse_lines(text: Array, values: Array, runs: Array, hard: Array) -> tuple[i
         A row has four entries. The first is the index of the first line with numbers, from 0.
         Entries two and three are the index of the first value and the index after the last value.
         The last entry is the number of values per line.
-        A comment between runs has its own row, with 0 values per line.
+        Each comment also has a row, whose number of values per line is 0.
     hard
         int64 (N, 3): one row for each value that the caller has to read.
         A row holds the index of the value, its first byte, and the byte after its last one.
@@ -73,7 +73,7 @@ def parse_lines(text: Array, values: Array, runs: Array, hard: Array) -> tuple[i
     tuple of int
         Number of lines, and numbers of entries in the three outputs `values`, `runs` and `hard`.
         The number of lines is −1 if the text is not printable ASCII, or has words outside comments.
-        The number of lines is also −1 if lines of one run have different numbers of values.
+        It is also −1 if lines without a comment between them have different numbers of values.
     """
     bad = (-1, 0, 0, 0)
     line = count = used = left = 0

@@ -16,7 +16,8 @@ Therefore results have the same bits for any number of threads and machines.
 
 In some analyses, later draws depend on earlier results, for example to stop at a precision.
 In this case, the method `Analysis.reduction` is a generator.
-The generator yields lists of sums over blocks (`Reduction`), and receives their merged states.
+The generator yields a list of sums over blocks, which are `Reduction` objects.
+For each sum, it receives the state that results from merging the states of all blocks.
 At its end, the generator returns the dataset.
 """
 
@@ -190,7 +191,8 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         For example, a study that computes spectra also computes the points.
     pictured
         Whether the first screen of a report shows the analysis.
-        A study computes pictured analyses first: if it is interrupted, it already has a report.
+        Studies compute analyses on the first screen before all other analyses.
+        An interrupted study therefore already has a report.
     """
 
     function: ClassVar[str] = ""
@@ -204,7 +206,7 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     pictured: ClassVar[bool] = False
 
     def need(self, subject: Subject) -> Need:  # noqa: ARG002
-        """Return the cost and memory of the analysis of a subject. Reject impossible requests.
+        """Return the cost and memory that the analysis needs for an estimator, sampler or scene.
 
         The options were already checked (see `mcspectra.core.options.checked`).
         This method rejects options that do not fit the subject.
@@ -249,8 +251,8 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         """Return the sum over blocks of realizations that has the name `key`.
 
         Workers call this method without running the earlier steps of the analysis.
-        By default, this method looks for `key` among the sums of the first step.
-        Analyses override this method if later steps depend on the states of earlier ones.
+        By default, `key` must be the name of a sum in the first step of the analysis.
+        Analyses override this method if later steps depend on the merged states of earlier steps.
 
         Raises
         ------
@@ -594,14 +596,16 @@ def compute_chunk(reduction: Reduction[State], chunk: Chunk) -> State:
 class MergeTree(Generic[State]):
     """Merges states of blocks, like a binary counter: neighboring nodes of equal size merge first.
 
-    At the end, nodes of different sizes merge as well, from the last blocks to the first.
+    After all blocks are added, `total` merges the remaining nodes, which have different sizes.
+    It begins with the last blocks and ends with the first.
     The tree depends only on the number of blocks, not on the chunks or their order.
     If blocks arrive in order, the tree holds only log₂(blocks) states at the same time.
 
     Attributes
     ----------
     nodes
-        The number of blocks and the merged state of each node. Keys are the first blocks of nodes.
+        For each node of the tree, its number of blocks and the merged state of these blocks.
+        The key of a node is the number of its first block.
     """
 
     def __init__(self) -> None:
@@ -616,7 +620,7 @@ class MergeTree(Generic[State]):
     def put(self, chunk: Chunk, state: State) -> int:
         """Add the state of a run of blocks, and merge it with neighboring runs of the same length.
 
-        The result is the number of the first block of the merged run.
+        After all merges, the blocks belong to one run. The method returns the run's first block.
         """
         first, count = chunk
         while count & (count - 1) == 0 and self.nodes.get(first ^ count, (0,))[0] == count:

@@ -312,7 +312,8 @@ def writing(
 def warn(message: str, category: type[Warning]) -> None:
     """Warn at the line that called the package: the first frame outside of the package's files.
 
-    In Python 3.12, `warnings.warn` finds this frame if it gets the argument `skip_file_prefixes`.
+    Since Python 3.12, `warnings.warn` can also find the first frame outside of the package:
+    its argument `skip_file_prefixes` gives the folders of the skipped files.
     A fixed number of skipped stack frames would be wrong after changes of this package.
     """
     frame = sys._getframe(1)
