@@ -383,7 +383,7 @@ class Moments:
         In three cases the values do not bound the variance.
         First, one or two values may have most of the variance.
         Second, the squared values may have a tail index above 0.64 and a kurtosis above 4.
-        With a tail index above 0.64, the mean of any feasible sample is far from normal [Vehtari2024]_.
+        Above the tail index 0.64, means of feasible samples are far from normal [Vehtari2024]_.
         Values that form a few clumps have a kurtosis of at most 4, so they do not count as a tail.
         Third, each value may be a mean over points, and g at these points may follow a power law.
         Values of g larger than all sampled values may then cause much of the variance.
