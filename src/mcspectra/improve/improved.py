@@ -7,7 +7,7 @@ Therefore every change can be used with any estimator of one technique.
 The changes of the following kinds keep the integral, whatever the evaluations of g are:
 
 * *fitted*: g(T(u))/q(T(u)) with uniform u. The density q consists of splines (`learned`).
- Another choice of q is a normal density of z = Φ⁻¹(u) with the moments of |g|.
+  Another choice of q is a normal density of z = Φ⁻¹(u) with the moments of |g|.
 * *order*: g(T(u)), where T rotates z by an orthogonal matrix; there is no density q.
   After the rotation, g varies most along the first coordinates of z ([Liu2023]_).
   The rotation helps because nets sample their first coordinates best;

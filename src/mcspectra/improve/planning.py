@@ -425,7 +425,7 @@ def _ends(
 ) -> tuple[float, float]:
     """Return the least counts at which the two ends of the predicted interval reach the target.
 
-    Beyond the last predicted count, the interval is extrapolated by the last slopes of the variance.
+    Beyond the last predicted count, the last slopes of the variance extrapolate the interval.
     If an end of the interval never reaches the target, its count is infinite.
     """
     order = [k for k in np.argsort(counts) if np.isfinite(found[k].variance[0]).all()]

@@ -293,7 +293,7 @@ def adaptive_integral(
     While the `budget` of evaluations lasts, a cell is divided into 2^d parts for three reasons.
     The integral over the cell may change by more than 1e-12 ∫|f|, divided by the number of cells.
     At a probe point in the cell, f may differ from the polynomial through the nodes of the cell.
-    Near a corner of the cell, f may jump away from this polynomial.
+    Near a corner of the cell, f may jump away from the polynomial.
 
     The error is the sum of the last differences and an estimate of all later differences.
     A second value of ∫ f adds a correction: the mean of f minus the polynomials at probe points.
@@ -421,7 +421,7 @@ def search_breaks(
     spread = np.where(seen.std(axis=0) > 0.0, seen.std(axis=0), np.inf)
     lines = points[np.unique([0, 1, *seen.argmin(axis=0), *seen.argmax(axis=0)])]
     rows, steps = np.arange(len(lines))[:, None], (np.arange(_LINE) + math.sqrt(0.5)) / _LINE
-    # Each break is a tuple: whether it is a peak, the negative of its height, its axis and its place
+    # Each break is a tuple: whether it is a peak, the negative of its height, its axis and place
     found: list[tuple[bool, float, int, float]] = []
     for axis in range(dims):
 

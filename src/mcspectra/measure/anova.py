@@ -200,13 +200,13 @@ class Anova(Counted, frozen=True, kw_only=True):
         """Return the dataset for estimates (S, R, channels), one for each kept subset of axes.
 
         The first subset has all axes.
-        The share of a subset comes from the covariance of its estimates with the estimates for all axes.
+        The share of a subset comes from the covariance of its estimates with the first estimates.
         """
         moments, count = Moments.of(estimates[0], tails=True), estimates.shape[1]
         # Products of deviations, whose means over realizations are covariances: (S, R, channels)
         deviation = estimates - estimates.mean(axis=1, keepdims=True)
         products = deviation * (deviation[0] * (count / (count - 1)))
-        # With two realizations, all products of deviations are equal, so their spread is not an error
+        # With two realizations, products of deviations are equal, so their spread is not an error
         least = _SETTINGS.least
         per_root = count**-0.5 if count >= least else math.nan
         dims = max(self._group_of_axes(subject.estimator.dims)) + 1
@@ -553,7 +553,7 @@ def anova_spectrum(
     ------
     NoClosedForm
         If the coefficients are not exact, the points have a density, or frequencies are correlated.
-        Without exact coefficients, or with a density, use `anova_variances` instead.
+        For densities, inexact coefficients or correlated frequencies, use `anova_variances` instead.
     ParameterError, CountError
         If a value is out of range, or the frequencies would not fit into memory.
 

@@ -50,7 +50,7 @@ class ChainSettings:
     # If the deviation is larger, the chains are correlated.
     # A normal law exceeds 5 standard errors with probability 6e-7.
     # A limit of 2.5 gives 2 false alarms in 475 cases.
-    # A limit of 10 misses 50 of 50 sets of correlated chains, which have a common part of weight 0.3.
+    # A limit of 10 misses 50 of 50 sets of correlated chains, whose common part has weight 0.3.
     score: float = 5.0
     # Probability that a test reports a fault of chains without faults.
     # Each quantity has two tests of drift and one of means.
@@ -587,7 +587,7 @@ def _tail_index(z: Array, least: int) -> float:
     if not excess[most // 4] > 0:
         return math.nan
     # Average over a grid of b = −k/σ, with the shape k and the scale σ of the Pareto law.
-    # Each b is weighted by its posterior density. The first quartile of the excesses scales the grid
+    # Each b is weighted by its posterior density. The first quartile of excesses scales the grid
     grid = 30 + int(math.sqrt(most))
     b = 1 - np.sqrt(grid / (np.arange(grid) + 0.5))
     b = b / (3 * excess[int(most / 4 + 0.5) - 1]) + 1 / excess[-1]

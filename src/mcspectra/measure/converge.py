@@ -87,7 +87,8 @@ class StageSettings:
     first: int = 100
     # A stage lengthens the sample by at least the factor `step`, and at most the factor `leap`.
     # If a sample that is a quarter longer is also accurate enough, the search ends.
-    # Four times as many realizations give twice as accurate a kurtosis, and so a better next length.
+    # The next length depends on the kurtosis of the sample.
+    # With four times as many realizations, the kurtosis is twice as accurate.
     # If `step` is 1.1, a search for an error of 10 % stops too early, at an error of 10.3 %.
     # If `step` is 1.25, the same search stops at an error of 9 %.
     # If `step` is 1.5, the search takes 30 % more realizations.

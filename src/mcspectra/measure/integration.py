@@ -106,7 +106,7 @@ class IntegrationSettings:
     # Intervals of 4 replicates are as wide as intervals of 8 on average.
     # Four replicates miss events of probability 1/8 more often.
     least: int = 8
-    # One large set can be divided into parts (runs), which take the place of independent replicates.
+    # One large set can be divided into parts (runs), which replace independent replicates.
     # Largest number of runs into which one set is divided.
     # With 128 runs, intervals are only 2 % narrower if θ is 1.
     # Estimates from runs of a few points have heavy tails.
