@@ -390,7 +390,7 @@ class NumericalDensity(_ByFunctions):
         If the integral of the pdf is not 1 (to 1e-9) and `normalize` is False.
         If the pdf is negative, not finite within (0,1)^d, or too rough or steep.
         In 2-D, jumps or kinks along lines that are not axis-parallel are too rough.
-        In 1-D, a density with a pole is too steep, except at 0, where floats are dense.
+        In 1-D, a density with a pole is too steep, unless the pole is at 0, where floats are dense.
     """
 
     dims: int = whole(1, least=1, most=2)

@@ -175,7 +175,7 @@ def border_growth(
         exponent, low = (min(fit[k] for fit in fits) for k in (0, 1))
         sign = 1 if fits[0][2] > 0.0 else -1
         # f grows toward a face if values close to the face are far above (or below) the median.
-        # "Far" means farther than 95 % of all values of f are (`outermost`)
+        # "Far" means farther than 95 % of all values of f (the setting `outermost`)
         usual = np.quantile(sign * (values - centre), settings.outermost)
         grows = np.median(sign * (y[: count // 4] - centre)) > usual
         grows &= all(sign * slope > settings.sure * error for _, _, slope, error in fits)

@@ -553,7 +553,7 @@ def anova_spectrum(
     ------
     NoClosedForm
         If the coefficients are not exact, the points have a density, or frequencies are correlated.
-        For densities, inexact coefficients or correlated frequencies, use `anova_variances` instead.
+        Use `anova_variances` for densities, inexact coefficients or correlated frequencies.
     ParameterError, CountError
         If a value is out of range, or the frequencies would not fit into memory.
 

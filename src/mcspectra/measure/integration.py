@@ -32,7 +32,7 @@ An interval from replicates that missed an event is too short [Owen2025]_.
 A rare event is, for example, a point between a cell border of a net and a nearby jump of f.
 Intervals that hold for any bounded function would need many replicates of few points:
 n = Θ(N^{1/(θ+1)}) points for a budget of N calls [Jain2026]_.
-With so few points, the integral of a smooth function would have ten times the error.
+Replicates of few points would have ten times the error if f is smooth.
 
 A few linear scrambles of a net cause most of the variance.
 All linear scrambles except a few bad ones have far smaller errors.
