@@ -466,7 +466,7 @@ class Evidence:
         while isinstance(law, laws.Folded | laws.Mirrored):
             law = law.inner
         shifted = isinstance(law, laws.Shifted)
-        # After folding by a mirrored estimator, a point shifted across a face is still near this face
+        # After folding by a mirrored estimator, a point shifted across a face is still near it
         return shifted and not isinstance(self.estimator, Mirrored)
 
     @property

@@ -254,7 +254,7 @@ class MeasuredCandidate:
     Attributes
     ----------
     kind, name, change, biased, pilot, note, key
-        See `Candidate`.
+        The same as in `Candidate`.
     specs
         The estimator and the sampler, as texts.
     n
