@@ -11,7 +11,7 @@ __all__ = ["as_vector", "check_light", "norm", "triangle_angle"]
 
 _LARGEST = 1e9
 # If the sine of the angle between the edges of a light is below this limit, the light has no area.
-# The same limit applies to the length of an edge divided by the distance
+# Edges shorter than 1e-9 of the largest distance from the point to the light are not allowed
 _FLAT = 1e-9
 # Smallest allowed height of a point above the plane of a light.
 # The height is divided by the largest distance from the point to the light

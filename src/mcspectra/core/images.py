@@ -409,7 +409,7 @@ class Rings:
     def sums(self, power: Array, rows: slice) -> Array:
         """Return the sums of the power (…, rows, x) over each ring, for some rows of frequencies.
 
-        The last sum is over the frequencies outside all rings.
+        The last entry of the result is the total power at 1/2 cycle per pixel and above.
         """
         width = self._weight.shape[1]
         ring = self._ring.reshape(-1, width)[rows].ravel()

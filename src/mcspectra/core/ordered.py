@@ -3,7 +3,7 @@
 BLAS divides large sums by the number of its threads, which changes the last digits of results.
 Products here use the function `numpy.einsum` without optimization, which never calls BLAS.
 The function `einsum` is four times slower than BLAS.
-The lower speed hardly matters: analyses spend far more time on drawing points and transforms.
+Analyses spend far more time on points and Fourier transforms than on products of matrices.
 Factorizations use Householder reflections. docs/decisions/0015 compares them with NumPy's.
 """
 

@@ -61,7 +61,7 @@ def available_workers(workers: int | None = None) -> int:
 @final
 @dataclass(frozen=True)
 class RealizationBlocks:
-    """The range of realizations from `first` to before `stop`, divided into blocks."""
+    """The realizations from `first` to `stop` − 1, divided into blocks of at most `size`."""
 
     first: int
     stop: int

@@ -56,15 +56,16 @@ __all__ = [
 EXTENSIONS = (".dat", ".bin", ".npz", ".npy", ".csv")
 """Extensions of point-set files that can be read and written."""
 
-# Memory in bytes for each set, in addition to its coordinates: many tiny sets take time
+# Bytes of memory that are counted for each set, in addition to its coordinates.
+# The number is large because a file of many tiny sets takes long to read
 _SET_BYTES = 4096
 
 # UTK text and comma-separated values
 _LONGEST_LINE = 2**22  # largest number of bytes in a line
 _BLOCK = 2**20
 _COMPILED = 2**18  # in bytes; Python reads a shorter text faster than the kernel can be compiled
-# Bytes of memory for each number of a text. The number is stored three times as float64.
-# The copies are in the row that is read, in its point set, and in the list of all sets
+# Bytes of memory for each number of a text. The number is stored three times as float64:
+# in the array of its line, in the array of its point set, and in the list of all point sets
 _VALUE_BYTES = 24
 
 # UTK binary
@@ -175,7 +176,7 @@ def write_points(
         One array (n, d) for each set. In ``.bin``, ``.npz`` and ``.npy`` all have the same shape.
     meta
         Description of the points, as JSON.
-        ``.npz`` stores it, ``.dat`` stores it as a comment, and other formats ignore it.
+        ``.npz`` stores the description, ``.dat`` stores it as a comment. Other formats ignore it.
 
     Raises
     ------
@@ -292,9 +293,9 @@ def _read_dat(stream: IO[bytes], size: int, name: str) -> list[Array]:
 def _numbers(chunk: bytes) -> tuple[int, list[tuple[int, Array | None]]] | None:
     """Read lines that contain only numbers. Return None if there is any other line.
 
-    The result is the number of lines, and one pair for each run of lines between comments.
-    Each pair is the number of the first line of a run, counted from 1, and the run's points.
-    A comment line also gives a pair, which has None instead of points.
+    The result is the number of lines, and a list of pairs.
+    For successive lines of numbers, a pair has the number of the first line, and the points.
+    For each comment line, a pair has the number of this line, and None. Line numbers start at 1.
     """
     from mcspectra.core._text_kernels import parse_lines
 
@@ -506,8 +507,9 @@ def _read_bin(stream: IO[bytes], size: int, name: str) -> Array:
             f"{announced}, that is {count * dtype.itemsize} bytes after the header, but has "
             f"{size - _HEADER_BYTES}."
         )
-    # Files of integers need memory for two more copies: one in the byte order of this machine,
-    # and one without the bits that do not fit into a double
+    # Files of integers need memory for two more copies of the numbers.
+    # The first copy is in the byte order of this machine.
+    # The second copy lacks the bits that do not fit into a double
     copies = 1 if dtype.kind == "f" else 3
     check_decoded_size(name, size, count * (copies * dtype.itemsize + 17) + shape[0] * _SET_BYTES)
     values = np.fromfile(stream, dtype, count).reshape(shape)

@@ -110,7 +110,7 @@ class ProgressBars:
     ----------
     closes
         Whether `close` is called at the end of the work.
-        Without this call, a bar stays after an exception until its work is forgotten.
+        If `close` is not called, a bar remains for 30 s or more after an exception.
     """
 
     def __init__(self, *, closes: bool = False) -> None:

@@ -78,8 +78,8 @@ class MeanSums:
     def mean_and_error(self, sets: int | None = None) -> tuple[Array, Array]:
         """Return the mean over realizations and its standard error (NaN for one realization).
 
-        If `sets` is given, there are only `sets` different realizations.
-        All different realizations occur equally often.
+        If `sets` is given, the realizations repeat only `sets` different realizations.
+        Every different realization is repeated equally often.
         """
         mean, count = self.total / self.count, self.count
         independent = count if sets is None else min(count, sets)

@@ -2,7 +2,7 @@
 
 Each variable of a result is registered here once, with its meaning, unit, dims and type.
 `dataset` gives each variable its meaning and unit as attributes.
-It also gives the whole dataset its provenance: seed, versions and spec strings.
+The whole dataset has its provenance as attributes: seed, versions and spec strings.
 `check_variables` compares a result with the declaration of its analysis.
 """
 

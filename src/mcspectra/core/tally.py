@@ -75,7 +75,8 @@ def spend(evaluations: int) -> None:
     Raises
     ------
     BudgetError
-        If an open tally would exceed its limit. In this case, no tally counts the evaluations.
+        If the evaluations would exceed the limit of a block of `counting`.
+        Rejected evaluations are not counted in any block of `counting`.
     """
     with _lock:
         tally = _innermost.get()

@@ -216,6 +216,9 @@ def process_trust() -> Trust:
 
 
 def allow(code: Iterable[str] = (), folders: Iterable[Path] = ()) -> None:
-    """Additionally allow this code and these folders for text that this process reads."""
+    """Allow functions or commands, and files in folders, for all text that this process reads.
+
+    Everything that was allowed before remains allowed.
+    """
     global _process
     _process = _process.widened(code, folders)

@@ -54,7 +54,9 @@ CELLS = {1: 64, 2: 16}
 """Default number of starting cells along each axis, by dims."""
 SETS, SET_SIZE = 32, 4096
 """Number of shifted low-discrepancy sets, whose spread estimates the error, and their size."""
-_SLOWEST = 0.98  # largest ratio of unresolved parts; p ~ r^a with a > 0.97 diverges
+# If the unresolved parts of successive levels have a larger ratio, the integral counts as infinite.
+# For a density p ~ r^a, the integral of 1/p then counts as infinite if a > 0.97
+_SLOWEST = 0.98
 _NEGLIGIBLE = 1e-6
 # Largest ratio between the unresolved volumes of successive levels.
 # In 2-D, the ratio is ½ for unresolved cells along a line, and ¼ for unresolved cells at a point
@@ -87,7 +89,7 @@ class Quadrature:
     def isolated(self) -> bool:
         """Whether `limit` can be used, because the volume of unresolved cells shrinks quickly.
 
-        The property is also true if the integral is infinite or all cells are resolved.
+        `isolated` is also true if the integral is infinite or all cells are resolved.
         """
         if not math.isfinite(self.totals[-1]) or self.unresolved[-1] == 0:
             return True
@@ -150,7 +152,7 @@ def integrate(
     Notes
     -----
     In 1-D, the cost is at most 36 levels of 2^16 cells with 8 evaluations each.
-    In 2-D, it is at most 28 levels with 24 evaluations per cell.
+    In 2-D, the cost is at most 28 levels of cells, with 24 evaluations in each cell.
     """
     corners = _grid(cells, dims)
     owner = np.arange(len(corners))
@@ -229,8 +231,8 @@ def positive_integral(
         If the unresolved part does not shrink, the integral is infinite and the error is 0.
         Poles r^-a with a > 0.97 count as divergent.
         See `mcspectra.densities.reciprocal_integral`.
-        If a geometric series of ratio r extrapolated the integral, the error has two factors:
-        the last change of the extrapolated integral, and the larger of 1 and r/(1 − r).
+        The integral may be the extrapolated limit of a geometric series of levels with ratio r.
+        The error of such a limit is its last change, times the larger of 1 and r/(1 − r).
         Where poles cross, the levels form only approximately a geometric series.
     """
     with np.errstate(over="ignore", invalid="ignore"):

@@ -378,7 +378,7 @@ class Tent(_Separable):
         return math.inf
 
     def _rising(self, x: Array) -> Array:
-        """Whether x is on the rising side. This also works for u, because cdf(peak) = peak."""
+        """Whether coordinates of x or u lie below the peak, which has the same place in x and u."""
         return np.asarray((x < self._peaks) | (self._peaks == 1))
 
     def _heights(self, x: Array) -> tuple[Array, Array]:

@@ -390,7 +390,7 @@ class NumericalDensity(_ByFunctions):
         If the integral of the pdf is not 1 (to 1e-9) and `normalize` is False.
         If the pdf is negative, not finite within (0,1)^d, or too rough or steep.
         In 2-D, jumps or kinks along lines that are not axis-parallel are too rough.
-        In 1-D, poles are too steep, except a pole at 0, where floats are dense.
+        In 1-D, a density with a pole is too steep, unless the pole is at 0, where floats are dense.
     """
 
     dims: int = whole(1, least=1, most=2)
@@ -552,8 +552,8 @@ def reciprocal_integral(density: Density) -> float:
     -----
     In 1-D and 2-D, adaptive quadrature splits the cells around zeros of p.
     The module `mcspectra.densities.adaptive` describes this quadrature.
-    Let p ~ r^a at the distance r from a zero.
-    Near this zero, each level shrinks the unresolved part of ∫1/p by a constant ratio.
+    Let p ~ r^a at the distance r from a zero of p.
+    From one level of cells to the next, the unresolved part of ∫1/p shrinks by a constant ratio.
     If p is 0 at a point in 1-D or on a line in 2-D, the ratio of levels is 2^{a−1}.
     If p is 0 at a point in 2-D, the ratio of levels is 2^{a-2}.
     If the ratio of levels is 1 or more, ∫1/p diverges.

@@ -89,7 +89,7 @@ class Bilinear(Density):
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """The marginal cdf at the knots, as breaks of axis 1: the slope of T changes there."""
+        """Breaks on axis 1: values of the marginal cdf at the knots, where the slope of T jumps."""
         inside = np.unique(self._tables.rows[1:-1])
         return (), tuple(inside[(inside > 0) & (inside < 1)].tolist())
 
@@ -114,7 +114,7 @@ class Bilinear(Density):
                 np.concatenate([[0.0], (np.arange(k) + 0.5) / k, [1.0]]) for k in (width, height)
             )
             nodes = np.pad(table, ((1, 1), (1, 1)), mode="edge")
-        if self.periodic:  # both ends get the average of the first and the last node
+        if self.periodic:  # first and last column get the mean of the columns next to them
             nodes[:, 0] = nodes[:, -1] = (nodes[:, 1] + nodes[:, -2]) / 2
         sums = _integrals(xs, nodes)
         rows = _integrals(ys, sums[:, -1])
@@ -162,7 +162,7 @@ def _solve(a: float, b: float, share: float) -> float:
     """Return t in [0,1] that divides the integral of a linear function.
 
     The function is a at 0 and b at 1.
-    Its integral from 0 to t is the fraction `share` of its whole integral.
+    The integral of the linear function from 0 to t is `share` times its integral from 0 to 1.
     The result is the root of (b − a) t²/2 + a t = share (a + b)/2, without cancellation.
     """
     scale = max(a, b)
@@ -212,7 +212,8 @@ def _column(xs: Array, nodes: Array, sums: Array, j: int, t: float, u: float) ->
         return u
     target = min(u * total, below(total))
     low, size = 0, xs.size - 1
-    while size > 1:  # same as `last_at_most`, but with a blend of two rows
+    # Bisect as in `last_at_most`. The cdf is interpolated between the rows j and j + 1
+    while size > 1:
         half = size >> 1
         low += half * (_mixed(sums, j, t, low + half) <= target)
         size -= half

@@ -47,7 +47,8 @@ from mcspectra.densities.registry import DENSITIES, as_density, density
 __all__ = ["Defensive", "Mixture", "Product"]
 
 _MAX_PARTS = 1024
-# Largest number of different coordinates on other axes, at points where a factor density is 0
+# Points where a factor density is 0 get arbitrary coordinates on the axes of all other factors.
+# Number of different values that these arbitrary coordinates take in turn
 _PLACES = 4
 _SELECTIONS = ("coordinate", "extra")
 
@@ -330,7 +331,8 @@ class Defensive(Wrapper):
     share
         Share of the uniform density, above 0 and below 1.
     selection, axis
-        Same as in `Mixture`. The upper end of the coordinate chooses the uniform part.
+        Same as in `Mixture`.
+        The uniform density is chosen if the coordinate that chooses a part is at least 1 − share.
     """
 
     dims: int = None  # type: ignore[assignment]  # the density's own

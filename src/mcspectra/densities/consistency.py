@@ -16,7 +16,8 @@ __all__ = ["check_density"]
 _SPREADS = 7.0  # limit in standard errors; a false alarm has probability 7e-8 per cell
 # Let the mean count of points in a cell be k + q, with an integer k and 0 ≤ q < 1.
 # All 32 point sets have k points in the cell with probability (1 − q)^32: 7e-8 for q = 0.4.
-# Equal counts therefore allow an error of 0.4 points. Unequal counts have a standard error.
+# If all 32 counts are equal, the mean count may therefore be wrong by 0.4 points.
+# If the counts differ, their standard error limits the error of the mean count.
 _ALIKE = 0.4
 _ROUND_TRIP = 1e-6
 _INTEGRAL = 1e-4
@@ -66,7 +67,7 @@ def check_density(density: Checkable) -> None:
     * Samples follow the pdf, which is tested in one of three ways.
 
     In 1-D and 2-D, points of 32 shifted sets of 4096 points are counted in cells.
-    There are 64 cells (16 × 16 in 2-D), and larger cells of 2, 4, … times the edge.
+    There are 64 cells (16 × 16 in 2-D), and larger cells that join 2, 4, … cells along each axis.
     The share of points in each cell is compared with the integral of the pdf over it.
     Share and integral may differ by 7 standard errors, plus the error of the quadrature.
     If all sets have the same number of points in a cell, 0.4/4096 is added to the tolerance.
@@ -79,7 +80,7 @@ def check_density(density: Checkable) -> None:
 
     If the warp is not one-to-one (`Density.one_to_one`), each axis is divided into 8 slabs.
     The share of the points in a slab is compared with the mean of the pdf over the slab.
-    Both numbers come from the same points. This test detects only wrong marginals.
+    The share and the mean pdf come from the same points. This test detects only wrong marginals.
 
     A density passes if its errors are smaller than the tolerances above.
     Peaks narrower than 2^-20 of the domain (2^-12 in 2-D) are not resolved.

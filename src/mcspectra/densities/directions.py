@@ -147,7 +147,7 @@ class DiskDensity(_TwoWarps):
         The disk must lie inside the square.
     warp
         ``"polar"``: φ = 2π u_0, ρ² = radius² u_1. The sides u_0 = 0 and u_0 = 1 have the same x.
-        The sides of u_1 have different x: the side u_1 = 0 maps to the center.
+        The side u_1 = 0 maps to the center of the disk, and the side u_1 = 1 maps to its rim.
         ``"concentric"``: squares around the center map to circles [Shirley1997]_.
         With this map, all sides of the square lie on the rim.
     """

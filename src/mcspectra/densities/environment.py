@@ -11,7 +11,7 @@ Technique τ has a share β_τ = n_τ/Σ n of the points.
 The density p'_τ of technique τ should be the part of p that the other techniques do not sample.
 Therefore, β_τ p'_τ = max(0, λ p − Σ_{s≠τ} β_s p_s), with λ such that ∫ p'_τ = 1.
 The density p'_τ minimizes ∫ f²/(β_τ p'_τ + Σ β_s p_s), hence the second moment.
-If the maximum cuts nothing off, λ = 1, and the estimate of f has no variance.
+If λ p − Σ_{s≠τ} β_s p_s is nowhere negative, λ = 1, and the estimate of f has no variance.
 """
 
 from __future__ import annotations
@@ -121,9 +121,9 @@ class EnvironmentDensity(Wrapper):
         False makes the density proportional to L on the square, as for a flat picture.
     compensation
         The multiple of the mean radiance to subtract: p ∝ max(0, L − multiple · mean L).
-        The subtraction is the version of [Karlik2019]_ that does not depend on a surface normal.
+        Subtracting the mean is the compensation of [Karlik2019]_ that ignores surface normals.
         False means no subtraction.
-        True means the multiple 1, which suits equal numbers of light samples and BSDF samples.
+        True subtracts the mean itself, which suits equal numbers of light samples and BSDF samples.
         The density is then 0 at places where f is not 0, so combine it with another technique.
     warp
         The warp of the table, as in `PiecewiseConstant`, for ``interpolation="constant"``.
@@ -291,8 +291,9 @@ def _level(p: Array, taken: Array, share: float) -> float:
     own, other = p.ravel()[inside], taken.ravel()[inside]
     ratio = other / own
     order = np.argsort(ratio)
-    # Sort the cells by taken/p. For each k, compute λ as if λ p > taken in the first k cells only.
-    # The computed λ is right if λ p ≤ taken in cell k + 1
+    # Sort the cells by the other techniques' densities `taken`, divided by p.
+    # For each k, compute λ under the assumption that λ p > taken in exactly the first k cells.
+    # The assumption is true if λ p ≤ taken in cell k + 1
     levels = (share * p.size + np.cumsum(other[order])) / np.cumsum(own[order])
     ends = np.append(ratio[order][1:], np.inf)
     return float(levels[np.flatnonzero(levels <= ends)[0]])

@@ -3,8 +3,8 @@
 In 1-D, the axis is divided into cells. Jumps and kinks are enclosed in ever smaller cells.
 On each cell, a 12-point Chebyshev interpolant of the pdf is accurate to rounding.
 Matrices convert the values at a cell's nodes to coefficients of the interpolant and its integral.
-The interpolant is also evaluated at the ends of the cell and at the nodes of its halves.
-A comparison with the pdf at these places shows whether the cell is resolved [Trefethen2013]_.
+The interpolant is compared with the pdf at the ends of the cell and at the nodes of its halves.
+If interpolant and pdf agree, the cell is not divided further [Trefethen2013]_.
 The cdf is the integral of the interpolants. Newton's method inverts it within a cell.
 The interpolants are then compared with the pdf at 2^18 other points.
 
@@ -111,14 +111,15 @@ class NumericalWarp:
             start=256,
             most=_MOST[1] if self.dims == 1 else _MOST_OF_MARGINAL,
             subject=subject,
-            # A marginal is not probed: it has more nodes than the 509 rows that are resolved
+            # In 2-D, the marginal pdf of x_1 is not tested between its nodes.
+            # It has more nodes than the 509 lines of constant x_1 on which cells were tested
             probes=_PROBES[1] if self.dims == 1 else 0,
         )
         return _Axis.of(cells, density(cells.nodes[..., None]))
 
     @cached_property
     def _rows(self) -> _Cells:
-        """Cells of axis 0 on which 509 rows are resolved."""
+        """Cells along axis 0 that are small enough for the pdf on 509 lines of constant x_1."""
         rows = (0.5 + np.arange(_ROWS) * 0.6180339887498949) % 1.0
 
         subject = f"The pdf of {self.spec}, along x_0,"
@@ -190,7 +191,7 @@ class NumericalWarp:
     def check_rows(self) -> None:
         """In 2-D, compare integrals of rows over the cells with integrals over halved cells.
 
-        The compared rows are not the rows that determined the cells.
+        The rows are at other x_1 than the rows for which the sizes of the cells were chosen.
 
         Raises
         ------
@@ -373,7 +374,7 @@ def _split(
     points: Array,
     narrow_enough: float,
 ) -> _Cells:
-    """Return cells that resolve the function; cells with one of the points are narrow enough."""
+    """Return cells that resolve the function. Cells around `points` have a limited width."""
     low, width = np.arange(start) / start, np.full(start, 1.0 / start)
     values = _checked(function(_spread(low, width)), subject)
     total = _size(values, width)

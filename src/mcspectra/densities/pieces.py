@@ -156,7 +156,8 @@ class AlignedStrata(Density):
 def _allocated(lengths: Array, strata: int) -> Array:
     """Return whole numbers ≥ 1 near `strata` · lengths, of sum `strata`, by largest remainders.
 
-    If short pieces get more strata than their share, the long pieces divide the other strata.
+    Each piece gets at least one stratum, even a piece that is shorter than a stratum.
+    The longer pieces divide the remaining strata in proportion to their lengths.
     """
     counts = np.ones(len(lengths), np.int64)
     long = np.ones(len(lengths), bool)

@@ -234,7 +234,7 @@ def _inner(borders: Array, differ: Array | None = None) -> tuple[float, ...]:
 
 
 # In kernels, cell i of k covers [i/k, (i+1)/k) *as rounded*, both in look-ups and for samples.
-# Because the borders are rounded in the same way, no sample falls into the adjacent cell.
+# Look-ups and samples round cell borders alike, so no sample leaves the cell that it was drawn in.
 # `borders` are values of the cdf at cell borders, from 0 to 1.
 
 
@@ -372,7 +372,8 @@ class _Hierarchical:
             pairs = (table[0::2], table[1::2]) if axes[depth] else (table[:, 0::2], table[:, 1::2])
             table = pairs[0] + pairs[1]
             share = np.divide(pairs[0], table, out=np.full(table.shape, 0.5), where=table > 0)
-            # Flatten the level: sort the bits of row and column indices in the order of the splits
+            # Flatten the table `share` of this level. Sort the bits of its row and column indices,
+            # so that they follow the order in which rows and columns were split
             above = self.axes[:depth]
             order = np.empty(depth, np.int64)
             order[above == 1] = np.arange(above.sum())
@@ -479,7 +480,7 @@ class _Alias:
         raise NotImplementedError
 
     def breaks(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Borders of the bins, and the border within each bin."""
+        """Borders of the bins along u_0, and the border between the two cells of each bin."""
         starts = np.arange(self.keep.size)
         return _inner(np.concatenate([starts, starts + self.keep]) / self.keep.size), ()
 
@@ -490,7 +491,7 @@ def _alias_table(masses: Array) -> tuple[Array, Array]:
 
     The mean of the masses is 1.
     Cells with masses above the mean fill the bins of cells with masses below the mean.
-    Bins of empty cells are filled first, while there still are cells above the mean.
+    Bins of cells with mass 0 are filled first, while other cells still have more than the mean.
     Therefore empty cells get a share of exactly 0. Rounding affects only masses near the mean.
     """
     n = masses.size
@@ -545,7 +546,7 @@ class _Hilbert:
     `headings` (n,) has the direction in which the curve leaves each cell.
     The direction 0 is +x_0, 1 is −x_0, 2 is +x_1, and 3 is −x_1.
     `guide` divides [0,1) into 2^g equal intervals and has the first cell of each [ChenAsau1974]_.
-    With this guide, a search starts within one or two cells.
+    With the table `guide`, a search for a cell usually starts with one or two candidates.
     """
 
     def __init__(self, cells: Array) -> None:
@@ -631,7 +632,7 @@ def _follow(
 ) -> None:
     height, width = size
     for k in range(u.shape[0]):
-        # u_0 · 2^g is exact, so the interval that the guide table gives for u_0 contains u_0
+        # The product u_0 · 2^g is exact, so u_0 lies in the interval of [0,1) with this index
         g = int(u[k, 0] * (guide.size - 1))
         i = last_at_most(borders, guide[g], guide[g + 1] + 1 - guide[g], u[k, 0])
         rest = (u[k, 0] - borders[i]) / (borders[i + 1] - borders[i])

@@ -123,7 +123,7 @@ class Pilot(ABC):
     """Values of f and of all p_t at sampled points, for heuristics that use f.
 
     The samples are the rows of an array. Each row is a point of the common domain.
-    For a renderer, a row describes a path, in a format that only this pilot can read.
+    For a renderer, a row describes a light path, in a format that its subclass of `Pilot` defines.
 
     Attributes
     ----------
@@ -376,8 +376,8 @@ class Optimal(_Piloted):
 
         α_t + n_t (f − Σ_s α_s p_s)/q,
 
-    The weighted value is that of the balance heuristic for f with the control variate Σ α_s p_s.
-    In this form f may be 0, and each channel has its own α.
+    The same values result from the balance heuristic for f with the control variate Σ α_s p_s.
+    The weighted value is also defined where f is 0, and each channel has its own α.
     If densities are (nearly) identical, A is singular. The solution of least norm is then used.
     All solutions have the same sum Σ α_s p_s.
 

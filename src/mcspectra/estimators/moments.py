@@ -37,7 +37,7 @@ _CLUMPS = 4.0  # Values with at most this kurtosis do not count as heavy-tailed
 _LEAST_POINTS = 3000  # With fewer points, no tail is fitted to the 256 farthest values
 # Limits for the share of the variance that comes from values beyond all sampled values.
 # If g is bounded, values beyond the sampled values have a small share of the variance.
-# The table has the limit for each number of farthest values to which a tail is fitted
+# A tail is fitted to the 16, 64 and 256 farthest values; each of the three fits has its own limit
 _BEYOND = {16: 0.005, 64: 0.02, 256: 0.15}
 # Largest allowed square of the standard error of log s².
 # With a larger error, s² has less than one degree of freedom.
@@ -207,8 +207,8 @@ class Moments:
     # Smallest and largest values, sorted along the first axis; None if tails are not examined
     extremes: Array | None = None
     kept: int = field(default=_TAIL, kw_only=True)  # Number of extreme values at each end
-    # Moments of the values at single points, if each value of this object is a mean over points.
-    # Single values show tails that are hidden in means
+    # If each value is a mean of g over a set of points, `points` has moments of g at single points.
+    # Values of g at single points show tails that means hide
     points: Moments | None = field(default=None, kw_only=True)
     # Moments for each stored set, if the sampler has only a few stored sets.
     # Errors are computed from these moments if a set is used more than once
@@ -304,7 +304,7 @@ class Moments:
         Var(s²)/σ⁴ = (κ − (R−3)/(R−1))/R [Kenney & Keeping 1951].
         Few values underestimate the kurtosis κ.
         Therefore κ is averaged with 3, the kurtosis of a normal distribution.
-        In this average, κ has the number of values as weight, and 3 has the weight 20.
+        The weight of κ is the number of values, and the weight of the normal kurtosis 3 is 20.
         If stored sets are reused, the result is at least the error from the jackknife.
         """
         return np.maximum(self._alone_se, self._stored_errors()[0])
@@ -383,7 +383,7 @@ class Moments:
         In three cases the values do not bound the variance.
         First, one or two values may have most of the variance.
         Second, the squared values may have a tail index above 0.64 and a kurtosis above 4.
-        Above 0.64 the mean is far from normal for any feasible number of values [Vehtari2024]_.
+        Above the tail index 0.64, means of feasible samples are far from normal [Vehtari2024]_.
         Values that form a few clumps have a kurtosis of at most 4, so they do not count as a tail.
         Third, each value may be a mean over points, and g at these points may follow a power law.
         Values of g larger than all sampled values may then cause much of the variance.

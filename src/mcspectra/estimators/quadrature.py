@@ -74,7 +74,7 @@ _FEW_CELLS = 2**13
 _SAME = 1e-9
 # If the relative error of ∫g² is larger, g has jumps that the boxes do not resolve
 _RESOLVED = 1e-10
-_CENTER = 2**10  # The mean of this number of values is subtracted from g
+_CENTER = 2**10  # The mean of g over this number of points is subtracted from g
 # Next to a pole, g² exceeds its largest value at the points of `probe` by this factor
 _POLE = 2.0
 # If the relative error is larger, there may be a pole, and all levels are computed
@@ -190,7 +190,7 @@ def blindness(g: Integrand, means: Array, squares: Array) -> Array:
     ndarray
         Difference between the means and the integrals that a second rule computes.
         If the second rule does not resolve g, the error of this rule is added.
-        The second rule is `mcspectra.integrands._quadrature.adaptive_integral`.
+        The second rule is adaptive (`mcspectra.integrands._quadrature.adaptive_integral`).
         The second rule also finds regions where g differs from values at the first rule's nodes.
         The result is 0 if the two rules agree and the second rule resolves g.
         The result is also 0 if the mean over all strata agrees with a closed form of ∫g.
@@ -207,8 +207,8 @@ def blindness(g: Integrand, means: Array, squares: Array) -> Array:
     square_off = np.abs(square - 2.0 * middle * mean + middle**2 - second) - error - rounding
     largest = np.abs(means - middle).max(axis=0)
     missed = np.maximum(square_off, 0.0) + 2.0 * largest * np.maximum(off, 0.0)
-    # If the second rule does not resolve ∫g², add this error: the first rule may err as much.
-    # Also add this error if breaks of g were detected, because g has jumps there
+    # If the adaptive rule does not resolve ∫g², add its error: the first rule may be as wrong.
+    # Also add the error if breaks of g were detected, because g jumps at breaks
     hides = (error > _RESOLVED * second) | isinstance(g, _Cut)
     return np.asarray(missed + np.where(hides, error, 0.0))
 
@@ -376,7 +376,8 @@ def strata(
     The three arrays have the shapes (strata, channels), (channels,) and (channels,).
     The error is computed by `blindness`.
     If jumps of g are unknown, rules of two orders may give the same variance by chance.
-    Therefore twice the standard error of the two rules' differences in single strata is added.
+    Therefore the variances of single strata are compared between the rules.
+    Twice the standard error of the mean difference between the rules is added to the error.
     """
     means, squares = stratum_moments(g, sides, offset, rule.order, rule.most)
     unseen = blindness(g, means, squares)

@@ -9,7 +9,7 @@ the outermost stratum causes most of the variance of stratified points.
 If f ∝ t^−κ at the distance t, the error of a point set is proportional to u^−κ.
 Here u is a uniform random number.
 For a few point sets, Student's t of errors proportional to u^−κ has a skewed distribution.
-The quantiles of this t depend only on κ and on the number of point sets.
+The quantiles of Student's t for such errors depend only on κ and on the number of point sets.
 `growing_interval` computes these quantiles by simulation.
 """
 
@@ -175,7 +175,7 @@ def border_growth(
         exponent, low = (min(fit[k] for fit in fits) for k in (0, 1))
         sign = 1 if fits[0][2] > 0.0 else -1
         # f grows toward a face if values close to the face are far above (or below) the median.
-        # Only few of all values of f may be equally far from the median
+        # "Far" means farther than 95 % of all values of f (the setting `outermost`)
         usual = np.quantile(sign * (values - centre), settings.outermost)
         grows = np.median(sign * (y[: count // 4] - centre)) > usual
         grows &= all(sign * slope > settings.sure * error for _, _, slope, error in fits)
@@ -209,7 +209,10 @@ def growing_interval(
 
 @lru_cache(maxsize=256)
 def _growing_quantile(exponent: float, count: int, settings: TailSettings) -> float:
-    """For `count` numbers u^−κ, return the quantile of Student's t on the side of low means."""
+    """Return a quantile of Student's t for the mean of `count` numbers u^−κ, with reversed sign.
+
+    The mean is too low by more standard errors than the result with probability `settings.beyond`.
+    """
     rng = np.random.default_rng((count, round(1000.0 * (exponent + 1.0))))
     u = rng.random((max(1000, min(settings.samples, 10_000_000 // count)), count))
     x = -np.log(u) if exponent == 0.0 else (u**-exponent - 1.0) / exponent
@@ -330,7 +333,7 @@ def unsampled_share(estimator: AbstractEstimator, samples: int) -> float:
     -----
     The share of ∫f²/p is a mean over points of an additive recurrence.
     The number of points is the number of samples, but at least 4096 and at most 65,536.
-    Therefore the share costs no more than a simulation with as many samples.
+    For N ≥ 4096, computing the share therefore costs no more than a simulation with N samples.
     A region without any of these points counts as empty.
     Therefore, in many dims the returned share is more likely too small than too large.
     With several channels, the largest share of any channel is returned.

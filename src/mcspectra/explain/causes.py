@@ -105,7 +105,7 @@ class CauseSettings:
     # With 0.3, too few evaluations are left for nets, and one test case gets a wrong cause.
     check_share: float = 0.15
     # Fraction of the budget for the given sampler, if nets cannot estimate its variance.
-    # The scrambled nets then get 40 % of the budget.
+    # If the given sampler gets this fraction, scrambled nets get 40 % of the budget.
     # All test cases get the right cause with a fraction from 0.125 to 0.5.
     given_share: float = 0.25
     # Largest fraction of `lines_share` that the search for a pole may spend. Lines get the rest.
@@ -234,7 +234,7 @@ class CauseSettings:
     rounding: float = 1e-9
     # Rounding of g is a cause of noise if its steps exceed this fraction of the spread of g.
     # Rounding g to steps of 1 % of its spread changes the variance by 1e-5.
-    # The same fraction selects the lines on which g may oscillate:
+    # The fraction `coarse` also selects the lines on which g may oscillate:
     # the variance along a line must exceed this fraction of the largest variance along any line.
     # All test cases get the right cause with a fraction from 0.005 to 0.02.
     coarse: float = 1e-2
@@ -466,7 +466,7 @@ class Evidence:
         while isinstance(law, laws.Folded | laws.Mirrored):
             law = law.inner
         shifted = isinstance(law, laws.Shifted)
-        # After a shift, a mirrored estimator folds the points, so opposite faces are not joined
+        # After folding by a mirrored estimator, a point shifted across a face is still near it
         return shifted and not isinstance(self.estimator, Mirrored)
 
     @property

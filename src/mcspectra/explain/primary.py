@@ -89,7 +89,7 @@ def primary_picture(
         ``primary_jump`` (axis, u0, u1) is the size of the jump to the next cell along each axis.
         The size of a jump is 0 where g is continuous.
         ``face_jump`` (axis[, along]) is the size of the jump from u_axis = 0 to u_axis = 1.
-        These jumps are computed at the centers of cells along the other axis.
+        Jumps between opposite faces are computed at the centers of the cells along a face.
         At poles the jump is infinite.
         Jumps between faces matter for samplers that wrap around.
         The following variables have the two kinds ``interior`` and ``boundary``:

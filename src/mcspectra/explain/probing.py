@@ -25,8 +25,8 @@ If the pole is on faces of the cube, each of these faces adds one to the codimen
 The volume in which |g| > λ is ∝ λ^(−k/a).
 Therefore ∫g² is infinite for a/k ≥ ½, and the integral does not exist for a/k ≥ 1.
 Where several faces meet, g may be a product of powers of the distances to these faces.
-The distribution of large |g| then depends on the larger one of two exponents:
-the largest power at a single face, and the mean of the powers at all these faces.
+Two exponents are then compared: the largest one at a single face, and the mean over the faces.
+The larger of these two exponents determines the distribution of large |g|.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class LineSettings:
     steps: int = 16
     # Number of halvings of the step around the place with the largest second difference of g.
     # After 12 halvings, the step is 1.5e-5 of the length of the line, which is far above rounding.
-    # This step is also much smaller than the distance between features that 16 steps can find.
+    # A step of 1.5e-5 is also far below the distance between features that 16 steps can find.
     # With 6 halvings, 29 of 152 test cases fail; values from 12 to 24 give the same results.
     halvings: int = 12
     # Number of final halvings whose second differences determine the exponent.
@@ -121,7 +121,7 @@ class LineSettings:
     goes_on: float = 0.65
     # To test whether a jump is normal to an axis, lines are displaced by up to this distance.
     # An edge with a slope of 1 crosses the displaced line at least 0.0025 farther along the line.
-    # After the last halving, the step is only a hundredth of 0.0025.
+    # After the last halving, steps are about 100 times smaller than the distance 0.0025.
     # Values from 0.0025 to 0.01 give the same results.
     aside: float = 0.005
     # Number of groups of axes. An oblique line (chord) is displaced along one group at a time.
@@ -192,10 +192,10 @@ class PoleSettings:
     learning_rate: float = 0.4
     # Radii along the rays from the top, in units of the climb's last step.
     # Each radius is 4 times the previous radius. The smallest radius is 16 steps.
-    # If the top is wrong by one step, a distance of 16 steps changes by 6 % at most.
+    # An error of one step at the top of the climb changes the smallest radius by at most 6 %.
     # Half and twice these radii give the same results.
     radii: tuple[float, ...] = (2.0**4, 2.0**6, 2.0**8, 2.0**10, 2.0**12)
-    # Number of the smallest radii at which growth toward one face alone is measured.
+    # Growth of g toward a single face is measured at this number of radii, from the smallest up.
     # Three radii determine an exponent, whatever constant is added to g.
     # With 2 radii, four of 152 test cases fail; values from 3 to 6 give the same results.
     near: int = 3
@@ -204,7 +204,7 @@ class PoleSettings:
     rising: float = 0.25
     # Distance from all other faces at which growth toward one face is measured.
     # The unit of this distance is the last step of the climb.
-    # A distance of 2^15 last steps is half the step at the start of the climb.
+    # The distance is half the first step of the climb, because the step is halved 16 times.
     # This distance is 2^7 times the largest radius, 2^8, at which growth toward a face is measured.
     # Values from 2^14 to 2^16 give the same results.
     away: float = 2.0**15
@@ -254,7 +254,8 @@ class Lines:
     exponent
         Exponent a if the second difference at the roughest place is ∝ step^a: (K,).
     kept
-        Fraction of the height of a jump that remains after bisections; 0 without bisections: (K,).
+        Change of g over the last step after bisections, as a fraction of the change before: (K,).
+        The fraction is 0 for lines whose last step is not bisected.
     place
         Position of the roughest place along the line, from 0 to 1: (K,).
     height
@@ -268,7 +269,7 @@ class Lines:
     ends
         Difference of g between both ends of the line: (K,); NaN for chords.
     waves
-        Number of periods of a cosine with the variance and second derivative of g, (K,).
+        A cosine with this many periods has g's variance and largest second derivative: (K,).
     turns
         Fraction of the places on the line that are higher or lower than both neighbors: (K,).
     spread
@@ -649,7 +650,7 @@ def _climbed(
         new = g(around)
         made += 2 * d
         if new.max() > settings.better * value:
-            # Adapt the ellipsoid of directions to the move
+            # Adapt the ellipsoid of random directions to the direction of the accepted move
             best = around[np.argmax(new)]
             own = settings.learning_rate * np.outer(best - x, best - x) / size**2
             shape = (1.0 - settings.learning_rate) * shape + own
@@ -672,7 +673,7 @@ def _measured(
 ) -> Pole | None:
     """Measure a pole along rays, and by a quadratic form.
 
-    Both start at the highest place that the search for a pole (the climb) has reached.
+    Rays and quadratic form start at the highest place that the search for a pole (the climb) found.
     """
     d, radii = len(top), np.array(settings.radii)
     top = np.where(top < 2.0 * step, _EDGE, np.where(top > 1.0 - 2.0 * step, 1.0 - _EDGE, top))
@@ -701,8 +702,8 @@ def _measured(
         if alone > settings.alone:
             together = Pole(top, exponent, len(faces), True)
             return together if together.tail > alone else Pole(top, alone, 1, True)
-    # Subtract the additive constant of g. Then determine the quadratic form from values of g:
-    # move from the top along each axis, and along both axes of each pair
+    # Subtract the additive constant of g. Then determine the quadratic form from values of g.
+    # Evaluate g on lines from the climb's top: along each axis, and along diagonals of two axes
     factor = 4.0**exponent
     rest = float(np.median((factor * values[-1] - values[-2]) / (factor - 1.0)))
     first, second = np.triu_indices(d)

@@ -63,7 +63,7 @@ class CurveSettings:
     # Number of slabs along each axis that stand for the strata of a Latin hypercube.
     # Values from 16 to 64 give the same results.
     # A Latin hypercube of n > 32 points has finer strata than 32 slabs.
-    # The estimate of its variance from slabs is therefore an upper bound.
+    # The variance that is estimated from 32 slabs is therefore an upper bound.
     # For sums of functions of one axis, this bound is (n/32)² times the true variance.
     slabs: int = 32
     # Largest number of dims in which the variance of jittered points is estimated.
@@ -75,14 +75,15 @@ class CurveSettings:
     # With 2 octaves, intervals of rates are 1.4 times as wide and contain the rate equally often.
     # With 6 octaves, intervals contain the true rate in 63 % instead of 93 % of cases.
     octaves: int = 3
-    # Standard deviations of the change of the rate in an octave that are tried in fits.
+    # Fits assume that the rate changes at random from one octave to the next.
+    # Fits are tried with each of these standard deviations of the change.
     # The value 0.05 is for curves that are nearly straight on logarithmic axes.
     # The value 0.4 is for curves with the usual bends: the rate changes by 1 to 3 in a few octaves.
-    # If all values are halved, intervals contain the true rate in 94 % of cases.
-    # If all are doubled, or only 0.2 is used, intervals contain the true rate in 92 % of cases.
+    # If all four standard deviations are halved, intervals contain the true rate in 94 % of cases.
+    # With doubled standard deviations, or with 0.2 alone, intervals contain the true rate in 92 %.
     drifts: tuple[float, ...] = (0.05, 0.1, 0.2, 0.4)
-    # If a rate is not known, −1 is used with this standard error.
-    # Rates from −2 to 0 are then within two standard errors of −1.
+    # If a rate is not known, the rate −1 is assumed, with this standard error.
+    # All rates from −2 to 0 then differ from the assumed rate by at most two standard errors.
     unknown: float = 0.5
     # Least standard error of a logarithm of the variance.
     # Measured curves of variance deviate from straight lines by 2 % or more.

@@ -224,8 +224,8 @@ def best_alignment(
         ``strata_offset(candidate, axis)`` is the offset of each candidate.
         ``predicted_variance`` and ``measured_variance`` are sums over channels.
         ``variance_ratio`` is the measured variance divided by the variance of ``"unshifted"``.
-        ``improvement`` is 1 if the interval ``variance_ratio_ci`` is below 1,
-        −1 if the interval is above 1, and 0 if the interval contains 1.
+        ``improvement`` compares the interval ``variance_ratio_ci`` with 1.
+        The value is 1 for an interval below 1, −1 for one above 1, and 0 for an interval around 1.
         The attribute ``best`` names the candidate with the least predicted variance.
         If a candidate has no prediction, ``best`` is chosen by the measured variance.
         The attribute ``improved`` is yes, no or undecided for the best candidate.

@@ -62,9 +62,9 @@ __all__ = [
 
 LATTICE = "rank1-lattice | shift"
 """Shifted lattices, the points for a periodic g."""
-# Label of the random numbers of pilots. Searches for widths and offsets have the labels 0 and 1
+# Number of the random stream for pilots. Streams 0 and 1 are for searches of widths and offsets
 _PILOTS = 2
-# Kinds of change that also apply to mirrored estimators: the estimator inside is changed
+# Kinds of change that also apply to a mirrored estimator, by a change of the estimator it mirrors
 _INSIDE = frozenset(
     {"smoothed", "warp", "heuristic", "techniques", "compensated", "channels", *CHANGES}
 )
@@ -116,8 +116,8 @@ class CandidateSettings:
     # With 4 points per term (`RegressionSettings.evaluations_per_term`), 32 points fit 8 terms.
     least_pilot: int = 64
     # Maximum number of points of a pilot (`benchmarks improvements`).
-    # Regressions of an Asian option in 16-D were fitted with 2048, 4096 and 8192 points.
-    # These regressions leave 1.08, 0.93 and 0.89 % of the variance.
+    # For an Asian option in 16-D, regressions were fitted to 2048, 4096 and 8192 points.
+    # The fitted regressions leave 1.08, 0.93 and 0.89 % of the option's variance.
     # Variances of densities that are fitted with 2048 to 8192 points differ by only 3 %.
     most_pilot: int = 4096
     # Widths of smoothed edges that are tried: powers of two from 2^-10 to 1/4 of the domain.

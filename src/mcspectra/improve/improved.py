@@ -7,7 +7,7 @@ Therefore every change can be used with any estimator of one technique.
 The changes of the following kinds keep the integral, whatever the evaluations of g are:
 
 * *fitted*: g(T(u))/q(T(u)) with uniform u. The density q consists of splines (`learned`).
- Another choice of q is a normal density of z = Φ⁻¹(u) with the moments of |g|.
+  Another choice of q is a normal density of z = Φ⁻¹(u) with the moments of |g|.
 * *order*: g(T(u)), where T rotates z by an orthogonal matrix; there is no density q.
   After the rotation, g varies most along the first coordinates of z ([Liu2023]_).
   The rotation helps because nets sample their first coordinates best;
@@ -15,8 +15,8 @@ The changes of the following kinds keep the integral, whatever the evaluations o
 * *preintegrated*: g is averaged along lines in the first direction.
   It is assumed that g jumps or becomes nonzero at one point of each line.
   A bracket, which is a short interval around this point, divides the line into three intervals.
-    Each of the three intervals is sampled at one or two points.
-  The position of the bracket on a line depends on the other coordinates only.
+  Each of the three intervals is sampled at one or two points.
+  The position of the short interval depends only on coordinates that are constant on the line.
   Therefore the expectation of the sum over the three intervals is the expectation of g.
 
 `Cubic` needs no pilot: it subtracts polynomials from g.
@@ -85,7 +85,7 @@ class ChangeSettings:
     most_joint_dims: int = 5
     # Share of the uniform density in a fitted density q. It limits |g|/q to 20 |g|.
     # A larger share of the uniform density adds variance:
-    # With shares of 0.025, 0.05 and 0.1, a ridge keeps 0.6, 1.1 and 2.2 % of its variance.
+    # Uniform shares of 0.025, 0.05, 0.1 leave 0.6, 1.1, 2.2 % of the variance of a ridge function.
     defensive: float = 0.05
     # Least variance of a fitted normal density along any direction.
     # The normal numbers z of uniform points u have variance 1.
@@ -95,7 +95,7 @@ class ChangeSettings:
     # Settings of the fits of spline densities to |g|
     splines: LearnSettings = field(default_factory=LearnSettings)
     # A change is yielded if less than this fraction of the variance remains after the change.
-    # The remaining fraction is estimated from a pilot, and the cost of the change is ignored.
+    # The variance after the change is estimated from a pilot. The cost of the change is ignored.
     # In the smallest pilot, the estimated fraction has a standard error of √(2/64) = 18 %.
     # A change with an estimate above the limit may therefore be worse than no change.
     most_left: float = 0.8
@@ -114,8 +114,8 @@ class RegressionSettings:
     # With 4 evaluations for each coefficient, the factor 1 + p/k is at most 1.25.
     # With 2 or 8 evaluations, results for four problems of `benchmarks improvements` are the same.
     evaluations_per_term: int = 4
-    # Regularization: this number is added to the diagonal of the normal equations.
-    # The number is relative, because the basis functions have mean square 1.
+    # With k evaluations, regularization adds k times this number to diagonals of normal equations.
+    # Without regularization, the diagonal is near k, because basis functions have mean square 1.
     # Results are the same to three digits for values from 1e-12 to 1e-4.
     ridge: float = 1e-9
     # Maximum number of polynomials in a regression, which limits the cost of an evaluation.
@@ -140,7 +140,7 @@ class RegressionSettings:
     most_normal_degree: int = 3
     # Number of leading directions of z for which separate bases are tried.
     # A basis over fewer directions reaches higher degrees with the same number of terms.
-    # With one direction, the remaining variance of a ridge is 1.6 times as large.
+    # With bases over one direction only, the remaining variance of a ridge is 1.6 times as large.
     # With four directions, the remaining variance of an Asian option in 16-D is 1.1 times as large.
     turned: int = 2
 
@@ -187,9 +187,9 @@ class Evaluations:
         return _quantiles(self.points)
 
     def turned(self, matrix: Array) -> Evaluations:
-        """Return the same values as evaluations of a rotated integrand, at other points.
+        """Return evaluations of the rotated integrand g(T(u)), where `matrix` is the rotation of T.
 
-        The rotation maps these other points to the points of this object.
+        The inverse rotation is applied to the points, and the values stay the same.
         """
         return replace(self, points=_Normal(matrix.T).sample(self.points))
 
@@ -423,8 +423,8 @@ class Cubic(_Changed):
     The polynomial has degree r − 1 along each axis, and equals g at the centers of r^d cells.
     The r^d cells are the r nearest cells along each axis.
     The mean of the polynomial over each cell is added again, so the integral does not change.
-    If r is even, each point is averaged with its image about the center of the cell.
-    Averages with the image contain no odd powers of the position, so r = 2 needs no polynomial.
+    If r is even, each point is averaged with its mirror image about the center of the cell.
+    Averages with the mirror image cancel odd powers of the position, so r = 2 needs no polynomial.
     Jittered points in the same cells have a variance ∝ n^(−1 − 2r/d) if g has r derivatives.
 
     Attributes
@@ -570,7 +570,7 @@ class _Preintegrated(_Changed):
     halvings
         Number of times that the interval in which g jumps (the bracket) is halved.
         After 7 halvings the bracket is 2^-7 of the axis, and it is sampled by one point.
-        The sample in the bracket has a variance of at most 2^-16 of the squared jump.
+        The sample in this short interval adds at most 2^-16 times the squared jump to the variance.
     """
 
     name: ClassVar[str] = "preintegrated"

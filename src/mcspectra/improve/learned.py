@@ -86,7 +86,7 @@ class LearnSettings:
     most_dims: int = 24
     # Least allowed number of evaluations. Half of the 256 evaluations are for the fit.
     # A quarter of the 256 evaluations is for the choice between candidates.
-    # For this choice, each candidate is evaluated with six sets of two points.
+    # To choose between candidates, each candidate is evaluated with six sets of two points.
     # Another quarter of the 256 evaluations checks the result on fresh points.
     least_evaluations: int = 256
     # Least number of evaluations by default.
@@ -130,7 +130,8 @@ class LearnSettings:
     # Least number of sets from which the variance of each candidate is estimated.
     # With 6 sets, the logarithm of a ratio of two variances has a standard error of √(4/5) = 0.9.
     least_replicates: int = 6
-    # Least number of fresh sets for each of the two variances in the check of the result.
+    # The check of the result compares the variances with the density and with uniform points.
+    # Each of these two variances is estimated from at least this number of fresh sets.
     # If a ratio of variances of 16 sets is below 1/2.4, the true ratio is below 1 at 95 %.
     least_checks: int = 16
     # Least effective number (Σ|f|)²/Σf² of uniform points, in the fit and in the check.
@@ -331,7 +332,7 @@ class _Seen:
             return used, loss
 
         # Let the splines of each axis depend on the earlier axes that change the density most.
-        # These axes are those with the largest slopes of the loss.
+        # A dependence on an earlier axis changes the density much if the loss has a large slope.
         # The number of points limits how many dependences between axes are fitted
         each = self.settings.evaluations_per_gate
         gates, most = np.zeros(shape), self.rho.size // (each * shape[1] * DEGREE)

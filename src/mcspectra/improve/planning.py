@@ -1,7 +1,7 @@
 """Planning: the least number n of points whose estimate reaches a target error.
 
 For known integrands, the variance is predicted at powers of two.
-Between two powers, a bisection finds the least n, and predicts the variance at its counts.
+A bisection between two powers of two predicts the variance at further n, and finds the least n.
 For a user's function the variance is measured.
 Scrambled nets give the variance of several samplers at once (`mcspectra.explain.samples`).
 The variance of other samplers is measured with sets that they draw.
@@ -59,14 +59,14 @@ class PlanSettings:
     # For larger n, the curve of the variance is extrapolated by its rate.
     # `predict` also searches for the asymptotic rate up to 2^16 points.
     octaves: int = 16
-    # The variance is predicted for larger n until it is below the target by this factor.
-    # Because of this margin, the upper ends of intervals of the variance reach the target as well.
+    # The variance is predicted at larger and larger n, until it is this factor below the target.
+    # At such n, the upper end of the interval of the variance is also below the target.
     margin: float = 4.0
     # Largest planned number of points. Larger numbers do not fit into a 64-bit integer.
     most: int = 2**62
-    # The search for n ends when its step is the next power of two divided by this number.
+    # The bisection for n ends when its interval is at most 1/256 of the power of two above n.
     # Up to n = 256, the search finds the least count.
-    # For larger n, eight predictions find n within 0.4 %.
+    # For larger n, a bisection with eight predictions of the variance finds n to 0.4 %.
     steps: int = 256
     # The answer shows the interval of n if the ratio of its ends is larger than this number.
     wide: float = 1.25
@@ -391,9 +391,9 @@ def _least(
     before = [k for k in known if k < first]
 
     # Bisect between the last count that misses the target and the first count that reaches it.
-    # The two counts can differ by several octaves, because the curve need not be monotone.
-    # A smaller target variance never gives a smaller n: the search bisects at the same counts,
-    # or it continues at larger n where only a larger target is reached.
+    # The interval of the bisection may be several octaves, because the curve need not be monotone.
+    # A smaller target variance never gives a smaller n: its search bisects at the same counts.
+    # Where only the larger of two targets is reached, the search for the smaller goes to larger n.
     # For nets there is no bisection, because nets are balanced only at powers of their base
     if not before or _base(estimator.law(sampler, counts[first])):
         return best
@@ -425,7 +425,7 @@ def _ends(
 ) -> tuple[float, float]:
     """Return the least counts at which the two ends of the predicted interval reach the target.
 
-    Beyond the last predicted count, both ends are extrapolated by their last slopes.
+    Beyond the last predicted count, the last slopes of the variance extrapolate the interval.
     If an end of the interval never reaches the target, its count is infinite.
     """
     order = [k for k in np.argsort(counts) if np.isfinite(found[k].variance[0]).all()]

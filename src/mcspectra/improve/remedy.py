@@ -71,7 +71,7 @@ class RemedySettings:
 
 
 _SETTINGS = RemedySettings()
-# Label of the random numbers of searches for changes. Budgets have smaller labels
+# Number of the random stream for searches of changes. Smaller numbers are streams of budgets
 _SEARCH = _SETTINGS.steps
 
 _DIMS: dict[str, tuple[str, ...]] = {
@@ -321,7 +321,7 @@ def remedies(
     Notes
     -----
     The kinds ``fitted``, ``regression``, ``order`` and ``preintegrated`` use a pilot.
-    These kinds change the estimator after the pilot, and keep its integral.
+    Kinds that use a pilot change the estimator after the pilot, and keep its integral.
     The pilot takes an eighth of the budget, but at most 4096 evaluations.
 
     If no count of points costs exactly the budget, the largest count below it is measured.

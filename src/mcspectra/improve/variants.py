@@ -4,7 +4,7 @@ Smoothing and mirroring are explained in docs/theory.md, "Mirroring and smoothin
 The bias of smoothing does not fall with n.
 Therefore the width of smoothed edges with the least mean squared error depends on n.
 The talk on [Singh2019]_ shows six convergence plots, with and without a shift of the samples.
-The three variants in these plots are original, mirror-random and mirror-uniform.
+The plots show three variants of the estimator: original, mirror-random and mirror-uniform.
 """
 
 from __future__ import annotations

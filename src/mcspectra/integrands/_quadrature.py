@@ -74,8 +74,8 @@ _LEAST_INSET = 2.0**-51  # Least distance to a corner, as a fraction of its coor
 # Near a corner, f may differ from its polynomial by this multiple of the last coefficients.
 # A larger difference indicates a jump
 _SMOOTH = 100.0
-# If this many probe points differ from the polynomials, their standard error is the error.
-# The error that is estimated from the boxes is then not used
+# At least this number of probe points must differ from the polynomials of their boxes.
+# The standard error of these differences then replaces the error that is estimated from the boxes
 _LEAST_SEEN = 30
 _LOOKS = 2  # The second set of probe points is this many times as large as the first
 # Smallest size of a box as a fraction of its coordinates, and smallest size next to 0
@@ -290,9 +290,10 @@ def adaptive_integral(
     If `probed` is given, it holds the values at the points of `probe`.
     Each point of the probe represents 2^-17 of the volume.
 
-    While the `budget` of evaluations lasts, a cell is divided into 2^d parts in two cases.
-    In the first case, the integral changes by more than the cell's share of 1e-12 ∫|f|.
-    In the second case, f at a probe point differs from the polynomial through nearby nodes.
+    While the `budget` of evaluations lasts, a cell is divided into 2^d parts for three reasons.
+    The integral over the cell may change by more than 1e-12 ∫|f|, divided by the number of cells.
+    At a probe point in the cell, f may differ from the polynomial through the nodes of the cell.
+    Near a corner of the cell, f may jump away from the polynomial.
 
     The error is the sum of the last differences and an estimate of all later differences.
     A second value of ∫ f adds a correction: the mean of f minus the polynomials at probe points.
@@ -420,7 +421,7 @@ def search_breaks(
     spread = np.where(seen.std(axis=0) > 0.0, seen.std(axis=0), np.inf)
     lines = points[np.unique([0, 1, *seen.argmin(axis=0), *seen.argmax(axis=0)])]
     rows, steps = np.arange(len(lines))[:, None], (np.arange(_LINE) + math.sqrt(0.5)) / _LINE
-    # Each break is described by a tuple: whether it is a peak, minus its height, axis and position
+    # Each break is a tuple: whether it is a peak, the negative of its height, its axis and place
     found: list[tuple[bool, float, int, float]] = []
     for axis in range(dims):
 
@@ -507,12 +508,12 @@ def _at_points(function: QuadratureIntegrand, points: Array) -> Array:
 
 
 def _after(left: list[Array]) -> Array:
-    """Return the sum of all later differences as a multiple of the last difference.
+    """Return an estimate of all later changes of an integral, divided by the last change.
 
-    The differences are assumed to form a geometric series.
-    If each difference is half of the difference before, the result is 1.
-    Next to a pole, successive differences shrink slowly, and the ratio of differences rises.
-    Therefore, if the ratio of differences exceeds 0.55, the result is increased by half.
+    The changes are assumed to form a geometric series.
+    If each change is half of the change before, the result is 1.
+    Next to a pole, successive changes shrink slowly, and the ratio of changes rises.
+    Therefore, if the ratio of changes exceeds 0.55, the result is increased by half.
     """
     first, last = np.maximum(left[0], 1e-300), left[-1]
     ratio = np.minimum((last / first) ** (1.0 / max(1, len(left) - 1)), _SLOW)
@@ -530,7 +531,7 @@ def _hidden(
     Each of the `levels` has the lower corners, sizes and values at nodes of its boxes.
     Two flags tell for each box whether it was divided again, and whether its integral changed.
     `cell` is the index of the starting box of each of the points (K, d).
-    The difference is set to 0 in boxes whose integral changed at the last division.
+    The result is 0 at points in boxes whose integral changed at the last division.
     """
     dims, found, number = points.shape[1], np.zeros(seen.shape), np.arange(len(points))
     digits = 2 ** np.arange(dims)[::-1]

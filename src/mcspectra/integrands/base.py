@@ -144,7 +144,7 @@ class IntegrandCache:
         (`mcspectra.estimators.quadrature.beyond_points`).
     separable
         f as sums or products of functions of single axes, for each channel.
-        It is empty if f has no such form (`mcspectra.prediction.separable.separated`).
+        If f is no sum or product, the tuple is empty (`mcspectra.prediction.separable.separated`).
     """
 
     integral: Estimate | None = None
@@ -392,7 +392,7 @@ class Derived(Integrand):
 
     Subclasses are dataclasses with the field `integrand`.
     A subclass sets the format string `text`, in which ``{0}`` is replaced by the instance.
-    After this replacement, `text` is the `spec` of the integrand, which messages show.
+    The formatted `text` is the `spec` of the integrand, which messages show.
     """
 
     text: ClassVar[str]
@@ -646,7 +646,7 @@ def _quadrature(integrand: Integrand, m: Sequence[Array]) -> Estimate:
         return kept[key]
     found = refined_coefficients(integrand, m)
     if all((axis == 0).any() for axis in m):
-        # The integral replaces the coefficient at 0. It is exact or comes from a better rule.
+        # Replace the coefficient at frequency 0 by the integral, which is exact or more accurate.
         # Two grids may agree by chance, for instance if a border runs along their diagonals.
         # The difference from the integral reveals the error of grids that agree by chance
         zero = tuple(int(np.flatnonzero(axis == 0)[0]) for axis in m)

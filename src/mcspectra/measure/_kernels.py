@@ -2,7 +2,7 @@
 
 The indices are: r for realizations of a block; c for channels; a for bands; k for half widths.
 Index h is for coefficients: half spectra of all techniques, one technique after another.
-Index j is for real numbers: a real coefficient has one, and a complex coefficient has two.
+Index j is for real and imaginary parts of coefficients; a real coefficient has only one part.
 `double[h]` is 2 for a coefficient that also stands for −m, else 1.
 All sums over h with conj(f_h) S_h are real because the full spectrum is Hermitian.
 
@@ -67,7 +67,7 @@ def band_estimates(
 
 @kernel
 def accumulate(s: Array, mean: Array, estimate: Array, squares: Array, cov: Array) -> None:
-    """Add second moments of a block about its own means. All real numbers are treated alike.
+    """Add second moments of a block about its means. Real and imaginary parts count separately.
 
     The inputs are s (R, J), mean (J,), and estimate (R, C) without its mean.
     Sums over realizations r are added to two arrays, where I is the estimate of a channel:

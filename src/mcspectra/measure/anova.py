@@ -3,8 +3,8 @@
 docs/theory.md, "Analysis by axes", derives both methods of this module.
 `anova_variances` uses pick-freeze estimates [Sobol2001]_ with whole point sets.
 For the empty set of axes, the true covariance is 0.
-The estimate of this covariance is subtracted from the estimates for all other sets.
-Both estimates have nearly equal errors, which cancel. Shares near 1 are therefore precise.
+The covariance that is estimated for the empty set is subtracted from those for all other sets.
+Nearly equal errors cancel in the difference. Shares near 1 are therefore precise.
 
 `anova_spectrum` draws frequencies with the probability q(m) = Π_{i∈u} q_1(m_i).
 Here q_1(k) is proportional to 1/k² up to K.
@@ -65,7 +65,7 @@ class AnovaSettings:
     # Each frequency has four numbers: a component, a probability, a power and a coefficient.
     most_frequencies: int = 2**24
     # Least number of realizations that give a standard error.
-    # Two realizations have equal products of deviations, so the error would be 0.
+    # With two realizations, all products of deviations are equal, so the standard error would be 0.
     # `variance_terms` also needs four realizations.
     least: int = 4
     # Number of independent batches of frequencies, whose spread gives the standard error.
@@ -200,13 +200,13 @@ class Anova(Counted, frozen=True, kw_only=True):
         """Return the dataset for estimates (S, R, channels), one for each kept subset of axes.
 
         The first subset has all axes.
-        The covariance of the first estimates with the estimates of a subset gives its share.
+        The share of a subset comes from the covariance of its estimates with the first estimates.
         """
         moments, count = Moments.of(estimates[0], tails=True), estimates.shape[1]
         # Products of deviations, whose means over realizations are covariances: (S, R, channels)
         deviation = estimates - estimates.mean(axis=1, keepdims=True)
         products = deviation * (deviation[0] * (count / (count - 1)))
-        # With two realizations the two products are equal, so their spread is not an error
+        # With two realizations, products of deviations are equal, so their spread is not an error
         least = _SETTINGS.least
         per_root = count**-0.5 if count >= least else math.nan
         dims = max(self._group_of_axes(subject.estimator.dims)) + 1
@@ -466,7 +466,7 @@ def anova_variances(
         ``truncation_share(axes)`` is the share of the first axes in the variance.
 
         Effective dimensions refer to 99 % of the variance.
-        ``effective_dimension_truncation`` is the number of leading axes that hold this share.
+        ``effective_dimension_truncation`` is the number of leading axes with 99 % of the variance.
         ``effective_dimension_superposition`` is the least size s of subsets that is enough:
         subsets of up to s axes hold 99 % of the variance. If s exceeds `order`, the value is NaN.
         ``mean_dimension`` is the mean of |u| weighted by c_u. ``variance`` is the whole variance.
@@ -553,7 +553,7 @@ def anova_spectrum(
     ------
     NoClosedForm
         If the coefficients are not exact, the points have a density, or frequencies are correlated.
-        The function `anova_variances` needs none of these properties.
+        Use `anova_variances` for densities, inexact coefficients or correlated frequencies.
     ParameterError, CountError
         If a value is out of range, or the frequencies would not fit into memory.
 
@@ -580,7 +580,10 @@ class _Estimates:
 
 @dataclass(frozen=True)
 class _Batches:
-    """Means of the terms of each batch, (B, U, channels), and the source of the power ⟨|S_m|²⟩."""
+    """Means over the frequencies of each batch, (B, U, channels), for U subsets of axes.
+
+    `power` tells whether ⟨|S_m|²⟩ is from a closed form or from realizations.
+    """
 
     means: JOIN
     power: Annotated[str, "same"]
@@ -602,7 +605,7 @@ def _frozen(dims: int, order: int) -> list[tuple[int, ...]]:
 def _least(shares: Array) -> Array:
     """Return the least number of axes whose share is at least 99 %, or NaN if no number is enough.
 
-    Entry s − 1 along axis 0 of `shares` is the share of s axes.
+    `shares[s − 1]` is the share of the variance that s axes hold.
     """
     enough = shares >= EFFECTIVE_SHARE
     return np.where(enough.any(axis=0), enough.argmax(axis=0) + 1.0, np.nan)

@@ -37,13 +37,13 @@ class BlindnessSettings:
     """Thresholds that detect estimates which missed the source of their variance."""
 
     # Largest share of one estimate in Σ (estimate − mean)².
-    # If the share of an estimate is larger, the tail of the estimates is not resolved.
+    # If one estimate has more than 20 % of Σ (estimate − mean)², the tail is not resolved.
     # For 1,000 exponential numbers, the median share of the largest square is 4 %.
     # The share of the largest square exceeds 17 % in one of a thousand samples.
     # For normal numbers, the median is 1.2 %, and one sample in a thousand exceeds 2.4 %.
     large_share: float = 0.2
-    # Probability that the largest square of a few normal estimates exceeds its limit.
-    # If there are fewer estimates, the limit for the largest square is larger.
+    # For few estimates, the limit of the share is raised above 20 %.
+    # The share of a normal sample exceeds the raised limit with this probability.
     rarely: float = 1e-3
     # Value of κ − 1 above which ∫g² is computed, to test whether the variance is infinite.
     # κ is the kurtosis of the estimates. κ − 1 is 2 for normal and 8 for exponential estimates.

@@ -49,8 +49,8 @@ class ChainSettings:
     # Largest deviation of the mean chain's power from its expected power, in standard errors.
     # If the deviation is larger, the chains are correlated.
     # A normal law exceeds 5 standard errors with probability 6e-7.
-    # A score of 2.5 gives 2 false alarms in 475 cases.
-    # A score of 10 misses all of 50 sets of chains that share a part with the weight 0.3.
+    # A limit of 2.5 gives 2 false alarms in 475 cases.
+    # A limit of 10 misses 50 of 50 sets of correlated chains, whose common part has weight 0.3.
     score: float = 5.0
     # Probability that a test reports a fault of chains without faults.
     # Each quantity has two tests of drift and one of means.
@@ -69,7 +69,8 @@ class ChainSettings:
     # `settled` is the p-value above which the draws after a burn-in count as stationary.
     # `margin` is the factor by which the burn-in is lengthened after it has been found.
     # At the end of the burn-in, the mean may still have a bias of one standard error.
-    # Both settings were tested on 200 sets of 4 chains: 1,000 normal draws + 5 exp(−t/100).
+    # `settled` and `margin` were tested on 200 sets of 4 chains with 1,000 draws each.
+    # Draw number t is a normal number plus a drift of 5 exp(−t/100).
     # A burn-in is reported for 153 sets (the other 47 are stuck, without an end of the burn-in).
     # Of the 95 % intervals, 93 % contain the mean.
     # With the p-value 0.3 and the factor 1.5, a burn-in is reported for 76 % of the sets.
@@ -185,7 +186,7 @@ def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
     S(0) from an autoregression has a smaller error than two alternatives.
     The interval also has a coverage closer to 95 %; see docs/theory.md, "Chains".
     One alternative, the initial monotone sequence, cannot resolve antithetic or oscillating chains.
-    The other alternative estimates S(0) by the mean of the spectrum at the lowest frequencies.
+    The second alternative is the mean of the spectrum at the lowest frequencies.
     The cost is O(n log n).
 
     Examples
@@ -358,8 +359,8 @@ def _fitted(z: Array) -> _ChainFit:
 
     # Compute the error of log S(0) by the delta method.
     # The covariance of the coefficients is proportional to the inverse autocovariance matrix.
-    # AIC chooses up to two unnecessary orders.
-    # To cover unnecessary orders, the error counts a coefficient beyond the chosen order
+    # AIC may choose an order that is too large by one or two.
+    # Therefore the error is computed for an order above the chosen order
     order = len(chosen) + 1
     sums = solve_toeplitz(covariance[:order], np.ones(order)).sum() * innovation
     square = (2.0 + 4.0 * max(float(sums), 0.0) / float(chosen.sum()) ** 2) / (n * chains)
@@ -472,7 +473,7 @@ def _stationary_error(
 
     # If chains move together, their error is the error of their mean chain.
     # Whiten the chains and compare the power of the mean chain with the power of all chains.
-    # For m independent chains, the ratio follows Beta(1, m − 1) at each frequency, up to scale
+    # For m independent chains, the ratio of the two powers is m times a Beta(1, m − 1) variable
     fit = own = _fitted(z)
     series, remark = z, ""
     if chains > 1:
@@ -586,7 +587,7 @@ def _tail_index(z: Array, least: int) -> float:
     if not excess[most // 4] > 0:
         return math.nan
     # Average over a grid of b = −k/σ, with the shape k and the scale σ of the Pareto law.
-    # The weights are the posterior density of b; the first quartile sets the scale of the grid
+    # Each b is weighted by its posterior density. The first quartile of excesses scales the grid
     grid = 30 + int(math.sqrt(most))
     b = 1 - np.sqrt(grid / (np.arange(grid) + 0.5))
     b = b / (3 * excess[int(most / 4 + 0.5) - 1]) + 1 / excess[-1]

@@ -87,7 +87,8 @@ class StageSettings:
     first: int = 100
     # A stage lengthens the sample by at least the factor `step`, and at most the factor `leap`.
     # If a sample that is a quarter longer is also accurate enough, the search ends.
-    # After a factor of 4 the kurtosis is twice as accurate, so the next length is better chosen.
+    # The next length depends on the kurtosis of the sample.
+    # With four times as many realizations, the kurtosis is twice as accurate.
     # If `step` is 1.1, a search for an error of 10 % stops too early, at an error of 10.3 %.
     # If `step` is 1.25, the same search stops at an error of 9 %.
     # If `step` is 1.5, the search takes 30 % more realizations.
@@ -408,7 +409,8 @@ def convergence(
         By default all realizations are used. See also `realizations_needed`.
     fit_last
         Number of the largest counts to which the rate is fitted. The default is all counts.
-        ``"auto"`` uses the largest counts that lie on a line; see `mcspectra.core.fits.fit_rate`.
+        ``"auto"`` uses the largest counts at which the log-log curve of the variance is straight
+        (see `mcspectra.core.fits.fit_rate`).
     workers
         Number of threads. The default is all processors. It has no effect on results.
     max_evaluations

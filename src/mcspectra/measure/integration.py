@@ -30,12 +30,12 @@ Student's t and Hall's transform are accurate for many replicates; here R is at 
 Replicates may all miss an event whose probability in one replicate is below 1/R.
 An interval from replicates that missed an event is too short [Owen2025]_.
 A rare event is, for example, a point between a cell border of a net and a nearby jump of f.
-Intervals that hold for any bounded function would need n = Θ(N^{1/(θ+1)}) [Jain2026]_.
-With this n, most of the budget would be spent on many replicates of few points.
-The integral of a smooth function would then have ten times the error.
+Intervals that hold for any bounded function would need many replicates of few points:
+n = Θ(N^{1/(θ+1)}) points for a budget of N calls [Jain2026]_.
+Replicates of few points would have ten times the error if f is smooth.
 
 A few linear scrambles of a net cause most of the variance.
-The many remaining linear scrambles have far smaller errors.
+All linear scrambles except a few bad ones have far smaller errors.
 The *median* of replicates ignores the few bad scrambles.
 For smooth f, the error of the median falls faster than any power of n ([Pan2024]_).
 An estimate is above the median with probability one half.
@@ -106,8 +106,10 @@ class IntegrationSettings:
     # Intervals of 4 replicates are as wide as intervals of 8 on average.
     # Four replicates miss events of probability 1/8 more often.
     least: int = 8
-    # Largest number of runs of one set that take the place of replicates.
-    # Intervals of 128 runs are 2 % narrower if θ is 1, and runs of a few points have heavy tails.
+    # One large set can be divided into parts (runs), which replace independent replicates.
+    # Largest number of runs into which one set is divided.
+    # With 128 runs, intervals are only 2 % narrower if θ is 1.
+    # Estimates from runs of a few points have heavy tails.
     most_runs: int = 32
     # Least number of replicates of a median. It is odd, so that one replicate is the median.
     # The 95 % interval of the median extends from the second replicate to the last but one.
@@ -115,7 +117,7 @@ class IntegrationSettings:
     # Intervals of 7 replicates have the same mean width. Intervals of 21 are 1.5 times as wide.
     least_of_median: int = 11
     # Number of points for which the law of the sampler (the distribution of its points) is found.
-    # The law tells the kind of scramble, which is the same for all n.
+    # The law is needed for the kind of scramble, which is the same for all numbers of points.
     law_at: int = 64
     # The rate is measured with sets that have fewer points than the final sets.
     # Largest ratio of the points of a final set to the points of a set that measures the rate.
@@ -132,7 +134,7 @@ class IntegrationSettings:
     # Number of calls before the width of the interval is first compared with a tolerance.
     # The first calls are 8 replicates of 128 points, whose interval is right for usual functions.
     first: int = 2**10
-    # A round has more calls than the rate requires for the tolerance, by this factor.
+    # A round makes this many times the calls that the measured rate requires for the tolerance.
     # The width of an interval from 8 replicates has a standard error of 25 %.
     # With 30 % more calls, most tolerances nevertheless take only two rounds.
     margin: float = 1.3
@@ -211,7 +213,7 @@ def integrate(
 
         ``calls`` is the number of calls, and ``skipped`` the number of failed calls.
         There are ``replicates`` replicates of ``n`` points each.
-        ``rate`` is the rate of the variance by which the budget is divided, NaN if not measured.
+        ``rate`` is the rate of the variance, from which ``n`` is chosen. It is NaN if not measured.
 
         The interval is infinite in three cases, and the attribute ``note`` gives the reason.
         All replicates may be equal, or a few values may hold most of the variance.
@@ -433,7 +435,7 @@ def _sampled(
 
 
 def _in_one_set(calls: Calls, setup: Setup, stream: Stream, best: Any) -> _Replicates | None:
-    """Return the runs of the largest possible set, or None if replicates are better.
+    """Return runs (parts) of one large set as replicates, or None if independent sets are better.
 
     Any 2^k points of a scrambled net in base 2 that start at a multiple of 2^k are a scrambled net.
     The points k, k + R, k + 2R, … of a lattice are a shifted lattice.

@@ -18,7 +18,8 @@ __all__ = ["best_multiple", "flip_tree", "improve_code", "reflect", "span_mean",
 def best_multiple(m: Array, power: Array, vector: Array, axis: int, n: int, out: Array) -> None:
     # Let z be the generating vector of a lattice of n points.
     # For each z_axis = 0 … n−1, sum the power over frequencies m with m·z ≡ 0 modulo n.
-    # `vector` holds the other components of z. The n sums of power are written to `out` (n,)
+    # `vector` is z, of which the component z_axis is ignored.
+    # The n sums of the power are written to the array `out` (n,)
     out[:] = 0.0
     for i in range(len(m)):
         rest = 0

@@ -7,7 +7,7 @@ For a lattice, the variance is the sum of P over the dual lattice.
 Digital shifts have the same property in the Walsh basis. Let κ be the Walsh series of P.
 With a digital shift, the variance is (1/n²) Σ_ij κ(x_i xor x_j).
 For a digital net, this variance is the mean of κ over the points.
-If sets are folded after the shift, these variances hold for g(x) = f(1 − |2x − 1|).
+If sets are folded after the shift, the variance is that of g(x) = f(1 − |2x − 1|), not of f.
 The folded function g is continuous on the torus [Hickernell2002]_.
 Each search tries plain sets and folded sets, and keeps the kind with less variance.
 
@@ -79,8 +79,8 @@ class SearchSettings:
     # Number of points at which all members of the class are evaluated at once.
     # For 1024 members of the class, the values take 64 MB in double precision.
     block: int = 2**13
-    # Number of points, and number of integrands, with which a search measures samplers.
-    # Samplers are measured in searches of nets, and in searches of lattices in 3 or more dims.
+    # Number of points, and of integrands, with which a search measures the variance of a sampler.
+    # Only searches of nets, and of lattices in 3 or more dims, measure the variance of samplers.
     # The variance ratio of nets is 0.167 for half or twice as many points.
     # The variance ratio of nets is 0.164 to 0.167 for half or twice as many members of the class.
     # In 3-D with 128 integrands, a search finds a lattice of ratio 0.313 instead of 0.295.
@@ -145,8 +145,8 @@ class SearchSettings:
     # The search ends after a round that lowers the variance by less than this fraction.
     # The variance ratio of strata designs is the same for half or twice this fraction.
     least_gain: float = 0.003
-    # Whether exchanges also start from the cosets of a digital net.
-    # With 64 points in 4-D, exchanges from cosets end with less variance than from random sets
+    # Whether the search for sets of cells also starts from the cosets of a digital net.
+    # With 64 points in 4-D, a search from cosets ends with less variance than from random sets
     # (tests/improve/test_design.py).
     cosets: bool = True
     # Number of shapes of strata that are compared, starting with the most even shapes.
@@ -359,7 +359,9 @@ def _tables(
         power[0], tail = 0.0, _FOLD if fold else ""
         power = power / float(len(x)) ** 2
         yield f" | digital-shift{tail}", hadamard(power)
-        if owen:  # Average over Walsh functions whose last nonzero digits have the same positions
+        # For Owen scrambling, average the power over groups of Walsh functions.
+        # In a group, the last nonzero digits of all functions have the same position on each axis
+        if owen:
             codes = np.arange(len(power))
             level = np.zeros(len(power), np.int64)
             for axis in range(dims):
@@ -572,8 +574,9 @@ def _cosets(
     if len(np.unique(codes)) < n:
         return None
 
-    # Reduce the code of each cell by a basis of the net. The rest is the same within a coset.
-    # For each vector of the basis, its leading bit is cleared in all codes
+    # The codes of the net's cells are all exclusive ors of a few basis vectors.
+    # In the codes of all cells, clear the leading bit of each basis vector by an exclusive or.
+    # The codes that remain are equal for all cells of a coset
     rest, left = np.arange(sides.prod()), codes
     while left.max() > 0:
         vector = left.max()
