@@ -115,28 +115,27 @@ class SubsetSettings:
         In few dims, the fit of g needs only a small number of products.
     replicates, replicate
         Number of scrambled nets for ∫g², and number of their points.
-        Half or twice as many nets or points change variances of smooth functions by < 0.005 %.
+        Half or twice as many nets or points change smooth test cases by less than 0.005 %.
     strata
         Number of pairs of points within strata, for each replicate.
         A total of 131,072 pairs gives ±0.8 % for normally distributed differences.
     profile_work
         Total number of evaluations of g for the profiles along all axes.
-        Half or twice as many evaluations change only the variance of one test integrand, a ball in 4-D.
+        Half or twice as many evaluations change only the variance of one test case, a ball in 4-D.
     nodes
         Number of nodes of a profile along an axis.
         Half as many nodes change the variance of a test integrand with a kink by 0.1 %.
-        Twice as many nodes change only the variance of one test integrand, a ball in 4-D.
+        Twice as many nodes change only the variance of one test case, a ball in 4-D.
     groups
         Number of independent groups of profiles. The spread over the groups is the error.
-        Half or twice as many groups change only the variance of one test integrand, a ball in 4-D.
+        Half or twice as many groups change only the variance of one test case, a ball in 4-D.
     fitted
         Number of replicates to which products are fitted. One further replicate tests the fit.
-        Half or twice as many replicates change only the variance of one test integrand, a ball in 4-D.
+        Half or twice as many replicates change only the variance of one test case, a ball in 4-D.
     basis, negligible
         Largest number of basis functions of an axis, and least energy of a basis function.
         The least energy is relative to the total energy of all profiles of g along the axis.
-        Halving or doubling one of these settings changes
-        only the variance of one test integrand, a ball in 4-D.
+        Half or twice either setting changes only the variance of one test case, a ball in 4-D.
     rank, few_rank
         Largest number of products in a fit, if the fit has more than `few_dims` dims.
         In at most `few_dims` dims, a fit has at most `few_rank` products.
@@ -149,8 +148,7 @@ class SubsetSettings:
         Largest number of sweeps of a fit.
         A fit stops earlier if the ratio of successive residuals exceeds `settled`.
         Halving or doubling the number of sweeps changes nothing.
-        A largest ratio of 0.95 or 0.995 changes
-        only the variance of one test integrand, a ball in 4-D.
+        Ratios of 0.95 or 0.995 change only the variance of one test case, a ball in 4-D.
     block
         Number of points of a block in the least-squares fit.
         Blocks are so small that numerical libraries start no threads.
@@ -164,7 +162,7 @@ class SubsetSettings:
         A profile jumps where its step is this many times as large as the neighboring steps.
         A profile has a kink at a node if its slope changes far more there than at nearby nodes.
         The change at the node must exceed `stands_out` times the nearby changes.
-        Half or twice `stands_out` changes only the variance of one test integrand, a ball in 4-D.
+        Half or twice `stands_out` changes only the variance of one test case, a ball in 4-D.
     halvings
         Number of bisections of a jump, which reduce steps of 1/128 to 2^-47.
         Values from 20 to 80 give the same results.
@@ -190,7 +188,8 @@ class SubsetSettings:
     adds_up
         Factor for the variance of g minus the fit, if one offset moves all points of a set.
         The factor widens the interval of the prediction, and does not change the variance.
-        Under one offset, contributions of kinks add up on lattices. All other sets have no factor.
+        If one offset moves a lattice, the contributions of kinks to the variance add up.
+        If the points are randomized in another way, the factor is 1.
     resolved
         Relative errors of curves between their nodes, for smooth curves and for curves with jumps.
     most_work
