@@ -72,7 +72,7 @@ class ModeSettings:
     # (1 + √(1/10))² = 1.73 times the mean for 10 realizations per coefficient [Marchenko1967]_.
     many: float = 10.0
     # Variance of a coordinate that counts as rounding, as a fraction of the largest variance.
-    # Variances in the ratio 1e-20 belong to standard deviations in the ratio 1e-10.
+    # A variance of 1e-20 times the largest is a standard deviation of 1e-10 times the largest.
     rounding: float = 1e-20
 
 

@@ -211,8 +211,8 @@ def exact_variance(
     tolerance
         Largest relative error of the variance, 1e-12 to 1.
         If f has undeclared jumps that are not across an axis, small tolerances are impossible.
-        With oblique or curved jumps, the least tolerance is 1e-3 for random points.
-        With such jumps, the least tolerance is about 0.1 for strata.
+        For random points and oblique or curved jumps, the least tolerance is 1e-3.
+        For strata and oblique or curved jumps, the least tolerance is about 0.1.
         The message of the error gives a tolerance that is possible.
         If d is at least 4 and the tolerance at least 1e-3, f may be fitted by a sum of products.
         The factors of these products are functions of one axis.

@@ -254,7 +254,7 @@ class ExtrapolationSettings:
         Realizations of each small count. The relative error of a variance is √(2/2000) = 3 %.
     near_sets, near_points
         Least number of realizations of a count close to n, and least total number of points.
-        Realizations are drawn until there are at least this many realizations and points.
+        There are at least `near_sets` realizations, and at least `near_points` points in total.
         Halving or doubling both numbers changes variances by less than 4 %,
         and the intervals of the variances are far wider: 14 to 60 %.
     most_factor

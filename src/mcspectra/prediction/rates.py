@@ -178,12 +178,12 @@ class LimitSettings:
         Largest difference between the last slope and a theoretical exponent.
         If the last slopes move away from the exponent, and differ from it by more than this number,
         the exponent is not the limit of the slopes.
-        If this difference is from 0.025 to 0.1, the limits of the 64 curves are the same.
+        With 0.025 to 0.1 as the allowed difference, the limits of the 64 curves are the same.
     still
         Three successive slopes count as constant if they differ by at most this number.
         A constant slope may be the limit of the rate even if theory does not list it.
         For example, the variance next to a pole t^-a has the rate −1 − (1 − 2a)/d.
-        If this difference is from 0.005 to 0.02, the limits of the 64 curves are the same.
+        With slopes that differ by 0.005 to 0.02 at most, the limits of the 64 curves are the same.
     change
         A curve may bend if its first slope differs from its limit by more than this number.
         The bends are the same for thresholds from 0.15 to 0.3.
@@ -196,7 +196,7 @@ class LimitSettings:
     better
         A curve has a bend if two power laws fit it much better than one power law.
         The scatter about two power laws must be below this fraction of the scatter about one.
-        With fractions from 0.125 to 0.25, the same ones of the 64 curves have a bend.
+        With fractions from 0.125 to 0.25, the same curves have a bend.
         With the fraction 0.5, one more of the 64 curves has a bend.
     """
 

@@ -148,7 +148,7 @@ class SubsetSettings:
         Largest number of sweeps of a fit.
         A fit stops earlier if the ratio of successive residuals exceeds `settled`.
         Halving or doubling the number of sweeps changes nothing.
-        Ratios of 0.95 or 0.995 change only the variance of one test case, a ball in 4-D.
+        With `settled` at 0.95 or 0.995, only the variance of one test case, a ball in 4-D, changes.
     block
         Number of points of a block in the least-squares fit.
         Blocks are so small that numerical libraries start no threads.
@@ -733,7 +733,7 @@ def _fitted(
         # The energy (variance) of the fit may differ from its sample variance at the test points.
         # The difference between energy and sample variance also counts as missed energy.
         # The energy of g also differs from its sample variance at the test points.
-        # This difference is sampling error, so it is subtracted from the difference of the fit
+        # This difference is sampling error, so it is subtracted from the difference for the fit
         curves = [w @ c for w, c in zip(weights, cells, strict=True)]  # Rows: sum, products
         averages = np.stack([c.mean(axis=1) for c in curves])
         squares = np.stack([c @ c.T / c.shape[1] for c in curves])

@@ -174,9 +174,9 @@ class DrawnSettings:
         Half or twice the half width changes the variance by less than 0.5 %.
     length, least_lengths
         Largest scaled frequency |m| n^(-1/d) at which a smooth function of |m| fits the power.
-        `least_lengths` is the least number of different lengths |m| in the fit of this function.
+        `least_lengths` is the least number of different lengths |m| in the fit of the smooth function.
         The power of stochastic sets has its first peak at the scaled frequency 1.
-        Halving or doubling one of these two settings changes the variance by less than 0.1 %.
+        Halving or doubling `length` or `least_lengths` changes the variance by less than 0.1 %.
     agrees
         The smooth function and the measured power must agree within this number of standard errors.
         The predicted variance is the same if 1 to 4 standard errors are allowed.
@@ -307,7 +307,7 @@ class Region:
     table
         Energies |g_m|² from a coarser table of g, or None if the coefficients are exact.
     near
-        Whether these frequencies are also summed if the power is estimated from drawn sets.
+        Whether frequencies of the region are also summed if the power comes from drawn sets.
     """
 
     vectors: Array
@@ -679,8 +679,8 @@ def _drawn(
     Further sets are transformed only at low frequencies, which hold the energy of smooth functions.
     Sets are added until the error is small compared with the variance,
     or until the sets together have the largest allowed number of points.
-    If power depends only on the length of m, a smooth law may fit the measured power.
-    The smooth law then replaces the measured power.
+    If power depends only on the length of m, a smooth function may fit the measured power.
+    The smooth function then replaces the measured power.
     """
     from scipy.special import stdtrit
 

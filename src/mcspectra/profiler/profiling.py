@@ -135,12 +135,12 @@ class ProfileSettings:
     # Few points do not show whether a steep rate continues at larger numbers of points.
     # Without the limit, an extrapolation to the whole budget would exaggerate the gain of a change.
     # The advice of 12 profiles was the same for 8 or 32 points, and for rates of −1.5 or −3.
-    # With such points or rates, the RMSE of one changed estimator differs by a factor of up to 1.9.
+    # In these tests, the RMSE of one changed estimator differed by a factor of up to 1.9.
     few_points: int = 16
     steepest_rate: float = -2.0
     # A change must lower the log variance by at least this number of standard errors.
     # The log variance is extrapolated to an estimate that takes the whole budget.
-    # This least decrease is required only if g grows at the border or has a heavy tail.
+    # A decrease of the variance is required only if g grows at the border or has a heavy tail.
     # The required decrease was tested in 112 profiles with 4096 evaluations each:
     # seven functions with growth or heavy tails, two samplers and eight seeds.
     # With 1 standard error, none of 88 recommended changes had a larger variance than before.
@@ -164,7 +164,7 @@ class ProfileSettings:
     steep_counts: int = 2
     # Lattices get this multiple of the usual evaluations if g is smooth and periodic.
     steep_weight: int = 2
-    # A substitution that makes g periodic is tried if n^(1/d) is at least this number of points.
+    # A substitution that makes g periodic is tried if n^(1/d) is at least `resolving_points`.
     # With fewer points, folded lattices have less variance (`benchmarks periodized`).
     resolving_points: int = 10
     # Number of points that are drawn from a density to test whether they lie in the unit cube.
@@ -689,7 +689,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     causes = causes_of(evidence)
     offers = _offers(evidence, causes, budget, stream.child(98))
     # Measure other set-ups that may have less variance than nets. They are called rivals.
-    # Each of these set-ups gets as many of the remaining evaluations as a changed estimator.
+    # Each of the other set-ups gets as many of the remaining evaluations as a changed estimator.
     # If g jumps, evaluations for an estimator without the jump are reserved first,
     # and the other set-ups share all remaining evaluations
     rivals, left = _rivals(evidence, causes, points), budget - calls
@@ -1217,7 +1217,7 @@ def _paid(offer: Candidate, left: int, *, last: bool) -> tuple[int, int]:
 
     The number of nets is halved if all nets would need too many evaluations.
     The number of nets is also halved if too few evaluations would be left for another change.
-    The number of points is 0 if `left` evaluations do not suffice to measure the estimator.
+    The number of points is 0 if `left` evaluations do not suffice to measure the changed estimator.
     """
     nets, least = CAUSE_SETTINGS.nets, _SETTINGS.least_checked
     changes = 1 if last else 2

@@ -134,7 +134,7 @@ def timed_work(
     if len(runs) > 1:
         before, shorter = runs[-2]
         # The last two runs give the time per unit of size, but a busy machine may distort it.
-        # Limit it to the range from half of the mean time per unit to the mean time per unit
+        # Limit the time per unit: at most the mean of the last run, and at least half of the mean
         slope = (spent - shorter) / (size - before)
         each = min(max(slope, 0.5 * each), each)
     fixed = max(spent - each * size, 0.0) + max(compiled - runs[0][1], 0.0)

@@ -85,8 +85,8 @@ _ONE_SQUARE = 0.05
 _WIDEST, _KNOWN_RATE = 15, 0.1
 # If the values miss a tail, their variance and its error are too small.
 # The upper end of the interval is therefore moved away from the variance: on a log scale,
-# its distance is multiplied by 1 + this number times the relative standard error.
-# For six frames of normal to lognormal noise and the number 2,
+# its distance is multiplied by 1 + c e, where e is the relative standard error.
+# For six frames of normal to lognormal noise and c = 2,
 # 92 to 97 % of the intervals contain the true variance
 _MISSED = 2.0
 _NEAR = 15  # width in pixels of the squares whose pixels share a variance, for two or three frames
