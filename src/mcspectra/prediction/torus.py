@@ -174,7 +174,7 @@ class DrawnSettings:
         Half or twice the half width changes the variance by less than 0.5 %.
     length, least_lengths
         Largest scaled frequency |m| n^(-1/d) at which a smooth function of |m| fits the power.
-        `least_lengths` is the least number of different lengths |m| to which the function is fitted.
+        `least_lengths` is the least number of lengths |m| to which the smooth function is fitted.
         The power of stochastic sets has its first peak at the scaled frequency 1.
         Halving or doubling `length` or `least_lengths` changes the variance by less than 0.1 %.
     agrees

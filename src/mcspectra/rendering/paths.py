@@ -313,7 +313,7 @@ class Tracer:
         return (*found[:count], *[beyond] * (count - len(found)))
 
     def dry_run(self, pixels: tuple[tuple[int, int], ...]) -> tuple[tuple[Dimension, ...], float]:
-        # A dry run follows paths only to see how they use random numbers.
+        # A dry run only records how the paths of a scene use random numbers.
         # This use does not depend on the probabilities of lights, or on dimmed lights
         lit = replace(self, selection=None, light=None)
         with LOCK:
