@@ -8,7 +8,7 @@ The covariance matrix A is never stored.
 Randomized subspace iteration [Halko2011]_ needs only the product of A with a few vectors.
 Each product with A takes one pass over the realizations, which are drawn again every time.
 If Ω is a random matrix, the columns of A Ω approximately span the leading eigenvectors.
-Every further product with A reduces the errors of this approximation.
+With each further factor A, as in A² Ω, the columns approximate the eigenvectors more closely.
 The results are the eigenpairs of A projected on the span of these columns (Rayleigh-Ritz).
 The distance of λ to an eigenvalue of A is at most ‖A v − λ v‖.
 The coordinates are the real and imaginary parts of the stored coefficients.
@@ -63,7 +63,7 @@ class ModeSettings:
     """Settings for the computation of modes: numbers of vectors, passes and realizations."""
 
     # Number of columns of Ω in addition to the number of modes.
-    # [Halko2011]_ proves bounds for any number and recommends 5 to 10.
+    # [Halko2011]_ proves error bounds for any number of added columns, and recommends 5 to 10.
     oversampling: int = 8
     # Largest number of elements of one set of vectors: 1 GiB in float64.
     most_numbers: int = 2**27
@@ -72,7 +72,7 @@ class ModeSettings:
     # (1 + √(1/10))² = 1.73 times the mean for 10 realizations per coefficient [Marchenko1967]_.
     many: float = 10.0
     # Variance of a coordinate that counts as rounding, as a fraction of the largest variance.
-    # For the fraction 1e-20, the standard deviation is 1e-10 of the largest one.
+    # A variance of 1e-20 times the largest is a standard deviation of 1e-10 times the largest.
     rounding: float = 1e-20
 
 
@@ -272,7 +272,10 @@ class Modes(Counted, frozen=True, kw_only=True):
         )
 
     def part(self, subject: Subject, stream: Stream, key: str) -> Reduction[Any]:
-        """Return the pass named `key`; repeat earlier passes, because it needs their vectors."""
+        """Return one pass over the realizations, which is named `key`.
+
+        Earlier passes are repeated, because each pass starts from the vectors of the pass before.
+        """
         steps = self.reduction(subject, stream)
         states = None
         while True:

@@ -19,7 +19,7 @@ class CountSettings:
 
     # Number of candidate counts, for samplers that allow a count near every number.
     # Successive candidate counts differ by a factor of about 1 − 1/256.
-    # Searches with 64 and with 1,024 candidates find the same count.
+    # With 64 or 1,024 candidate counts, the search finds the same number of points.
     tries: int = 256
 
 

@@ -245,8 +245,9 @@ class RunningSpread:
     """Sums over blocks that give the standard error of a weighted mean of arrays.
 
     Each block has an array x and a weight w; all arrays x have the same shape and type.
-    For the error, the array x of each block is compared with a mean that weights blocks by w².
-    If all blocks are equally long, this mean is the plain mean over blocks.
+    The error follows from the deviations of the arrays x from a weighted mean of all arrays.
+    In this mean, the weight of a block is the square of its weight w.
+    If all blocks are equally long, the weighted mean is the plain mean over blocks.
     For complex numbers the error is the root of the mean |error|².
     """
 

@@ -83,7 +83,7 @@ class Frequencies:
 
         The half width is chosen for n points.
 
-        The basis ``"auto"`` fits the points of the estimator.
+        With ``"auto"``, the basis is chosen to suit the randomization of the points.
         In the domain, the points of a mirrored integrand are folded.
         In primary space, the points of the estimator are the points of the sampler.
         """

@@ -68,8 +68,8 @@ GivenAxes: TypeAlias = "Axes | Iterable[Axes] | np.ndarray[Any, Any] | None"
 FORMATS = (".svg", ".png", ".pdf", ".pgf")
 """Extensions of files that `write` accepts."""
 
-# Three figure widths in inches. The first is for small pictures.
-# The second is for one or two columns of panels, the third for more columns and wide plots
+# Widths of figures in inches. Figures with one or two columns of panels are narrow.
+# Figures with more columns and wide plots have the largest width, and small pictures the smallest
 _TINY, _NARROW, _WIDE = 2.35, 4.9, 7.4
 # In inches: smallest side of one of several panels, and largest side of a square panel
 _LEAST_SIDE, _LARGEST_SQUARE = 2.3, 3.4

@@ -322,7 +322,7 @@ class Plot:
         Panels in reading order.
     kind
         Kebab-case name of the kind of plot, such as ``convergence``.
-        The functions of `mcspectra.plots.kinds` set the name of the kind.
+        For plots of results, the function `mcspectra.plots.kinds.describe` sets the name.
     columns
         Number of panels per row when printed. Narrow screens show fewer.
     caption

@@ -48,7 +48,8 @@ Data: TypeAlias = "xr.Dataset | Group"
 Styles: TypeAlias = Mapping[str, LineStyle]
 """Style of each sampler."""
 
-# Variables of a curve. A result with several variants of a curve is divided, one per variant
+# Variables of a curve, such as a variance that depends on n.
+# If a result has several variants of a curve, it is divided into one result for each variant
 _CURVE = {
     "n",
     "variance",
@@ -244,7 +245,8 @@ def labelled(stored: xr.Dataset) -> xr.Dataset:
     }
     # If an array of labels has the name of a dim, it is the coordinate of this dim.
     # All other labels, such as verdicts, belong to a dim with as many entries.
-    # The dim "bound" has size 2 and comes first; later dims of size 2 take precedence
+    # Two labels belong to the dim "bound", which has size 2, unless another dim also has size 2.
+    # The dim "bound" comes first in the list, so that other dims of size 2 replace it
     dims = sorted(map(str, stored.dims), key=lambda dim: dim != "bound")
     own: dict[tuple[int, ...], Any] = {
         texts[dim].shape: dim for dim in dims if dim in texts and dim != "bound"

@@ -284,7 +284,8 @@ def product(group: Group, styles: Styles) -> Plot:
     """Plot the power of f, the power of the samples, and their product, by length of the frequency.
 
     Each value belongs to a shell of |m|. The power of f is summed over the shell.
-    The power of the samples is averaged over the shell with weights |f_m|²: the product is exact.
+    The power of the samples is averaged over the shell with the weights |f_m|².
+    The product of both powers is therefore exactly the part of the shell in the power term.
     """
     f, s, both, notes = {}, {}, {}, {}
     for name, each in group.items():

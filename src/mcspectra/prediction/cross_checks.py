@@ -90,7 +90,7 @@ class CheckSettings:
         Largest number of points of a set whose pairs are counted.
         A set of 2^17 points has 8.6e9 pairs.
     tolerance
-        Relative error above which the variance from known pairs is rejected.
+        Largest relative error of a variance that is computed by quadrature over pairs of points.
         The value is the default tolerance of `exact_variance`, whose results are checked here.
     """
 

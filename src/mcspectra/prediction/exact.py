@@ -119,13 +119,13 @@ class ExactSettings:
     negligible: float = 1e-9
     # The error of a quadrature is at most its difference from a lower order, times this factor.
     # At a jump, quadratures of both orders have errors of about the same size.
-    # With the factor 1.5, no second attempt is made for the integrand with a ridge.
+    # With 1.5 instead of 3, the quadrature of a ridge is accepted without a second attempt.
     safety: float = 3.0
     # An error message suggests a larger tolerance if the relative error is below this value.
     offered: float = 0.5
     # Factor by which the second attempt raises the orders of the quadrature.
     # A second attempt is made if the error is at most `hope` times the tolerance.
-    # For the integrand with a ridge, half the factor changes the variance by 1e-5.
+    # With doubled instead of quadrupled orders, the variance for a ridge changes by 1e-5.
     finer: int = 4
     hope: float = 10.0
     # Least number of dims, and least tolerance, for fits by sums of products.
@@ -211,9 +211,10 @@ def exact_variance(
     tolerance
         Largest relative error of the variance, 1e-12 to 1.
         If f has undeclared jumps that are not across an axis, small tolerances are impossible.
-        The least possible tolerance is then 1e-3 with random points, and about 0.1 with strata.
+        For random points and oblique or curved jumps, the least tolerance is 1e-3.
+        For strata and oblique or curved jumps, the least tolerance is about 0.1.
         The message of the error gives a tolerance that is possible.
-        With 1e-3 or more in at least 4 dims, f may be fitted by a sum of products.
+        If d is at least 4 and the tolerance at least 1e-3, f may be fitted by a sum of products.
         The factors of these products are functions of one axis.
         The fit is used if the 95 % interval of the variance is within the tolerance.
         Fits are available for latin-hypercube, nets with owen and sets with shift.
@@ -242,7 +243,7 @@ def exact_variance(
     Undeclared jumps and poles of g across an axis are found along lines, and cut the cells.
 
     If ∫g has no closed form, the quadrature is compared with ∫g and ∫g² by other rules.
-    The rules for this comparison are checked at 2^17 probe points.
+    Values of g at 2^17 probe points show whether the nodes of the quadrature miss a part of g.
     The probe points find a slab across an axis in which g differs, if its width is 2^-17 or more.
     The probe points hit any other region of volume v with probability 1 − exp(−2^17 v).
     A region of volume 8e-5 is hit with probability 1 − 5e-5. Narrower peaks may be missed.
@@ -308,7 +309,7 @@ def of_integrand(
     The error includes an estimate (`blindness`) for structures between the nodes.
     For random points, the error comes from ∫g² alone.
     If higher orders of the quadrature would suffice, the orders are raised once.
-    If `most` is below the default, the orders are not raised, because other methods follow.
+    If `most` is below the default, the orders are not raised: the caller tries other methods.
 
     Raises
     ------
@@ -346,8 +347,8 @@ def _by_cells(law: Law, g: Integrand, tolerance: float, most: float) -> tuple[Ar
     if isinstance(law, Independent):
         middle, first, second, error = moments(g)
         value = second - first**2
-        # The error of the integrals is stated as three standard errors.
-        # Use 4.5 standard errors instead, because none of 1,000 functions exceeds this error
+        # The function `moments` states the error of an integral as three standard errors.
+        # Use 4.5 standard errors: the errors of 1,000 test functions were never larger
         error = 1.5 * error * (1.0 + 2.0 * np.abs(first)) + 4e-15 * (second + middle**2)
         if (error > tolerance * value).any() and np.isfinite(square).all():
             mean, off = np.atleast_1d(g.integral), integral_accuracy(g)[1]

@@ -50,9 +50,10 @@ class Predicted:
     how
         Short description of the computation, such as the number of point sets.
     share
-        Part of ∫g² for which the method computes every term of a sum.
+        Part of ∫g² that the method sums term by term.
     tail
-        Variance from the remaining part of ∫g², which `variance` includes as one estimate.
+        Variance from the part of ∫g² that is not summed term by term. It is part of `variance`.
+        This variance is a single estimate for all omitted terms.
     method
         Name of the prediction method, as in `METHODS`.
     poles

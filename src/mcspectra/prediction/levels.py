@@ -12,8 +12,8 @@ plus the rest ω²_T within the cells, minus a correction for levels that the ta
     n Var = Σ_{l ≤ T} Γ_l σ²_l + ω²_T − Σ_{l ≰ T} (1 − Γ_l) σ²_l,
 
 Here ω²_T is the mean variance of g within the cells of one table T.
-The σ²_l of the correction come from tables with more cells along some axes.
-Tables with more cells along some axes have the same total number of cells.
+The variances σ²_l that table T lacks come from tables with more cells along some axes.
+Tables with more cells along some axes have about the same total number of cells.
 For a digital shift, the weights of the energies depend on g; see `of_moves`.
 
 Cells are integrated in closed form if the moments of g over boxes are known.
@@ -68,7 +68,8 @@ class LevelsSettings:
         Halving or doubling this number changes variances by less than 0.1 %, within the intervals.
     long, most_cells
         Largest number of cells of a table with more cells along some axes than along others.
-        The number is at most `long` n Π b_j, which resolves one digit more than n points have.
+        The number of cells is at most `long` n Π b_j, where b_j is the base of axis j.
+        With the factor Π b_j, cells resolve one digit more along each axis.
         No table has more than `most_cells` cells.
         Halving or doubling `long` or `most_cells` changes nothing.
     more
@@ -80,8 +81,8 @@ class LevelsSettings:
         The error is the difference of the two rules.
     parts
         Number of parts along each axis of a cell with a jump, by number of dims.
-        Half this number changes variances by up to 0.13 %, and twice this number by 0.05 %.
-        The two changes of the variance are smaller than the intervals of predicted variances.
+        Half as many parts change variances by up to 0.13 %, and twice as many by 0.05 %.
+        A change of 0.13 % is smaller than the 95 % intervals of predicted variances.
     most_rough, rough
         Largest number of cells that are divided, by number of dims.
         A cell is divided only if g varies in it by more than `rough` times the mean over cells.
@@ -90,9 +91,10 @@ class LevelsSettings:
     block
         Number of evaluations of g per call, 16 MB in 2-D. It has no effect on the result.
     clear, doubt
-        Tables may miss a part of ∫g². It is added if it exceeds `clear` times the error of ∫g².
-        `doubt` is the uncertainty of the gain with which the missed part of ∫g² is added.
-        The missed part comes from poles inside cells, and its gain lies between 0 and about 1.
+        Tables may miss a part of ∫g² that comes from poles inside cells.
+        The missed part is added if it exceeds `clear` times the error of ∫g².
+        Scrambling multiplies the missed part by an unknown gain between 0 and about 1.
+        `doubt` is the uncertainty of the gain of the missed part.
         With half of `clear`, variances have noise of 0.015 %. With twice `clear`, nothing changes.
     most_error, noise
         If half of the 95 % interval exceeds this fraction of the variance, an error is raised.
@@ -206,7 +208,8 @@ def _scrambled(net: Fixed, bases: tuple[int, ...], known: Known) -> Predicted:
         weighed = weighed + (gains[ends][..., None] * parts)[:, new].sum(axis=1)
         counted[at] = True
 
-    # The variance within cells has the gain 1 if every level with another gain is in the tables
+    # The variance within cells is the same as for random points (gain 1)
+    # if the tables contain every level whose gain differs from 1
     assert first is not None
     parts, within, off = first
     inside = parts.reshape(len(within), -1, within.shape[1]).sum(axis=1)
@@ -260,10 +263,11 @@ def _table(
     sides = tuple(map(pow, bases, levels))
     means, squares = _cell_moments(g, sides, np.zeros(g.dims), refined=whole)
 
-    # At jumps, the squares of means and the variance within cells have opposite errors.
-    # The opposite errors cancel in the sum of both. In long cells, the variance is not computed.
-    # Therefore the means of two rules are multiplied with each other, instead of squared.
-    # The errors of the two rules are hardly correlated
+    # At jumps, the squared means of cells and the variance within cells have opposite errors.
+    # The opposite errors cancel if the squared means and the variance within cells are added.
+    # For long cells, the variance within cells is not computed, so the errors do not cancel.
+    # Therefore the means by two quadrature rules are multiplied with each other, not squared.
+    # The errors of the two quadrature rules are hardly correlated
     pairs = ([(0, 0), (-1, -1)] if whole else [(-1, -1), (0, -1)])[: len(means)]
     halves = [0.5 * (means[a] + sign * means[b]) for a, b in pairs for sign in (1.0, -1.0)]
     sums, differences = (
@@ -296,7 +300,8 @@ def _cell_moments(
     if in_closed_form(g):
         mean, square = stratum_moments(g, sides, offset, 1)
         return mean.reshape(1, *sides, -1), square.reshape(1, *sides, -1)
-    # If an axis has more cells than in a cubic table, use one node less
+    # Cells are shorter along an axis with more cells than in a cubic table.
+    # Along such an axis, use one quadrature node less in each cell
     fine = np.array([not refined and side**dims > _SETTINGS.cells[dims] for side in sides])
     by_order = [stratum_moments(g, sides, offset, order - fine) for order in _SETTINGS.orders[dims]]
     means = np.stack([m for m, _ in by_order]).reshape(2, *sides, -1)
@@ -306,7 +311,8 @@ def _cell_moments(
     if not refined:
         return means, squares
 
-    # Find cells with most variation inside and to their neighbors. Skip cells cut by breaks
+    # Find the cells in which g varies most, or differs most from g in the neighboring cells.
+    # Skip cells that contain a break of g, where the quadrature is divided anyway
     from scipy.ndimage import maximum_filter, minimum_filter
 
     size = (3,) * dims + (1,)
@@ -391,7 +397,7 @@ def _merged(moment: Array, sides: tuple[int, ...]) -> Array:
 def _predicted(
     scaled: Array, n: int, square: Array, how: str, *, rest: Any = 0.0, doubt: Any = 0.0
 ) -> Predicted:
-    """Make a prediction from n times the variance, (Q, channels), where Q counts the rules."""
+    """Make a prediction from n times the variance by each of Q quadrature rules, (Q, channels)."""
     rounding = _ROUNDING * square
     value = np.where(scaled[-1] > rounding, scaled[-1], 0.0)
     error = np.abs(scaled[-1] - scaled[0]) + doubt + rounding + 1e-9 * value

@@ -155,7 +155,10 @@ def is_array(law: Law) -> bool:
 
 
 def _factor(relation: Relation, part: str, strata: int, parts: int) -> float:
-    """Return the factor of a component of g along one axis, from the table in this module."""
+    """Return the mean product of a component of g at two points, divided by its energy.
+
+    This factor of one axis is in the table at the top of this module.
+    """
     if part == _MEAN:
         return 1.0
     if relation == "apart":
@@ -314,7 +317,7 @@ def _energies(
         middle = 0.5 * (one + two).mean(axis=(1, 2), keepdims=True)
         one, two = one - middle, two - middle
         # Axes are chosen at random for each pair of points, so multiply by the number of choices.
-        # Strata on one axis and parts on another can be chosen in two orders
+        # If one axis has a common stratum and another a common part, each pair of axes counts twice
         many = math.comb(d, len(along)) * (2 if name == "parts" else 1)
         product, square = one * two, 0.5 * (one**2 + two**2)
         more[:, 1 + k] = many * (product[0] - product[1]).mean(axis=-1)

@@ -128,11 +128,12 @@ class QuadratureSettings:
         Largest relative error with which a quadrature takes precedence over all other methods.
         If g jumps, intervals of other methods are at least as wide as this relative error.
         Tolerances were tested on a jump along a line with 5 samplers at n = 64.
-        In these tests, the tolerance 0.003 rejects one more quadrature, and 0.03 accepts one more.
+        With the tolerance 0.003, quadrature is used for one sampler less than with 0.01.
+        With the tolerance 0.03, quadrature is used for one sampler more than with 0.01.
     evaluations
         Number of evaluations of g above which other methods come first.
         The default is a sixteenth of the most evaluations that `exact_variance` makes.
-        Any limit from 2^20 to 2^24 evaluations gives the same results in these tests.
+        For the jump and the 5 samplers, any limit from 2^20 to 2^24 gives the same results.
     most_breaks
         Largest number of breaks of g for the quadrature of shifted strata in several dims.
         The breaks divide the range of offsets along each axis. Each interval needs its own nodes.
@@ -207,7 +208,7 @@ class TableSettings:
         Number of points per call, 1 MB in 2-D. It has no effect on the result.
     points
         Total number of points of all sets, which limits the work at large n.
-        For n above 420, the limit allows fewer sets than `most_sets`.
+        If n exceeds 420, the total number of points allows fewer than 10,000 sets.
     least_sets, most_sets
         Least and largest number of sets that are drawn for one variance.
         The variance of R sets has the relative standard error √(2/R), here 10 % and 1.4 %.
@@ -236,10 +237,10 @@ class ExtrapolationSettings:
     small
         Small counts, whose measurements cost little.
         Small counts are measured if the sampler allows only few counts close to n.
-        One more or one less small count gives the same variances.
+        If one of the small counts is left out or another is added, the variances stay the same.
     largest
-        Largest measured count of a cheap f.
-        Largest counts from 2^11 to 2^13 change variances by less than 1.5 %.
+        Largest number of points at which the variance of a cheap f is measured.
+        With 2^11 or 2^13 instead of 2^12 points, variances change by less than 1.5 %.
     near
         Counts close to n are one or two steps from n. A step is at most n divided by this number.
         The measured counts differ from n by at most n/8, so the line hardly extrapolates.
@@ -253,7 +254,7 @@ class ExtrapolationSettings:
         Realizations of each small count. The relative error of a variance is √(2/2000) = 3 %.
     near_sets, near_points
         Least number of realizations of a count close to n, and least total number of points.
-        The number of realizations is so large that both limits are reached.
+        There are at least `near_sets` realizations, and at least `near_points` points in total.
         Halving or doubling both numbers changes variances by less than 4 %,
         and the intervals of the variances are far wider: 14 to 60 %.
     most_factor
@@ -280,9 +281,10 @@ class EvaluationLimits:
     Attributes
     ----------
     evaluations
-        Default for the most evaluations. A function that takes 4 µs per point needs one second.
-        An interval then reaches from the variance divided by a factor to the variance times it.
-        With this default, the factor is 1.5 at measured counts, and 2 at n = 4,096.
+        Default for the largest number of evaluations of a user's function.
+        A function that takes 4 µs per point needs one second for 2^18 evaluations.
+        With 2^18 evaluations, the ends of an interval are variance / q and variance · q.
+        The width q of an interval is 1.5 at measured numbers of points, and 2 at n = 4,096.
     predictions
         If fewer evaluations per technique are allowed, variances are only measured, not predicted.
         Predictions need 1.2 to 13 million evaluations.
@@ -434,7 +436,8 @@ def extrapolated(
         if count == n or len(found) == settings.fitted:
             continue
         with contextlib.suppress(CountError):
-            # A single technique uses counts that the sampler allows. Checks would repeat warnings
+            # For a single technique, `nearest_count` already gives a count that the sampler allows.
+            # A second check of such a count would only repeat warnings
             if sum(estimator.counts) > 1:
                 estimator.check_sampler(sampler, count)
             close = counts[count]
@@ -571,7 +574,10 @@ def _exactly(
 def _checked(
     check: Callable[[AbstractEstimator, Sampler, int, Terms, Stream], Cells],
 ) -> Callable[[AbstractEstimator, Sampler, int, Prediction, Stream], Cells]:
-    """Call a cross-check with the arguments of a prediction, converted to a spectral analysis."""
+    """Make a cross-check callable with the arguments of a prediction.
+
+    The cross-check gets a `variance_terms` analysis with the same half width and realizations.
+    """
 
     def of_estimator(
         estimator: AbstractEstimator, sampler: Sampler, n: int, asked: Prediction, stream: Stream
@@ -768,7 +774,8 @@ class Prediction(Counted, frozen=True, kw_only=True):
     def limit(self, subject: Subject) -> int | None:
         """Return the maximum number of evaluations of functions.
 
-        By default, known integrands and methods requested by name have no maximum.
+        By default, only the methods auto and extrapolated limit evaluations of users' functions.
+        Evaluations of integrands of this package are not limited by default.
         """
         chosen = self.method in ("auto", "extrapolated")
         if self.max_evaluations is None and chosen and subject.estimator.is_black_box:
@@ -1086,7 +1093,8 @@ def predict(
     max_evaluations
         Maximum number of evaluations of the integrand.
         By default ``auto`` and ``extrapolated`` evaluate users' functions at most 2^18 times.
-        With this maximum, both methods measure sets of small counts, which gives wider intervals.
+        With 2^18 evaluations, variances are only measured at small n and extrapolated.
+        Extrapolated variances have wider intervals than other predictions.
         With 2^24 or more evaluations for each technique, ``auto`` predicts.
         A method raises before it starts if it is known to need more than the limit.
 
@@ -1095,7 +1103,7 @@ def predict(
     xarray.Dataset
         ``predicted_variance(n)`` has the 95 % interval ``predicted_variance_ci(n, bound)``.
 
-        ``energy_share(n)`` is the part of ∫g² for which a method computes every term of a sum.
+        ``energy_share(n)`` is the part of ∫g² that a method sums term by term.
         For methods that sum over frequencies, the share is the part of ∫f² at these frequencies.
         For methods without a sum over frequencies, the share is 1.
         ``tail_variance(n)`` is the part of the variance that comes from the rest of ∫g².
@@ -1420,7 +1428,7 @@ def _places(sampler: Sampler, counts: Sequence[int]) -> list[int]:
     ahead, leaf = [_AUTO.ahead * last], leaf_of(sampler.law(last))
     if (
         isinstance(leaf, Strata) and leaf.jittered
-    ):  # Strata are cheap, because one table holds the cells of all counts
+    ):  # For strata, large n cost little more, because one table of g serves all n
         top = sampler.dims * (_AUTO.most_ahead // sampler.dims)
         ahead = [2 ** (top - max(sampler.dims, 2)), 2**top]
     beyond = [sampler.nearest_count(n) for n in ahead if n <= 2**_AUTO.most_ahead]

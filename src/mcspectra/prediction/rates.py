@@ -77,13 +77,14 @@ class DecaySettings:
         A spectrum has fewer shells only if rounding noise hides most of them.
     bend
         Largest accepted change of the slope in log |m|, from the first to the last fitted octave.
-        A fit with a larger change is reported as not settled.
+        If the slope changes more, the decay of |f_m|² is reported as not yet settled.
         For test functions with jumps and kinks, the exponent changes by at most 0.9.
         The exponent changes by 8.6 for a Gaussian of width 0.1, as it hides the kink at the border.
     widths, width
         Default half widths by number of dims, and the default for all other numbers of dims.
         The half width is larger in 1-D, because 1-D spectra have few frequencies per shell.
-        Few frequencies leave ripples in the means. Each half width takes less than a second.
+        Means over few frequencies do not average out the ripples of the spectrum.
+        With each default half width, the fit takes less than a second.
     noise
         Rounding noise of |f_m|² relative to the largest |f_m|².
         Coefficients are accurate to 1e-13. Fits are the same for thresholds from 1e-28 to 1e-24.
@@ -163,36 +164,40 @@ class LimitSettings:
     late
         Number of octaves at the end of a curve whose slope estimates the limit.
         The limits are the same for slopes over the last 2 to 4 octaves.
-        With 8 octaves the limits of 4 curves of scrambled nets, which bend late, are not found.
+        With 8 octaves, the limits of 4 of the 64 curves are not found.
+        These 4 curves are for scrambled nets, and bend only at large n.
     near
         The limit is a theoretical exponent that differs from the slope by less than this number.
         The difference is limited to 0.4/d, because theoretical exponents are 1/d apart.
         The limits of rates are the same for thresholds from 0.1 to 0.4.
     agree
         Largest difference between local slopes in the octaves at the end of a curve.
-        The limits are the same for thresholds from 0.2 to 0.4. With 0.1, one of 64 is not found.
+        The limits of the 64 curves are the same for thresholds from 0.2 to 0.4.
+        With the threshold 0.1, the limit of one of the 64 curves is not found.
     leaves
         Largest difference between the last slope and a theoretical exponent.
-        If slopes move away from an exponent beyond this difference, the exponent is not the limit.
-        The limits are the same for allowed differences from 0.025 to 0.1.
+        If the last slopes move away from the exponent, and differ from it by more than this number,
+        the exponent is not the limit of the slopes.
+        With 0.025 to 0.1 as the allowed difference, the limits of the 64 curves are the same.
     still
         Three successive slopes count as constant if they differ by at most this number.
         A constant slope may be the limit of the rate even if theory does not list it.
         For example, the variance next to a pole t^-a has the rate −1 − (1 − 2a)/d.
-        The limits are the same for allowed differences from 0.005 to 0.02.
+        With slopes that differ by 0.005 to 0.02 at most, the limits of the 64 curves are the same.
     change
         A curve may bend if its first slope differs from its limit by more than this number.
         The bends are the same for thresholds from 0.15 to 0.3.
     most_change
         Largest candidate change of the exponent at a bend. Exponents lie between −1 and −5.
-        The bends are the same for largest changes from 4 to 8.
+        If changes of up to 8 instead of 4 are tried, the bends of the 64 curves are the same.
     tried
         Numbers of candidates for the position of a bend, and for the change of the exponent.
         Over 10 octaves, candidate bends are 0.1 octaves apart. This is the accuracy of a bend.
     better
         A curve has a bend if two power laws fit it much better than one power law.
         The scatter about two power laws must be below this fraction of the scatter about one.
-        The bends are the same for fractions from 0.125 to 0.25. With 0.5, one more curve bends.
+        With fractions from 0.125 to 0.25, the same curves have a bend.
+        With the fraction 0.5, one more of the 64 curves has a bend.
     """
 
     late: int = 4
@@ -223,8 +228,8 @@ def predicted_rate(b: float, decay: float | str, dims: int) -> float:
         The decay must exceed `dims` for a finite variance. `integrand_decay` measures γ.
         `fitted_decay` also gives the interval of γ.
         If γ − d < b, the interval of γ, divided by `dims`, gives the interval of the rate.
-        Alternatively give ``"jump"``, ``"kink"`` or ``"smooth"``, as in `DECAYS`.
-        The three words name the worst discontinuity of the integrand on the torus.
+        Alternatively, name the worst discontinuity of the integrand on the torus:
+        give ``"jump"``, ``"kink"`` or, without a discontinuity, ``"smooth"``. See `DECAYS`.
     dims
         Number of dims d.
 
@@ -459,7 +464,8 @@ def rates_of(
         )
 
     # Fit two powers of n, where the second has the exponent of the limit.
-    # Add both powers if the curve flattens. Add their inverses if the curve gets steeper
+    # If the curve flattens, the model of the variance is the sum of the two powers of n.
+    # If the curve gets steeper, the inverse of the model is the sum of the inverse powers
     if len(x) > 3 and abs(steps[0] - limit) > settings.change:
         at = np.linspace(x[0], x[-1], settings.tried)[:, None, None]
         change = np.linspace(-settings.most_change, settings.most_change, settings.tried)[:, None]

@@ -78,7 +78,7 @@ class PiecewiseSettings:
     # Numbers k of the distances 2^-k from a pole, at which g is evaluated to fit its exponent.
     # The values in `near_0` are for a pole at 0, and the values in `inside` for all other poles.
     # At distances below the smallest 2^-k, the fitted power law replaces the polynomials.
-    # Adding 5 to all k, or subtracting 5, changes variances of sums with poles by less than 1e-6.
+    # With 32 times larger or smaller distances, variances of poles change by less than 1e-6.
     near_0: tuple[int, ...] = (40, 45, 50, 55, 60)
     inside: tuple[int, ...] = (20, 23, 26, 29, 32)
     # Smallest exponent of a pole. Polynomials resolve weaker poles.

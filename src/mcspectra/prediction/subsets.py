@@ -22,8 +22,8 @@ For a sum of products, the covariances of all subsets v add up to
 Here μ_ri is the mean of the factor h_ri.
 The covariance of the factors h_ri and h_si under the randomization is k_i^rs.
 The part of g outside the fit is treated as white noise, so its energy is divided by n.
-The interval covers white noise with zero to twice this energy.
-The interval also covers a correlation of ½ between this noise and the fit.
+The interval allows for white noise with zero to twice the estimated energy of g minus the fit.
+The interval also allows for a correlation of ±½ between the fit and g minus the fit.
 
 All quantities come from values of g at points of this module:
 
@@ -105,8 +105,7 @@ class SubsetSettings:
     The integrands are smooth functions, a ball in 4-D, a slab, a jump along a line and a kink.
     The samplers are latin-hypercube, rank1-lattice | shift, and sobol with owen or digital-shift.
     The variance is predicted within ±63 % for the ball, and within ±0.2 to 1.3 % otherwise.
-    "Only the variance of the ball" means that this variance changes by less than 8 %.
-    The predicted variances of all other integrands do not change.
+    Some settings change only the variance of the ball, by less than 8 %.
     "The same results" means changes of less than 1e-6.
 
     Attributes
@@ -116,39 +115,40 @@ class SubsetSettings:
         In few dims, the fit of g needs only a small number of products.
     replicates, replicate
         Number of scrambled nets for ∫g², and number of their points.
-        Halving or doubling either value changes smooth cases by less than 0.005 %.
+        Half or twice as many nets or points change smooth test cases by less than 0.005 %.
     strata
         Number of pairs of points within strata, for each replicate.
         A total of 131,072 pairs gives ±0.8 % for normally distributed differences.
     profile_work
         Total number of evaluations of g for the profiles along all axes.
-        Halving or doubling this number changes only the variance of the ball in 4-D.
+        Half or twice as many evaluations change only the variance of one test case, a ball in 4-D.
     nodes
         Number of nodes of a profile along an axis.
-        Half this number changes the variance for the kink by 0.1 %.
-        Twice this number changes only the variance of the ball in 4-D.
+        Half as many nodes change the variance of a test integrand with a kink by 0.1 %.
+        Twice as many nodes change only the variance of one test case, a ball in 4-D.
     groups
-        Number of independent groups of profiles. Their spread is the error.
-        Halving or doubling this number changes only the variance of the ball in 4-D.
+        Number of independent groups of profiles. The spread over the groups is the error.
+        Half or twice as many groups change only the variance of one test case, a ball in 4-D.
     fitted
         Number of replicates to which products are fitted. One further replicate tests the fit.
-        Halving or doubling this number changes only the variance of the ball in 4-D.
+        Half or twice as many replicates change only the variance of one test case, a ball in 4-D.
     basis, negligible
         Largest number of basis functions of an axis, and least energy of a basis function.
-        The energy is a fraction of the energy of all profiles of the axis.
-        Halving or doubling either value changes only the variance of the ball in 4-D.
+        The least energy is relative to the total energy of all profiles of g along the axis.
+        Half or twice either setting changes only the variance of one test case, a ball in 4-D.
     rank, few_rank
         Largest number of products in a fit, if the fit has more than `few_dims` dims.
         In at most `few_dims` dims, a fit has at most `few_rank` products.
         In few dims, only functions with jumps across axes are predicted by a sum of products.
         More products would not resolve the jumps of a function in few dims.
-        The ball is predicted within ±86 % with three products, and within ±53 % with twelve.
-        The results for the other integrands do not change.
+        The variance of a ball in 4-D is predicted within ±86 % with three products in a fit.
+        With twelve products in a fit, the variance of the ball is predicted within ±53 %.
+        With three or twelve products, variances of the other test integrands stay the same.
     sweeps, settled
         Largest number of sweeps of a fit.
         A fit stops earlier if the ratio of successive residuals exceeds `settled`.
         Halving or doubling the number of sweeps changes nothing.
-        Ratios of 0.95 and 0.995 change only the variance of the ball in 4-D.
+        With `settled` at 0.95 or 0.995, only the variance of one test case, a ball in 4-D, changes.
     block
         Number of points of a block in the least-squares fit.
         Blocks are so small that numerical libraries start no threads.
@@ -162,7 +162,7 @@ class SubsetSettings:
         A profile jumps where its step is this many times as large as the neighboring steps.
         A profile has a kink at a node if its slope changes far more there than at nearby nodes.
         The change at the node must exceed `stands_out` times the nearby changes.
-        Halving or doubling this value changes only the variance of the ball in 4-D.
+        Half or twice `stands_out` changes only the variance of one test case, a ball in 4-D.
     halvings
         Number of bisections of a jump, which reduce steps of 1/128 to 2^-47.
         Values from 20 to 80 give the same results.
@@ -186,9 +186,10 @@ class SubsetSettings:
         Standard deviation of the random coefficients with which the fit of a new product starts.
         The constant coefficient of each factor starts at 1.
     adds_up
-        If all points move by one offset, the variance outside the fit is multiplied by this factor.
-        The factor widens the interval, and does not change the variance.
-        On lattices the contributions of kinks add up. For other sets the factor is 1.
+        Factor for the variance of g minus the fit, if one offset moves all points of a set.
+        The factor widens the interval of the prediction, and does not change the variance.
+        If one offset moves a lattice, the contributions of kinks to the variance add up.
+        If the points are randomized in another way, the factor is 1.
     resolved
         Relative errors of curves between their nodes, for smooth curves and for curves with jumps.
     most_work
@@ -204,8 +205,8 @@ class SubsetSettings:
     offsets
         Number of offsets within a stratum. The mean over them replaces a uniformly random offset.
         The offsets are at the centers of equal parts of the stratum.
-        With 8 and 32 offsets, variances differ by 0.2 %. With 4 and 8 offsets they differ by 2 %.
-        The numbers 0.2 and 2 % are for a sum of two jumps, latin-hypercube | shift and n = 64.
+        Numbers of offsets were compared for a sum of two jumps, latin-hypercube | shift and n = 64.
+        The variances with 8 and 32 offsets differ by 0.2 %, and with 4 and 8 offsets by 2 %.
     """
 
     few_dims: int = 3
@@ -425,8 +426,8 @@ class _Pairs:
     def tables(self, parts: AnovaModel) -> tuple[Array, Array, Array, Array]:
         """Return four tables from which `pair_sums` computes covariances.
 
-        The tables hold the covariances of the functions g_i and of the factors of products.
-        They also hold the means of the factors, and the weights of the products.
+        Two tables hold the covariances of the functions g_i, and of the factors of products.
+        Two more tables hold the means of the factors, and the weights of the products.
         """
         singles, pairs, averages = list[Array](), list[Array](), list[Array]()
         for base, levels, curves, main, factors, offsets in zip(
@@ -547,7 +548,10 @@ def pair_sums(
 
 
 def _of_strata(sides: tuple[int, ...], at: tuple[float, ...] | None, g: Integrand) -> Predicted:
-    """Estimate half the mean square of differences within strata, by scrambled nets of pairs.
+    """Estimate the variance of the mean of g over strata, from pairs of points in the same stratum.
+
+    The variance within strata is half the mean squared difference of g between the two points.
+    The coordinates of both points of a pair come from one point of a scrambled net.
 
     `at` is the corner of a stratum on the torus. None means a uniform translation of all strata.
     """
@@ -728,7 +732,8 @@ def _fitted(
         missed = scale**2 * float(((values[-1] / scale - sums) ** 2).mean())
         # The energy (variance) of the fit may differ from its sample variance at the test points.
         # The difference between energy and sample variance also counts as missed energy.
-        # For g itself, the difference is sampling error and is subtracted
+        # The energy of g also differs from its sample variance at the test points.
+        # This difference is sampling error, so it is subtracted from the difference for the fit
         curves = [w @ c for w, c in zip(weights, cells, strict=True)]  # Rows: sum, products
         averages = np.stack([c.mean(axis=1) for c in curves])
         squares = np.stack([c @ c.T / c.shape[1] for c in curves])
@@ -769,7 +774,8 @@ def _fitted(
         main.append(own + np.concatenate([beside.mean(axis=0)[None], beside]))
 
     # The energy of interactions is the energy of g minus its functions of single axes.
-    # Errors of the functions of single axes add energy, which is subtracted
+    # Errors of the functions of single axes increase the energy of interactions.
+    # Therefore the energy of these errors is subtracted
     at_all = zip(axes, main, np.moveaxis(every, -1, 0), strict=True)
     alone = np.sum([a.at(m[0], t.ravel()).reshape(t.shape) for a, m, t in at_all], axis=0)
     left = ((all_values - alone - (all_values - alone).mean()) ** 2).mean(axis=1)
@@ -875,8 +881,8 @@ def pairs_of(law: Law, stream: Stream) -> tuple[_Pairs, Array, Array]:
     levels = tuple(math.ceil(math.log(max(n, SUBSET_SETTINGS.digits), b) - 1e-9) for b in bases)
     codes = np.zeros((*x.shape, max(levels)), np.int64)
     for axis, (b, most) in enumerate(zip(bases, levels, strict=True)):
-        # Rounding may move a coordinate slightly below a multiple of b^−most.
-        # Adding 1e-9 gives such a coordinate the digits of the multiple of b^−most
+        # In base b, rounding may move a coordinate slightly below the start of its cell.
+        # Adding 1e-9 to the number of the cell prevents wrong digits of this coordinate
         whole = np.floor(x[..., axis] * b**most + (0.0 if b & (b - 1) == 0 else 1e-9))
         for level in range(most):
             codes[..., axis, level] = whole // b ** (most - 1 - level) % b

@@ -70,8 +70,8 @@ class Reach:
     box
         Half width of the box of frequencies about 0.
     strips
-        Ends of strips along the axes, and the half widths of the strips.
-        If the power is estimated from drawn sets, only the first strips are used.
+        Strips of frequencies along each axis: the largest frequency and half width of each strip.
+        If the power is estimated from drawn sets, only the first strip along each axis is used.
     diagonal
         Largest |m_i| of frequencies along diagonals of the cube, or 0 without diagonals.
     """
@@ -94,7 +94,8 @@ class TorusSettings:
     Attributes
     ----------
     exact, table
-        Ranges by number of dims, for exact coefficients and for coefficients from a table of g.
+        Ranges of the frequencies that are summed, by number of dims.
+        The ranges differ for exact Fourier coefficients and for coefficients from a table of g.
         Exact coefficients cost a few operations each.
         A table has `nodes` nodes per wavelength of the box.
     nodes
@@ -147,7 +148,7 @@ class TorusSettings:
 class DrawnSettings:
     """Settings for samplers whose power has no closed form and is estimated from drawn sets.
 
-    Some settings are for a smooth law that is fitted to the estimated power.
+    Some settings are for a smooth function of |m| that is fitted to the estimated power.
 
     Effects of settings were measured for a smooth function in 2-D, poisson-disk and n = 64.
     The predicted variance of this function has an interval of ±3.1 %.
@@ -165,23 +166,23 @@ class DrawnSettings:
         The sets of slow samplers are cached for other integrands.
     precision
         More sets are drawn if the half interval, relative to the variance, exceeds this number.
-        With half this limit, more sets than `most_sets` would be needed.
-        Twice the limit changes the variance by 1.9 %.
+        With 0.0075 instead of 0.015, more than `most_sets` sets would be needed.
+        With 0.03 instead of 0.015, the variance changes by 1.9 %.
     low
         Half width of the box of low frequencies. At low frequencies, all sets are transformed.
         The low frequencies hold the energy of smooth functions.
         Half or twice the half width changes the variance by less than 0.5 %.
     length, least_lengths
         Largest scaled frequency |m| n^(-1/d) at which a smooth function of |m| fits the power.
-        `least_lengths` is the least number of different lengths in a fit of the smooth law.
+        `least_lengths` is the least number of lengths |m| to which the smooth function is fitted.
         The power of stochastic sets has its first peak at the scaled frequency 1.
-        Half or twice the frequency or number of lengths changes the variance by less than 0.1 %.
+        Halving or doubling `length` or `least_lengths` changes the variance by less than 0.1 %.
     agrees
-        The smooth law and the measured power must agree within this number of standard errors.
-        The result is the same for 1 to 4 standard errors.
+        The smooth function and the measured power must agree within this number of standard errors.
+        The predicted variance is the same if 1 to 4 standard errors are allowed.
     steps
         Number of Newton steps, after which the fit has converged.
-        The result is the same for 6 to 24 steps.
+        The predicted variance is the same for 6 to 24 Newton steps.
     least_box, box
         Half width of the box for homogeneous sets: least value, and value in units of n^(1/d).
         Half or twice the size of the box changes the variance by less than 0.3 %.
@@ -217,13 +218,14 @@ class DualSettings:
         Number of frequencies of the dual lattice in a box.
         Half or twice as many frequencies change the variance by less than 0.04 %.
     periods, strip
-        `periods` is the end of the strips in units of n. A strip has `strip` frequencies.
-        Half or twice as long or wide strips change the variance by less than 0.03 %.
+        Strips of frequencies along the axes reach up to the frequency `periods` · n.
+        Each strip has about `strip` frequencies of the dual lattice.
+        If strips are half or twice as long or wide, the variance changes by less than 0.03 %.
     jump
         Largest ratio of the energies Σ |g_m|² of two successive octaves of frequency.
         The ratio of energies is one half if g jumps along curves, and less otherwise.
-        A limit below one half would cut off the tail of the spectrum of a jump.
-        A limit of one would make the tail of the spectrum infinite.
+        With a largest ratio below one half, the tail of the spectrum of a jump would be cut off.
+        With a largest ratio of one, the extrapolated tail of the spectrum would be infinite.
     whole
         Rounding error of n times the differences of lattice points, which are multiples of 1/n.
         Coordinates are accurate to 2^-53. The result is the same for errors from 5e-7 to 2e-6.
@@ -305,7 +307,7 @@ class Region:
     table
         Energies |g_m|² from a coarser table of g, or None if the coefficients are exact.
     near
-        Whether the region is also used if the power is estimated from drawn sets.
+        Whether frequencies of the region are also summed if the power comes from drawn sets.
     """
 
     vectors: Array
@@ -351,7 +353,7 @@ class Region:
         return np.concatenate(blocks).reshape(self.shape)
 
     def symmetrized(self) -> Region:
-        """Return a box averaged over the symmetries of the cube."""
+        """Average |g_m|² over all permutations and reflections of the axes, for a box."""
 
         def mean(half: Array) -> Array:
             axes = range(1, half.ndim)
@@ -677,8 +679,8 @@ def _drawn(
     Further sets are transformed only at low frequencies, which hold the energy of smooth functions.
     Sets are added until the error is small compared with the variance,
     or until the sets together have the largest allowed number of points.
-    If power depends only on the length of m, a smooth law may fit the measured power.
-    The smooth law then replaces the measured power.
+    If power depends only on the length of m, a smooth function may fit the measured power.
+    The smooth function then replaces the measured power.
     """
     from scipy.special import stdtrit
 

@@ -86,18 +86,19 @@ class ProfileSettings:
     least_budget: int = 256
     # Width in columns to which the text of a cause is wrapped, as in a usual terminal or page.
     width: int = 100
-    # Number of points of each net to which changes are fitted. 20 nets have 1280 such points.
+    # Number of points of each net to which a change of the estimator is fitted, such as a density.
+    # All 20 nets together have 1280 such points.
     # The comments below refer to 12 profiles of 8192 evaluations: six functions, with two seeds.
     # With half or twice as many points, the advice of the 12 profiles was the same.
-    # In one profile, the RMSE after a fitted change then differed by a factor of 2.4.
+    # However, the RMSE of one estimator with a fitted change differed by a factor of 2.4.
     fitted_points: int = 64
     # Dependence between draws is reported as a cause if few of the draws are effective.
     # The number of effective draws, divided by all draws, must be below this limit at 95 %.
     # With 70 % effective draws, standard errors are 20 % larger than for independent draws.
     dependent: float = 0.7
     # Least number of points of each net with which a change of the estimator is measured.
-    # With a limit of 8 points, two of 12 profiles have too few evaluations for one change.
-    # This change is the preintegration of a jump along an axis.
+    # With at least 8 points, two of 12 test profiles would have too few evaluations
+    # to measure the preintegration of a jump along an axis.
     least_checked: int = 4
     # Maximum number of counts n of points at which the variance of a sampler is measured.
     # Of B evaluations, about B/2, B/4, …, B/32 are spent on sets of five counts.
@@ -107,11 +108,12 @@ class ProfileSettings:
     # With three sets, the jackknife has two degrees of freedom.
     least_sets: int = 3
     # Standard error of a theoretical rate, which holds only for large numbers of points.
-    # With an error of 0.04 or 0.16, the RMSE of 12 profiles changes by 14 % at most (median 1 %).
+    # With 0.04 or 0.16 instead of 0.08, the RMSEs in 12 test profiles change by at most 14 %.
+    # The median change of the 12 RMSEs is 1 %.
     theory_error: float = 0.08
     # Standard error of a rate that is measured over few octaves if g jumps along an axis.
     # The variance is a sawtooth function of n, because the jump's place in its stratum varies.
-    # With an error of 0.25 or 1, the RMSE of 12 profiles changes by 6 % at most.
+    # With 0.25 or 1 instead of 0.5, the RMSEs in 12 test profiles change by at most 6 %.
     teeth_error: float = 0.5
     # The level of the sawtooth is its mean over this number of the largest counts n.
     # The standard deviation of the log variance about its level is `teeth_scatter`.
@@ -121,34 +123,36 @@ class ProfileSettings:
     teeth_scatter: float = 0.84
     # A changed estimator is first assumed to have the same rate as the given estimator.
     # The value is the standard error of the assumed rate.
-    # With an error of 0.2 or 0.8, the RMSE of 12 profiles changes by 8 % at most.
+    # With 0.2 or 0.8 instead of 0.4, the RMSEs in 12 test profiles change by at most 8 %.
     alike_error: float = 0.4
-    # A change whose estimates are all equal is dropped if they differ from the mean of all nets
-    # by more than this number of standard errors.
+    # If all estimates of a changed estimator are equal, its points may have missed a peak of g.
+    # The change is dropped if this common estimate differs from the mean of unchanged estimates:
+    # the difference must exceed this number of standard errors of that mean.
     # A normal error exceeds 4 standard errors with probability 6e-5.
     off_sigmas: float = 4.0
-    # If nets have fewer points than `few_points`, rates of changes are limited to `steepest_rate`.
+    # If nets have fewer points than `few_points`, the rate of a changed estimator is limited:
+    # rates that are steeper than `steepest_rate` are replaced by `steepest_rate`.
     # Few points do not show whether a steep rate continues at larger numbers of points.
     # Without the limit, an extrapolation to the whole budget would exaggerate the gain of a change.
     # The advice of 12 profiles was the same for 8 or 32 points, and for rates of −1.5 or −3.
-    # For one of the changes, the RMSE depended on these settings, by a factor of up to 1.9.
+    # In these tests, the RMSE of one changed estimator differed by a factor of up to 1.9.
     few_points: int = 16
     steepest_rate: float = -2.0
     # A change must lower the log variance by at least this number of standard errors.
     # The log variance is extrapolated to an estimate that takes the whole budget.
-    # Changes must fulfill this condition only if g grows at the border or has a heavy tail.
-    # The condition was tested in 112 profiles with 4096 evaluations each:
+    # A decrease of the variance is required only if g grows at the border or has a heavy tail.
+    # The required decrease was tested in 112 profiles with 4096 evaluations each:
     # seven functions with growth or heavy tails, two samplers and eight seeds.
     # With 1 standard error, none of 88 recommended changes had a larger variance than before.
     # With 0.5 standard errors, one of 99 recommended changes had a larger variance.
-    # Without the condition, five of 109 recommended changes had a larger variance than before.
+    # With no required decrease, five of 109 recommended changes had a larger variance than before.
     tail_errors: float = 1.0
     # Number of sets of a lattice at each count.
     # Few sets are drawn, because few evaluations are left and rates require several counts.
     lattice_sets: int = 10
     # Standard deviation of the log variance of lattices about a line through all counts.
     # Lattices deviate much from the line, because each count has another generating vector.
-    # For smooth functions, this deviation is 1.3 in 4 to 6 dims, and 0.6 in 2 and 3 dims.
+    # For smooth functions, the standard deviation is 1.3 in 4 to 6 dims, and 0.6 in 2 and 3 dims.
     lattice_scatter: float = 1.3
     # Largest number of dims in which antithetic pairs in strata are measured.
     # In more dims, folded lattices are measured instead, because their rate is −4.
@@ -160,7 +164,7 @@ class ProfileSettings:
     steep_counts: int = 2
     # Lattices get this multiple of the usual evaluations if g is smooth and periodic.
     steep_weight: int = 2
-    # A substitution that makes g periodic is tried if n points allow this number along each axis.
+    # A substitution that makes g periodic is tried if n^(1/d) is at least `resolving_points`.
     # With fewer points, folded lattices have less variance (`benchmarks periodized`).
     resolving_points: int = 10
     # Number of points that are drawn from a density to test whether they lie in the unit cube.
@@ -684,9 +688,10 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
 
     causes = causes_of(evidence)
     offers = _offers(evidence, causes, budget, stream.child(98))
-    # Measure rivals: set-ups that may have less variance than nets.
-    # Each rival and one change of the estimator get equal shares of the remaining evaluations.
-    # If the change removes a jump, rivals get all evaluations that the change does not need
+    # Measure other set-ups that may have less variance than nets. They are called rivals.
+    # Each of the other set-ups gets as many of the remaining evaluations as a changed estimator.
+    # If g jumps, evaluations for an estimator without the jump are reserved first,
+    # and the other set-ups share all remaining evaluations
     rivals, left = _rivals(evidence, causes, points), budget - calls
     rivals.pop(given.spec, None)
     jumps, nets = _shape(causes) in _JUMPS, CAUSE_SETTINGS.nets
@@ -836,7 +841,7 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
     first = _shape(causes)
     if name in {LATTICE, _FOLDED} and math.isfinite(curve.rate):
         # In theory, the variance for smooth functions is n^−4 (log n)^(2d − 2).
-        # Compute the rate with two thirds of the exponent 2d − 2 of log n.
+        # Compute the rate of n^−4 (log n)^p, where p is two thirds of 2d − 2.
         # Limit the rate, because in many dims few points may show a rate that is too steep
         third = (dims - 1) / (3.0 * math.log(max(curve.counts[-1], 2.0)))
         limit = min(-4.0 + 4.0 * third, -1.0)
@@ -929,7 +934,7 @@ def _measured(
 
     Also return the drawn sets as replicates, and the number of evaluations that were used.
 
-    If `few` is true, there are few sets at few counts, so that the sets are large.
+    If `few` is true, fewer sets are drawn at fewer counts n, so that each set has more points.
     """
     most_sets = _SETTINGS.lattice_sets if lattice else CAUSE_SETTINGS.nets
     most_sets = _SETTINGS.steep_sets if few else most_sets
@@ -1059,7 +1064,7 @@ def _samplers(
 ) -> list[_FoundSampler]:
     """Return the set-ups that may have less variance than the reference, the best first.
 
-    Rivals are always included, because their rate may be steeper at larger counts.
+    The set-ups in `rivals` are always included, because their rate may be steeper at larger n.
     """
     each = given.cost
     bounds = {name: _bound(curve, points) for name, curve in curves.items()}
@@ -1212,7 +1217,7 @@ def _paid(offer: Candidate, left: int, *, last: bool) -> tuple[int, int]:
 
     The number of nets is halved if all nets would need too many evaluations.
     The number of nets is also halved if too few evaluations would be left for another change.
-    If `left` is too small to measure the removal, the number of points is 0.
+    The number of points is 0 if `left` evaluations do not suffice to measure the changed estimator.
     """
     nets, least = CAUSE_SETTINGS.nets, _SETTINGS.least_checked
     changes = 1 if last else 2
@@ -1235,7 +1240,7 @@ def _improved(
     A change is measured with nets, whose size depends on the rest of the budget.
     The search ends with the first change that is significantly better.
     A change is compared with `base`, the curve of the best sampler, at equal evaluations.
-    The variance of a change at the whole budget is extrapolated by the curve of the change.
+    The variance of the changed estimator is extrapolated from small nets to the whole budget.
     """
     estimator, jumps = evidence.estimator, _shape(causes) in _JUMPS
     found, tried, calls, least = list[_FoundSampler](), list[str](), 0, _SETTINGS.least_checked
@@ -1253,8 +1258,8 @@ def _improved(
         cost = n * each / estimator.evaluations_per_point
         at_budget = affordable_count(offer.setup, budget) or n
         made = Sets.of(offer.setup.estimator, n, wanted, stream.child(len(tried)))
-        # If all estimates of a change are equal but their mean is wrong, drop the change.
-        # The points of these equal estimates missed a peak of g
+        # If all estimates of the changed estimator are equal but wrong, drop the change:
+        # the points of all its nets have missed a peak of g
         seen_sets = evidence.sets.estimates
         off = abs(float(made.estimates.mean() - seen_sets.mean())) * math.sqrt(len(seen_sets))
         if not np.ptp(made.estimates) > 0.0 and off > _SETTINGS.off_sigmas * float(seen_sets.std()):
@@ -1266,9 +1271,9 @@ def _improved(
             smooths |= curve.rate < _SETTINGS.steepest_rate
             curve = replace(curve, rate=max(curve.rate, _SETTINGS.steepest_rate))
         (ours, ours_se), (other, other_se) = curve.at(n), base.at(cost)
-        # Extrapolate the variance of the change in two ways, and take the geometric mean.
-        # The first way uses the rate of the change. The second way assumes that the change keeps
-        # its gain over the best unchanged estimator.
+        # Extrapolate the variance of the changed estimator in two ways. Take the geometric mean.
+        # The first extrapolation uses the measured rate of the changed estimator.
+        # The second extrapolation assumes that the gain over the best sampler does not depend on n.
         # Half of the difference of the two extrapolations is an additional error
         points_at_budget = budget // estimator.evaluations_per_point
         (value, error), at_best = curve.at(at_budget), base.at(points_at_budget)[0]

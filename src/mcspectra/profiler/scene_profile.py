@@ -16,8 +16,8 @@ The error of a pixel is the ratio σ / mean, as in ``frames``.
 The number of samples that a share q of the pixels needs follows from the q-quantile of the errors.
 Samplers are compared by the geometric mean of their variances over the noisier half of the pixels.
 The noisier pixels decide the number of samples, because other pixels need fewer samples.
-Errors from few renders scatter, which widens the distribution of errors over the pixels.
-The scatter between two halves of the renders is used to correct the wider distribution.
+Errors from few renders are noisy, which widens the distribution of errors over the pixels.
+The distribution is narrowed again: two halves of the renders show how noisy the errors are.
 If the answer is far from the measured numbers of samples, it is checked by further renders:
 pixels near the quantile are rendered again with a number of samples near the answer.
 """
@@ -563,7 +563,7 @@ class _Work:
         tiles, renders, speed = self.planned(candidates, most, given)
         tracer, film = self.rendered.tracer, self.rendered.film
         wide = (self.side + 2 * film.margin) ** 2
-        # Count the samples of the comparison and of the confirmation
+        # Count the samples to compare all samplers, and to confirm the best sampler
         samples = (
             wide
             * len(tiles)
@@ -776,7 +776,8 @@ class _Work:
     def _narrowed(self, values: Array, mean: Array) -> Array:
         """Return logarithms of squared errors of pixels, moved toward their median.
 
-        Noise of the measurement widens the spread of log errors; the move corrects the spread.
+        Noise of the measured errors makes the spread of their logarithms over the pixels too large.
+        The logarithms are moved so far that the additional spread vanishes.
         """
         logs = self._logs(values, mean)
         halves = [self._logs(values[k::2], mean) for k in (0, 1)]

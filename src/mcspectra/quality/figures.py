@@ -275,4 +275,5 @@ FIGURES: Mapping[str, Callable[..., float | None]] = {
 `core.results` describes each figure.
 """
 
-_OF_DIGITS = ("t_value", "elementary_intervals")  # Figures that use the base of the digits
+# Figures of quality that depend on the base b in which coordinates have digits
+_OF_DIGITS = ("t_value", "elementary_intervals")

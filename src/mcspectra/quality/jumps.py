@@ -18,9 +18,10 @@ from mcspectra.core.checks import Array
 
 __all__ = ["Jumps", "curve_length", "find_jumps", "grid_centers"]
 
-# Number of halvings before slopes are discarded, and number of halvings between later comparisons
+# An interval between cells is halved six times, and discarded if the function is smooth there.
+# Otherwise the interval is halved twelve times, and then twelve times more, to find a jump
 _FIRST, _NEXT = 6, 12
-# Fraction of the change between two cells that must remain after the first halvings.
+# The function is smooth in an interval if six halvings leave less than this fraction of its change.
 # On a straight line, six halvings of the interval leave 1/64 of the change
 _SLOPE = 1 / 32
 # Fraction of a change that must remain after the last twelve halvings if the change is a jump.
@@ -93,7 +94,8 @@ def find_jumps(function: Function, dims: int, side: int, *, scale: float) -> Jum
     poles = np.zeros(heights.shape, bool)
     centers = grid_centers(side, dims)
     for axis in range(dims):
-        # Halve the intervals between cells: first to discard slopes, then twice to compare changes
+        # Halve the intervals between cells, and discard intervals in which the function is smooth.
+        # Halve the others in two steps, and compare the changes of the function after each step
         shape = np.moveaxis(centers, axis, 0)[:-1].shape
         near = np.moveaxis(centers, axis, 0)[:-1].reshape(-1, dims)
         far = near.copy()

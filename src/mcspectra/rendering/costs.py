@@ -1,6 +1,6 @@
 """Size, time and storage of work on a scene, estimated from short measured runs.
 
-All verbs of scenes use the same method.
+All commands and functions that render scenes estimate their costs by the same method.
 The work is run at growing sizes until a run takes long enough.
 The size of a run is its number of pixels, or of samples per pixel.
 The first run also compiles kernels, so it is repeated.
@@ -31,7 +31,8 @@ class SceneCost:
     Attributes
     ----------
     what
-        Words for the work, which follow the number of pixels in the sentence.
+        Description of the work, such as ``"6 renders of each with 3 samplers"``.
+        In the printed sentence, the description follows the number of pixels.
     size
         Width and height of the image or crop, in pixels.
     pixels
@@ -107,7 +108,7 @@ def timed_work(
     Parameters
     ----------
     work
-        Function of the size of the work, whose time grows in proportion to the size.
+        Function that does the work for a given size. Its time is nearly proportional to the size.
     total
         Size of the work whose time is estimated.
     first, most
@@ -132,7 +133,8 @@ def timed_work(
     each = spent / size
     if len(runs) > 1:
         before, shorter = runs[-2]
-        # The slope lies between half of the mean time and the mean time, as the machine may be busy
+        # The last two runs give the time per unit of size, but a busy machine may distort it.
+        # Limit the time per unit: at most the mean of the last run, and at least half of the mean
         slope = (spent - shorter) / (size - before)
         each = min(max(slope, 0.5 * each), each)
     fixed = max(spent - each * size, 0.0) + max(compiled - runs[0][1], 0.0)

@@ -365,7 +365,7 @@ def filtered_of(
         least[k] = noise[k] / max(mean[0], 1e-300) ** 2 / ((count - 1) * frames)
         if rest > 0 and times > 1:
             # The correlations at lags longer than the sequence are unknown.
-            # Assume that they do not exceed known correlations at the longest quarter of lags
+            # Assume that unknown correlations do not exceed those at the last quarter of known lags
             late = own[:, 3 * times // 4 :].mean(axis=1)
             most = float(late.mean()) + student_t(count) * float(late.std(ddof=1)) / count**0.5
             more[k] = scale * rest * max(most, 0.0)

@@ -84,8 +84,9 @@ _ONE_SQUARE = 0.05
 # Rates are averaged over windows of at most 15 pixels until their standard error is below 0.1
 _WIDEST, _KNOWN_RATE = 15, 0.1
 # If the values miss a tail, their variance and its error are too small.
-# The upper end of the interval is therefore moved away by this factor.
-# For six frames of normal to lognormal noise and the factor 2,
+# The upper end of the interval is therefore moved away from the variance: on a log scale,
+# its distance is multiplied by 1 + c e, where e is the relative standard error.
+# For six frames of normal to lognormal noise and c = 2,
 # 92 to 97 % of the intervals contain the true variance
 _MISSED = 2.0
 _NEAR = 15  # width in pixels of the squares whose pixels share a variance, for two or three frames
@@ -474,7 +475,7 @@ def _percentiles(need: Array, spread: Array) -> dict[str, float]:
 
     Errors of the estimates widen the distribution over the pixels.
     The logarithms are therefore moved towards their median.
-    The move lowers the variance of the logarithms by their mean error variance [Louis1984]_.
+    Moving the logarithms lowers their variance by their mean error variance [Louis1984]_.
     """
     known = np.isfinite(need) & np.isfinite(spread) & (need > 0)
     if not known.any():
@@ -767,8 +768,8 @@ def _group(
     half *= np.divide(curve, measured, out=np.ones_like(curve), where=measured > 0)
     # With two frames, the deviations differ only in sign, so their spectra are equal.
     # Equal spectra have a spread of 0, so use at least the errors of normal noise.
-    # For R frames of normal noise, a pair m, −m gives R − 1 independent exponential values.
-    # The power of the pair is the mean of the R − 1 values
+    # For R frames of normal noise, the power at the frequencies m and −m is a mean:
+    # it averages R − 1 independent values with exponential distributions
     independent = fields * loss**2
     half = np.maximum(half, CONFIDENCE_Z * measured * np.sqrt(2.0 / (rings.sizes * independent)))
     # The sum of squared correlations also contains the squared errors of the correlations.
@@ -936,7 +937,7 @@ def _drift(
     -------
     tuple
         The drift is None unless the means of the frames significantly follow a straight line.
-        The share of squared deviations includes frames that do not follow the line.
+        The share includes all changes of brightness, also changes without a steady drift.
     """
     count, center = means.size, float(means.mean())
     share = 0.0

@@ -48,12 +48,12 @@ _LEAST_LEVEL = 1e-4
 _RELABELINGS = 5
 _SAMPLE = 2**15  # number of tiles at which two frames are compared
 _ONE_SEED = 0.9  # two frames of one set have the same seed if their errors correlate more than this
-# Frames of two sets have the same seed if the correlation of their errors exceeds two limits:
-# _RELATED, and _FAR times the typical correlation of two frames
+# Frames of two sets have the same seed if the correlation of their errors exceeds two limits.
+# The first limit is a constant, the second a multiple of the typical correlation of two frames
 _RELATED, _FAR = 0.1, 8.0
 _LEAST_PAIRS = 4
-# The noise of two sets counts as equal if the ratio of the variances is between 1/_EQUAL and
-# _EQUAL, or if the variances do not differ at the significance level _DOUBT
+# The noise of two sets counts as equal if their variances differ by less than a fixed factor,
+# or if the difference of their variances is not significant at a fixed level
 _EQUAL, _DOUBT = 1.25, 0.01
 _COPY = 1e-6  # images that differ by less than this fraction of their mean are copies
 # Fraction of the significance level for one test: does the mean depend on the samples per pixel?
@@ -566,7 +566,7 @@ def _region(tests: list[Found], shape: tuple[int, int]) -> float:
     """Return the smallest relative bias that is found in a square region of 1 % of the image.
 
     The region may lie anywhere. A region at least twice as wide as a tile covers a whole tile.
-    A narrower region covers a part of some tile, at least half as wide as the region itself.
+    A narrower region overlaps some tile in a square that is at least half as wide as the region.
     """
     half = 0.05 * math.sqrt(shape[0] * shape[1])
     known = [

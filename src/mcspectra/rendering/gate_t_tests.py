@@ -38,7 +38,7 @@ _SKEW = 0.25
 _EVEN = 0.02
 # Few frames underestimate the tail, so the skewness is multiplied by this factor.
 # At level 0.01, unbiased pairs of 1 + 8 skewed frames give 15 false alarms in 1,000 cases.
-# Without the factor, the same pairs of frames give 17 false alarms in 1,000 cases
+# If the skewness is not multiplied, the same frames give 17 false alarms in 1,000 cases
 _UNSEEN = 1.5
 
 

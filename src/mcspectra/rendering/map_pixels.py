@@ -41,7 +41,7 @@ FEWEST_PIXELS = 64
 """Smallest number of measured pixels; with fewer, 95 % of the residuals is no useful quantile."""
 
 _NEIGHBORS = 8  # number of measured pixels that are averaged; 6 to 12 are equally good
-_NEARBY = 24  # number of residuals for the scale of errors at a measured pixel
+_NEARBY = 24  # number of nearby pixels that show how large interpolation errors at a pixel are
 _SHARE = re.compile(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*%\s*")
 _LOG, _PLAIN = True, False
 _AVERAGED: Final[Mapping[str, bool]] = {
@@ -143,7 +143,7 @@ def spread(
         if name in _AVERAGED:
             averaged = _on_planes(flat, field.logarithmic if _AVERAGED[name] else field.average)
             out[name], halves[name] = averaged[..., 0], averaged[..., 1]
-            out[name][..., row, column] = flat  # measured values keep their bits
+            out[name][..., row, column] = flat  # at measured pixels, keep the exact measured values
         else:
             out[name] = flat[..., nearest, :] if pair else flat[..., nearest]
 

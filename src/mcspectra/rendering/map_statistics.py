@@ -60,7 +60,8 @@ def fit_lines(
         weight = np.where(used, relative_se**-2.0, 0.0)
         y = np.where(used, np.log(variance), 0.0)
         x = np.log(ns.astype(float)).reshape(1, -1, *[1] * (variance.ndim - 2))
-        # If an ignored variance has a smaller n than a used one, it missed a rare event
+        # If a variance is ignored, but a variance at a larger n is used,
+        # the realizations at the smaller n probably missed a rare event
         missed = np.maximum.accumulate(used[:, ::-1], axis=1)[:, ::-1] & ~used
         return line_fits(x, y, weight, known=np.asarray(~missed.any(axis=1)))
 
@@ -100,8 +101,8 @@ def slowest(rate: Array, rate_se: Array) -> Array:
     """Return which of two techniques (2, y, x) has the significantly slower rate.
 
     The techniques must have independent points, so that their squared standard errors add up.
-    A test for overlap of the two intervals would be less sensitive.
-    For equal standard errors, separate intervals need a difference that is 1.4 times as large.
+    A test whether the two intervals overlap would be less sensitive:
+    for equal standard errors, the difference of the rates must be 1.4 times as large.
     """
     return _larger(rate[0] - rate[1], rate_se, np.isnan(rate).all(axis=0))
 

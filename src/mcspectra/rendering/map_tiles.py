@@ -295,7 +295,7 @@ class Measurement:
         )
 
     def _traced(self, pixels: Array, u: Array) -> Array:
-        """Mean values of paths.
+        """Return the mean value of the paths through each pixel, for random numbers u.
 
         A single pixel is listed twice, so that sums have the same rounding as with more pixels.
         """

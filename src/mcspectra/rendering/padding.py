@@ -4,7 +4,7 @@ A path requests random numbers one or two at a time (`mcspectra.rendering.paths.
 A renderer answers each request with a separate, shuffled set in one or two dims.
 Random numbers of different requests are therefore independent.
 A single point set in all dims of a path has other dependences, which no rendered image has.
-The variances of the two kinds of points differ by factors of up to 6.
+The variances with separate sets and with a single set differ by factors of up to 6.
 
 `Padded` draws the points that our Mitsuba plugin gives to a pixel.
 The first `joint_dims` numbers come from one set of the sampler, as in the plugin.

@@ -313,7 +313,8 @@ class Tracer:
         return (*found[:count], *[beyond] * (count - len(found)))
 
     def dry_run(self, pixels: tuple[tuple[int, int], ...]) -> tuple[tuple[Dimension, ...], float]:
-        # The probabilities of lights and the dimming do not affect the dry run
+        # A dry run only records how the paths of a scene use random numbers.
+        # This use does not depend on the probabilities of lights, or on dimmed lights
         lit = replace(self, selection=None, light=None)
         with LOCK:
             return dimensions_of(load_scene(self.scene))(lit, pixels)

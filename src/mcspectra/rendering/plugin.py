@@ -14,8 +14,10 @@ The numbers of each request are as evenly spread as the sampler's points [Kollig
 Alternatively, the first `joint_dims` numbers of a sample come from a single *joint* set.
 By default, binary nets have joint sets of `JOINT_DIMS` numbers
 if ``owen`` or ``digital-shift(jitter=True)`` randomizes them.
-Two numbers are the position in the pixel, and two a point on the lens or on a light.
-Both pairs of a joint set are as even as with padding (`mcspectra.samplers.nets.JoinedPairs`).
+The first pair of numbers is the position in the pixel.
+The second pair of numbers is a point on the lens or on a light.
+Each pair of a joint set is as evenly spread as a padded set of the same net in two dims
+(see `mcspectra.samplers.nets.JoinedPairs`).
 All other samplers are padded by default.
 The same rule holds for `mcspectra.rendering.variance_map` and for pixels (`padding`).
 The command ``python -m benchmarks scenes`` measures the effect of joint sets on five scenes.

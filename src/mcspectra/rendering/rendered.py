@@ -40,7 +40,8 @@ OWN_SAMPLER = "scene's own"
 """A value that stands for the sampler of the scene's own camera."""
 
 _LANES = 2**20  # samples in one wavefront, which take some 100 MiB
-# Most pixels of a preview, paths per pixel, and random numbers per path; further numbers are hashed
+# Maximum number of pixels of a preview, number of paths per pixel, and random numbers per path.
+# If a path needs more random numbers, a hash function computes them from the given ones
 _PREVIEW, _PREVIEW_PATHS, _PREVIEW_DIMS = 2**14, 16, 8
 _WIDE_LANES = 2**22  # largest wavefront if a single tile has more samples than `_LANES`
 

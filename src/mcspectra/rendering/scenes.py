@@ -479,7 +479,7 @@ def _built(request: str | Path | DictScene, _state: Hashable = None) -> Any:
 def mitsuba_reason(error: Exception) -> str:
     """Return Mitsuba's message in one line, without references to Mitsuba's source code.
 
-    For an error in a Python plugin, this is the last line without the name of the error.
+    For an error in a Python plugin, return the last line of the traceback without the error's type.
     """
     text = str(error).strip()
     if "Traceback" in text:

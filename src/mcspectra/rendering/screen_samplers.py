@@ -344,11 +344,14 @@ class CommandScreen(ScreenSampler):
 
     @property
     def _looped(self) -> tuple[bool, ...]:
-        """For each axis, whether the program runs once per position."""
+        """Whether the program runs once for each frame, for each row, and for each column."""
         return tuple(f"{{{one}}}" in self.run for one, _ in _AXES)
 
     def _parts(self, block: ScreenBlock) -> tuple[list[int], list[int]]:
-        """Return the number of runs and the number of printed positions, along each axis."""
+        """Return how often the program runs, and how many places each run prints, by axis.
+
+        The axes are time, rows and columns.
+        """
         sizes = (block.frames, block.height, block.width)
         if not set(_AXES[0]) & set(PLACEHOLDER.findall(self.run)):
             sizes = (1, *sizes[1:])
@@ -643,7 +646,10 @@ class Tiles(ScreenSampler):
         return self.path if isinstance(self.path, str) else " and ".join(self.path)
 
     def blocks(self, block: ScreenBlock, seeds: int) -> tuple[int, bool]:
-        """Return the number of different parts of the tile: 1 if the block contains all of it."""
+        """Return how many blocks of pixels with different points a tiled mask gives.
+
+        The number is 1 if a block contains whole masks, because all blocks are then equal.
+        """
         if self.points and not as_sampler(self.points, self.dims).fixed:
             return seeds, False
         if all(self.repeats(1, block)):
