@@ -144,7 +144,7 @@ def _advised(tree: xr.DataTree, *kinds: str) -> tuple[xr.Dataset, xr.Dataset]:
     Otherwise the recommendation is to change nothing.
     If `kinds` are given, only these kinds of changes are considered.
     A recommendation is compared with random numbers if they were measured.
-    Otherwise, or if random numbers are the recommendation, it is compared with the unchanged scene.
+    Otherwise, or if random numbers are recommended, the comparison is with the unchanged scene.
     """
     found = tree["remedies"].to_dataset()
     given = found.sel(remedy="as given")
