@@ -67,8 +67,8 @@ class ScreenSpectrumSettings:
         Beyond 4 σ, the Gaussian has the weight 6e-5 in one dim: errors change by less than 2.5e-4.
     remembered
         A moving average over frames also contains frames from before the block with some weight.
-        An average is not used if the weight of these earlier frames exceeds `remembered`.
-        If the points repeat within the block, all averages are used.
+        An average is not used if the weight of frames before the block exceeds `remembered`.
+        All averages are used if the points repeat within the block.
         If errors are correlated in time, a weight of 0.5 % changes the variance by about 0.5 %.
     """
 

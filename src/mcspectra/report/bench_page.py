@@ -289,7 +289,7 @@ def _sets_of(group: Group, key: str) -> str:
     """Return the number of averaged sets, which is the same for most samplers.
 
     Samplers with other numbers of sets are listed in brackets.
-    If there are many such samplers, the smallest and the largest number are returned instead.
+    If many samplers have other numbers, the smallest and the largest number are returned instead.
     """
     counts = {name: int(each[key]) for name, each in group.items() if np.isfinite(each[key])}
     usual = Counter(counts.values()).most_common(1)[0][0] if counts else 0

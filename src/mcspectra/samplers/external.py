@@ -285,7 +285,7 @@ def net_quality(points: Array, like: tuple[int, int] | None = None) -> tuple[int
     For sets of fewer than 64 points, the least m − t is 4 in base 2 and 3 in base 3.
     If m is smaller than the least m − t, the set counts as a net only for t = 0.
     If a larger set of the same file is a net, `like` is the base and the quality t of this net.
-    In this base, the set counts as a net if its quality t is not larger than the t in `like`.
+    The set then counts as a net in this base if its t is not larger than the t of the larger set.
     Blue noise of 16 points or more is rarely taken for a net: in tests, at most 1 of 200 sets was.
     """
     n, dims = points.shape

@@ -752,7 +752,7 @@ def scrambled(law: Law, kind: Scramble, bases: Sequence[int], *, shifts: bool = 
 
     The law of stratified points does not change if the sides of the strata are powers of the base:
     scrambling maps strata to strata, and points are already uniform within a stratum.
-    The same is true of points that are stratified along single axes.
+    Points that are stratified along single axes also keep their law.
     Samplers refuse scrambles that break their strata.
     """
     digits = tuple(map(int, bases))
@@ -806,7 +806,8 @@ def bases_to_scramble(laws: Sequence[Law]) -> tuple[int, ...] | None:
     The result is None for lattices, which scrambling breaks, and for sets that are not nets.
     For lattices and for sets that are not nets, a shift is the better randomization.
     A set of a few points can be both a net and a lattice.
-    If all other sets are lattices, such a small set counts as a lattice, otherwise as a net.
+    If all other sets are lattices, a set that is a net and a lattice counts as a lattice.
+    Otherwise, a set that is a net and a lattice counts as a net.
     """
     found = {law.bases if isinstance(law, Fixed | Unknown) else None for law in laws}
     if len(found) > 1 or all(isinstance(law, Fixed) and law.even for law in laws):

@@ -135,7 +135,7 @@ def radial_statistics(spectrum: xr.Dataset) -> xr.Dataset:
         Anisotropies are NaN if a ring has only one direction, or has no power.
         ``radial_power`` is the mean, and ``radial_power_se`` is its standard error.
         The standard error is copied from the spectrum.
-        If the spectrum has no standard errors, frequencies are assumed to be uncorrelated.
+        Without errors in the spectrum, the standard error assumes uncorrelated frequencies.
         ``anisotropy`` is the variance over directions, divided by the mean² [Ulichney1988]_.
         ``anisotropy_db`` is 10 log10 of the anisotropy.
         ``anisotropy_noise_db`` is the anisotropy (dB) that noise causes in an isotropic spectrum.

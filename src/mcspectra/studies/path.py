@@ -473,8 +473,8 @@ def path_remedies(
             if high < 0.0 and rate < 0.0:
                 # With the change, an estimate takes n paths, and its pilot takes P paths.
                 # Without the change, n + P paths have the same cost.
-                # At equal cost, the change pays if it multiplies the variance for n paths
-                # by less than ((n + P)/n)^rate. Solve for the n at which the errors are equal
+                # The errors at equal cost are equal if the change multiplies the variance
+                # with n paths by ((n + P)/n)^rate. Solve this equation for n
                 pays = candidate.pilot / math.expm1(found.log_ratio / rate)
                 note += f": it pays above about {float(f'{pays:.2g}'):.0f} paths."
             else:

@@ -43,9 +43,9 @@ def assert_same_image(
     Parameters
     ----------
     new, reference
-        Frames to test and frames of the reference, as in `mcspectra.rendering.gate`.
+        Frames to test and the reference, as in `mcspectra.rendering.gate`.
     level, target
-        Probability of a false alarm, and relative bias that must be found, as in the gate.
+        Probability of a false alarm, and relative bias of the image mean that must be found.
     report
         Folder for a page with figures, which is written if the assertion fails.
     **options
