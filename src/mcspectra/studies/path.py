@@ -473,8 +473,8 @@ def path_remedies(
             if high < 0.0 and rate < 0.0:
                 # With the change, an estimate takes n paths, and its pilot takes P paths.
                 # Without the change, n + P paths have the same cost.
-                # The errors at equal cost are equal if the change multiplies the variance
-                # with n paths by ((n + P)/n)^rate. Solve this equation for n
+                # At equal cost, errors are equal if the variances have the ratio ((n + P)/n)^rate.
+                # Compute the number n of paths from the ratio that was measured for equal n
                 pays = candidate.pilot / math.expm1(found.log_ratio / rate)
                 note += f": it pays above about {float(f'{pays:.2g}'):.0f} paths."
             else:
