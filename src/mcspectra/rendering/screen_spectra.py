@@ -5,7 +5,8 @@ The error of the pixel is e(x, y, t) = (1/n) Σ_i f(u_i(x, y, t)) − I.
 The power of the error, P_err(ν_y, ν_x, ν_t), is its squared Fourier transform over a block.
 A block is a rectangle of pixels in some frames.
 A linear filter K, in space or in time, leaves the mean squared error ∫ |K(ν)|² P_err(ν) dν.
-In the paper's slides, the formula for the variance of an estimate is the same, with f instead of K.
+The slides that this package reproduces have the same integral for the variance of an estimate.
+In the slides, the integrand f takes the place of the filter K.
 
 The power is normalized: for white noise it equals the mean squared error of a pixel.
 
@@ -66,7 +67,8 @@ class ScreenSpectrumSettings:
         Beyond 4 σ, the Gaussian has the weight 6e-5 in one dim: errors change by less than 2.5e-4.
     remembered
         A moving average over frames also contains frames from before the block with some weight.
-        Averages in which this weight exceeds `remembered` are not used, unless the points repeat.
+        An average is not used if the weight of frames before the block exceeds `remembered`.
+        All averages are used if the points repeat within the block.
         If errors are correlated in time, a weight of 0.5 % changes the variance by about 0.5 %.
     """
 

@@ -251,8 +251,9 @@ def lane_sums(
 ) -> Array:
     """Sum float32 values over k < `count` in float64, separately in each lane: (lanes, numbers).
 
+    A lane is one of many computations that run in parallel.
     One loop is recorded, so that memory does not grow with `count`.
-    `values(lane_numbers)` returns a function of k. This function returns the values of all lanes.
+    `values(lane_numbers)` returns a function, which computes the k-th values of all lanes from k.
     """
     import drjit
 
@@ -394,7 +395,11 @@ def look_at_sky(hit: Hit, emitter: Any, direction: Any, active: Any = True) -> t
 
 
 def heuristic_weight(own: Any, other: Any, power: int) -> Any:
-    """Return own^β / (own^β + other^β) from the ratio: squares would overflow for mirrors."""
+    """Return the weight own^β / (own^β + other^β) of one of two densities.
+
+    The weight is computed from the ratio of the densities.
+    For mirrors, the squares of the densities would overflow.
+    """
     import drjit
 
     ratio = drjit.select(own > 0.0, other / own, 0.0)

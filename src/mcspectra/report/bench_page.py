@@ -286,9 +286,10 @@ def _plots_of(
 
 
 def _sets_of(group: Group, key: str) -> str:
-    """Return how many sets were averaged for most samplers.
+    """Return the number of averaged sets, which is the same for most samplers.
 
     Samplers with other numbers of sets are listed in brackets.
+    If many samplers have other numbers, the smallest and the largest number are returned instead.
     """
     counts = {name: int(each[key]) for name, each in group.items() if np.isfinite(each[key])}
     usual = Counter(counts.values()).most_common(1)[0][0] if counts else 0

@@ -44,7 +44,8 @@ _SURE = 2.24
 _HEAVY = 0.5  # tail index above which the variance is infinite
 _CARRIED = 0.05  # fireflies are reported if they hold more than this share of the variance
 _MOST = 0.5  # a cause with more than this share is called the main source of the variance
-# Effect that is assigned to a finding, such as a bias, that changes the meaning of all numbers
+# Findings are sorted by effect, so a large effect is assigned to the most important findings.
+# For example, a bias is important because it changes the meaning of all other numbers
 _SURELY = 100.0
 
 

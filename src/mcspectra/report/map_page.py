@@ -329,7 +329,8 @@ def map_summary(result: xr.Dataset) -> dict[str, Any]:
 def _subset(result: xr.Dataset) -> dict[str, float]:
     """Return the number of measured pixels, of all pixels, and the error of interpolation.
 
-    The error factor is a median over interpolated pixels: last strategy, first sampler.
+    The error of interpolation is a factor, and its median over interpolated pixels is returned.
+    The factor is taken from the last strategy and the first sampler.
     """
     if "measured" not in result:
         return {}

@@ -250,7 +250,8 @@ BODY
 
 def _latex(text: str) -> str:
     """Return a text for LaTeX with signs, indices, exponents and roots as mathematics."""
-    words = _ROOT.split(text)  # even items: texts; odd items: exponents of n
+    # In the list `words`, texts have even indices, and exponents of n have odd indices
+    words = _ROOT.split(text)
     words[::2] = [latex_maths(word.translate(LATEX_TEXT)) for word in words[::2]]
     words[1::2] = [f"$n^{{{power.replace('−', '-')}}}$" for power in words[1::2]]
     return "".join(words)

@@ -140,9 +140,11 @@ def path_answer(tree: xr.DataTree) -> str:
 def _advised(tree: xr.DataTree, *kinds: str) -> tuple[xr.Dataset, xr.Dataset]:
     """Return the recommended way to sample paths, and the way with which it is compared.
 
-    The best change is recommended if it helps significantly, otherwise the scene's own way.
+    The best change is recommended if it helps significantly.
+    Otherwise the recommendation is to change nothing.
     If `kinds` are given, only these kinds of changes are considered.
-    The comparison is with random numbers if they were measured, else with the scene's own way.
+    A recommendation is compared with random numbers if they were measured.
+    Otherwise, or if random numbers are recommended, the comparison is with the unchanged scene.
     """
     found = tree["remedies"].to_dataset()
     given = found.sel(remedy="as given")

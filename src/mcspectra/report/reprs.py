@@ -52,7 +52,8 @@ Pictures: TypeAlias = list[tuple[str, str]]
 def component_html(component: object) -> str:
     """Return the HTML of a component. For an unknown kind of component, only its spec is shown."""
     with warnings.catch_warnings(), np.errstate(all="ignore"):
-        warnings.simplefilter("ignore")  # counts may be unusual, and f/p may be 0/0
+        # Ignore warnings about the number of points and about f/p = 0/0
+        warnings.simplefilter("ignore")
         if isinstance(component, Sampler):
             return _page(component.spec, *_sampler(component))
         if isinstance(component, Density):

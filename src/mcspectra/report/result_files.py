@@ -46,7 +46,7 @@ RESULT_FILES = (".npz", ".csv", ".tex", *backend_matplotlib.FORMATS, ".html")
 """Extensions that `write_result_file` accepts."""
 
 _SAID = ("answer", "diagnosis", "note")
-# A page has one table of values for each of these combinations of dims
+# Combinations of dims. A page has one table for all variables with the same combination
 _TABLES = (
     ("sampler",), ("method",), ("n",), ("sampler", "n"), ("method", "n"), ("sampler", "method"),
     ("sampler", "method", "n"),

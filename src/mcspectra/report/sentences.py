@@ -36,7 +36,7 @@ _CLOSE = 0.1  # prediction and measurement are close up to this relative differe
 # A page makes dozens of claims, of which some would be wrong with 95 % intervals.
 # This factor widens the interval of a rate to 3 standard errors
 _RATE_MARGIN = 1.5
-# A rate near −1 is called the rate of random sampling only if it is known to ± this number
+# A rate near −1 is called the rate of random sampling only if its error is below this limit
 _SURE = 0.2
 _REMEDY_WORDS = ("diagnosis", "answer")
 _TERMS = {
@@ -383,7 +383,8 @@ def _captured_sentence(row: SummaryRow, terms: xr.Dataset) -> str:
             "measured variance: the sum over frequencies has not converged."
         )
     if found == "agrees":
-        if _is_predicted(row):  # another sentence compares prediction and measurement
+        # The sentence about the result of `predict` already compares prediction and measurement
+        if _is_predicted(row):
             return ""
         share = f"{row.captured:.0%}".replace("%", " %")
         return f"Prediction and measurement agree ({share})."

@@ -314,7 +314,8 @@ _TABLES: Mapping[
             "Ratio",
             "95 % interval",
             "Rate",
-            "Verdict",  # not among the columns of words below, so its text does not wrap
+            # Verdicts do not wrap, because their column is not listed as a column with words
+            "Verdict",
             "What to do",
         ),
         (0, 1, -1),

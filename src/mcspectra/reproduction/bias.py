@@ -25,7 +25,8 @@ BOXES = f"box-jitter(width={WIDTH})"
 BOUNDED = "poisson-disk(boundary='bounded')"
 _M = np.arange(33)
 _COUNTS = (2, 4, 8, 16)
-_DRAWN = 100_000  # realizations in the figure: the bias is then more than ten standard errors
+# With this number of realizations, the bias in the figure exceeds ten standard errors
+_DRAWN = 100_000
 _BINS = 4 * N  # the middle half of a stratum is two of four bins
 
 
@@ -54,7 +55,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     middles = {n: mcs.sampler("regular", 1).draw(n)[0, :, 0] for n in _COUNTS}
     errors = [(v**2).mean() - 1 / 3 - box_bias(n, 0.0) for n, v in middles.items()]
 
-    # Draw the way from the points to the bias for unbiased and biased points
+    # Plot for unbiased and biased points how the density of the points determines the bias
     plain = _way_to_the_bias(
         ("jittered", DENSITY), ("jittered, by p", "⟨S_m⟩ = 0, m ≠ 0", "no bias"),
         seed, PALETTE[0], below=False,

@@ -101,7 +101,7 @@ class Claim:
         Kind of the plot on the slide that shows the claim. Default: the first slide of the exhibit.
     corrects
         True if a confirmed claim shows that the slide is wrong, or true only in certain cases.
-        An example is a claim about a counterexample to a statement of the slide.
+        For example, the claim may describe a counterexample to a statement of the slide.
     """
 
     statement: str
@@ -234,7 +234,7 @@ def about(plot: str, *claims: Claim) -> tuple[Claim, ...]:
 
 
 def correction(claim: Claim) -> Claim:
-    """Mark a claim as one that, if confirmed, limits or contradicts the slide."""
+    """Mark a claim that, if confirmed, limits or contradicts a statement of its slide."""
     return replace(claim, corrects=True)
 
 
@@ -296,8 +296,9 @@ def pixel_rate(statement: str, curve: xr.Dataset, expected: float) -> Claim:
 
 
 def normal_limit(count: int, freedom: int = 0) -> float:
-    """Return a limit for the largest of `count` normal errors, at the level of a single finding.
+    """Return a limit that the largest of `count` normal errors rarely exceeds.
 
+    The largest error is below the limit with the confidence level of a single finding.
     If `freedom` is given, the errors follow Student's t distribution.
     """
     from scipy.special import ndtri, stdtrit

@@ -38,7 +38,7 @@ OBLIQUE = "half-space(normal=[1, 0.618], offset=0.7)"
 BUDGET = 256
 RATES = {"uniform points": -1.5, "importance sampling": -1.5, "aligned strata": -2.0}
 _TABLE = 8  # cells along each side of the tabulated density for importance sampling
-_LATTICE = 64  # number of points of the designed lattice
+_LATTICE = 64  # number of points of the lattice that is designed for half-spaces
 _HALF_WIDTH = 40
 _BANDS = {"x0": "x₀", "x1": "x₁", "x0x1": "both"}
 # Changes in the picture, by their names in the result
@@ -57,7 +57,9 @@ _STRATA = Scale(
     names=("right of the edge", "left of the edge", "stratum cut by the edge"),
     colors=("#FFFFFF", "#D6E6F1", "#F5C9A9"),
 )
-_FEW = 1e-3  # a smaller part of a stratum beyond the edge comes from rounding
+# A stratum counts as cut by the edge if both of its parts are larger than this fraction.
+# Smaller parts are the result of rounding
+_FEW = 1e-3
 _PIXELS, _FINE = 132, 5  # pixels along each side of a picture of strata, and samples per pixel
 _TESTED = ((0.3, 0.6), (0.7, 0.8), (1.0, 0.7), (1.3, 0.5), (0.1, 0.31), (1.45, 0.62))
 
@@ -214,7 +216,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def alone(data: xr.Dataset) -> float:
-    """Return the part of the sum of all terms from frequencies along single axes."""
+    """Return the share of frequencies along single axes in the sum of all variance terms."""
     names = str(data["band"].attrs["labels"]).split(", ")
     rows = data["band_covariance"].sum("band_other").values
     return float(sum(rows[names.index(axis)] for axis in ("x0", "x1")) / rows.sum())
@@ -318,7 +320,7 @@ def _strata_panel(estimator: mcs.Estimator, title: str, seed: int) -> Panel:
     values = np.full((_PIXELS, _PIXELS), np.nan)
     pixel = np.minimum((x * _PIXELS).astype(int), _PIXELS - 1)
     values[pixel[:, 1], pixel[:, 0]] = kinds[of]
-    # A pixel without a sample is in the same stratum as the last pixel with one to its left
+    # Assign a pixel that has no sample to the stratum of the nearest sampled pixel on its left
     known = np.maximum.accumulate(np.where(np.isnan(values), 0, np.arange(_PIXELS)), axis=1)
     values = np.take_along_axis(values, known, axis=1)
     centers = (np.arange(_PIXELS) + 0.5) / _PIXELS

@@ -63,7 +63,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     }
 
     # For jittered importance samples, sum the terms of the formula with ⟨S_m conj(S_l)⟩.
-    # Sum them again with ⟨conj(S_m) S_l⟩, as printed on the slides
+    # Sum the terms again with ⟨conj(S_m) S_l⟩, as printed on the slides
     f = mcs.integrand(BELL, 1)
     mirrored = mcs.Integrand.from_function(lambda x: f(1.0 - x), dims=1, integral=f.integral)
     matrix = exact_matrix(f, "jittered", DENSITY, 64)
@@ -279,7 +279,7 @@ def exact_matrix(f: mcs.Integrand, sampler: str, density: str | None, half_width
 
 
 def split(matrix: Array) -> tuple[float, float, float]:
-    """Return the first, second and third terms from a matrix."""
+    """Return the first, second and third variance term from the matrix conj(f_m) f_l C_ml."""
     diagonal = np.diag(matrix).real
     first = float(diagonal[len(diagonal) // 2])
     power = float(diagonal.sum()) - first

@@ -118,7 +118,7 @@ def ratios(name: str, realizations: int, seed: int) -> tuple[Measured, Measured]
     """Return the sum over m ≠ 0 divided by the variance, for points as they are and shifted.
 
     The integrand x + y has only frequencies along the axes, with |f_m|² = 1/(4π²m²).
-    A shift does not change any power, so both ratios have the same sum.
+    A shift does not change any power, so points have the same sum with and without a shift.
     """
     points = mcs.sampler(name, 2).draw(N, realizations=realizations // 4, rng=seed)
     # Sums over points are several times faster if the points of each coordinate are contiguous

@@ -276,7 +276,10 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def _scanned(slope: float, counter: Panel) -> Plot:
-    """Plot f and p = 1 − a cos(2πx), exact terms for random points against a, and a third panel."""
+    """Plot f and p = 1 − a cos(2πx), and the exact terms for random points against a.
+
+    The given panel `counter` is the third panel of the plot; it shows a counterexample.
+    """
     x = np.linspace(0.0, 1.0, 200)
     wave = np.cos(2 * np.pi * x)
     pair = Panel(

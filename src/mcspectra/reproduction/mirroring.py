@@ -2,7 +2,8 @@
 
 Mirror-uniform draws n/4 points, and evaluates f at all four mirror images of each point.
 Mirror-uniform sampling therefore samples h, the mean of f over the four images.
-Mirror-random chooses one image at random. This adds 1/n of the variance of f between images.
+Mirror-random chooses one of the four images of each point at random.
+The choice adds variance: the mean variance of f over the four images of a point, divided by n.
 
 The mean over the images, h = q(x) q(y), is continuous on the torus.
 With shifted strata of side 1/s, the variance is Σ |h_m|² (1 − Π_i sinc²(πm_i/s)) / n.

@@ -59,10 +59,12 @@ AXES: tuple[Literal["x", "y"], ...] = ("x", "y")
 
 _TERMS = {"dc_term": "1st", "power_term": "2nd", "cross_term": "3rd", "predicted_variance": "sum"}
 _RESOLUTION = 256
-# Parts of an axis: the distance of lines that look the same, the width and the height of a slope
-# label, its distance from lines and markers, and the distance beyond which more does not help.
+# Lengths as fractions of an axis: two lines look the same if they are closer than _COINCIDENT.
+# _WIDE and _TALL are the width and the height of a label that shows the slope of a line.
+# _GAP is the distance of a label from lines and markers.
+# Distances above _FREE count as equally good when the place of a label is chosen.
 _COINCIDENT, _WIDE, _TALL, _GAP, _FREE = 0.02, 0.27, 0.07, 0.035, 0.1
-_END_GAP = 0.11  # least distance of slopes beside their lines
+_END_GAP = 0.11  # least distance between slopes that are written to the right of their lines
 # A variance term counts as a rounding error if it is smaller than this share of the largest term.
 _ROUNDING = 1e-12
 
@@ -113,8 +115,8 @@ def variance_panel(
     letters
         Size of slope labels relative to the panel. Two panels side by side have 1.
     beside
-        Room to the right of the lines, relative to their length. If it is not 0, slopes are
-        written there, where no line or marker is.
+        Room to the right of the lines, relative to the length of the lines.
+        If the room is not 0, slopes are written into it, so that they cover no line or marker.
     """
     marks: list[Mark] = []
     values: list[float] = []
@@ -163,8 +165,10 @@ def slope_labels(
 ) -> list[TextMark]:
     """Label falling lines with their slopes, above or below them, where no line is in the way.
 
-    `lines` are variances, a slope and a color; `limits` are the limits of the variance axis.
-    `others` are variances that labels must not cover either. `letters` scales the labels' size.
+    Each of the `lines` is given by its variances, its slope and its color.
+    The variance axis has the limits `limits`.
+    Labels also do not cover the markers at the variances `others`.
+    The size of the labels is multiplied by `letters`.
     Lines that coincide have one label, in black. A line without room has no label.
     """
     reach, wide, tall = math.log(limits[1] / limits[0]), _WIDE * letters, _TALL * letters

@@ -7,9 +7,10 @@ Removing or inserting a point changes only the adjacent cells.
 
 Notation for farthest points: n points in 2 dims. Buckets are described in `_spacing_kernels`.
 Voronoi cells are stored like the cells of power diagrams (below).
-Each row of the array holes (n, 4) belongs to one Voronoi cell.
-The first two numbers of the row are the coordinates of the corner farthest from the cell's point.
-The other two numbers are the squared distances of this corner and of the nearest neighbor.
+Each row of the array holes (n, 4) belongs to one point and its Voronoi cell.
+The first two numbers of the row are the coordinates of the cell's corner farthest from the point.
+The third number of the row is the squared distance between the point and the farthest corner.
+The fourth number of the row is the squared distance between the point and its nearest neighbor.
 
 Power diagrams: the cell of site i contains all x that satisfy the inequality
 |x − x_i|² − w_i ≤ |x − x_j|² − w_j for all sites j and their images.
@@ -21,8 +22,8 @@ The array sites (n, 3) holds points and weights in the order of the grid.
 A cell (K, 4) is a counterclockwise polygon relative to its site.
 Each row describes a corner of the cell, and the edge from this corner to the next corner.
 The first two numbers of the row are x and y of the corner.
-The third number is the distance between the site and the neighbor site across the edge.
-The fourth number is the index of this neighbor (−1 for an image of the cell's own site).
+The third number of the row is the distance between the site and the neighbor site across the edge.
+The fourth number is the index of the neighbor site, or −1 for an image of the cell's own site.
 While a cell is cut, the array `spare` (K, 4) holds a copy of its corners.
 
 Gaussian blue noise: the energy of all pairs of points, and the gradient of the energy.
@@ -97,9 +98,9 @@ def _cut(
                 cell[count, c] = spare[k, c]
             count += 1
         if (u <= 0.0) != (v <= 0.0):
-            # The border of the cell crosses the line x·d = level between these two corners.
-            # On this line, the new edge starts where the border leaves the half-plane,
-            # and ends where the border of the cell enters the half-plane again
+            # Between corner k and the next corner, the cell's border crosses the line x·d = level.
+            # The new edge of the cell starts where the border leaves the half-plane x·d ≤ level.
+            # The new edge ends where the border enters the half-plane again
             t = u / (u - v)
             cell[count, 0] = spare[k, 0] + t * (spare[after, 0] - spare[k, 0])
             cell[count, 1] = spare[k, 1] + t * (spare[after, 1] - spare[k, 1])
@@ -217,11 +218,11 @@ class Diagram(NamedTuple):
     rows, neighbors, couplings
         The faces of cell i have the indices rows[i, 0] … rows[i, 1] − 1.
         The neighbor of a face is the site on the other side.
-        The coupling of a face is length / (2 distance).
+        The coupling of a face is its length, divided by twice the distance of the two sites.
         If the weight of the neighbor grows by ε, the area of cell i shrinks by ε · coupling.
     work
         Amount of work to compute all cells. Each visit to a square of the search grid adds 1.
-        Each comparison with another site adds the number of corners that the cell has then.
+        Each comparison of a cell with another site adds the cell's current number of corners.
     """
 
     areas: Array

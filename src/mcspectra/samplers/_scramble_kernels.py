@@ -85,7 +85,8 @@ def _six_flips(bits: Any, piece: Any) -> Any:
     # Return for each of six bits whether scrambling flips it, the highest bit first.
     # The node that decides on the flip of a bit depends on all higher bits.
     # Nodes are numbered as in a heap: node v has the children 2v and 2v + 1.
-    # The flip of each of the six nodes is shifted to its position in the result.
+    # Bit v of the random word `bits` decides whether node v flips its bit.
+    # Each of the six decisions is shifted to the position of the flipped bit.
     moved = bits << np.uint64(4)
     flips = (moved & np.uint64(32)) | (
         (moved >> (np.uint64(2) + (piece >> np.uint64(5)))) & np.uint64(16)
@@ -358,8 +359,10 @@ def permute_digits(keys: Array, bases: Array, shift: bool, points: Array, out: A
 
 @kernel
 def _invert_digits(images: Array, start: int, scale: float, tail: float, out: Array) -> None:
-    # Write the radical inverses of start, start + 1, … with digits replaced by their images (m, b).
-    # The tail, in units of b^-m = 1/scale, is added to every inverse. Sums are exact; out (n,).
+    # Write the radical inverses of start, start + 1, … to the array out (n,).
+    # Each digit is replaced by its image; images (m, b) lists the images of b digits at m places.
+    # The number `tail`, in units of b^-m = 1/scale, is added to every radical inverse.
+    # All sums are exact.
     (places, base), n = images.shape, out.size
 
     # Tabulate the images of the lowest digits of the index, as long as the table saves time
@@ -370,14 +373,14 @@ def _invert_digits(images: Array, start: int, scale: float, tail: float, out: Ar
     width, weight = 1, base ** (places - 1)
     for k in range(low):
         # table[v] is the sum of the images of the lower digits of v.
-        # Every new digit needs this sum, and digit 0 overwrites it. Digit 0 therefore comes last
+        # Digit 0 comes last, because it overwrites the sums, which all other digits need
         for digit in range(base - 1, -1, -1):
             image = np.float64(images[places - 1 - k, digit] * weight)
             for v in range(width):
                 table[digit * width + v] = table[v] + image
         width, weight = width * base, weight // base
 
-    # Add the images of the higher digits. `size` successive indices have the same higher digits
+    # Add the images of the higher digits, which are equal for `size` successive indices
     i, v, block = 0, start % size, start // size
     while i < n:
         high, unit_above, rest = 0, weight, block
@@ -458,8 +461,8 @@ def _image(k0: np.uint64, k1: np.uint64, node: Any, digit: int, base: int) -> in
     # Here only the given digit is followed through the swaps.
     # A random number below c is the upper word of the product of c and 64 random bits.
     # The lower word of the product serves as the random bits of the next number.
-    # With each number c, fewer of the 64 bits stay random.
-    # New bits replace them before the product of the numbers c exceeds 2^32.
+    # After each random number, fewer of the 64 bits are random.
+    # The 64 bits are replaced by new ones before the product of all bounds c exceeds 2^32.
     position, used, drawn = digit, 1, 0
     bits = mix_bits(k0, k1, node)
     for t in range(base - 1):

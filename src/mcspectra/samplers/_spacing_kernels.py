@@ -381,7 +381,8 @@ def fill_holes(points: Array, placed: int, wrap: bool) -> None:
         _pop(heap, size, box)
         size -= 1
         _set_bound(box, points, buckets, wrap)
-        if size > 0 and box[0] < heap[0, 0]:  # an outdated bound: put the box back
+        # If the updated bound is no longer the largest, put the box back into the heap
+        if size > 0 and box[0] < heap[0, 0]:
             _push(heap, size, box)
             size += 1
         elif box[1] > _SHARP * box[0]:

@@ -207,7 +207,10 @@ class Sampler(Component, ABC):
         return ()
 
     def as_chain(self, n: int) -> Sampler:  # noqa: ARG002
-        """Return a chain that is equivalent for n points, or this sampler if there is no chain."""
+        """Return an equivalent sampler for n points, whose randomizations are separate steps.
+
+        This sampler itself is returned if there is no such equivalent.
+        """
         return self
 
     @property
@@ -469,7 +472,7 @@ class Randomized(Sampler):
         return self.base.digit_strata(n, base)
 
     def as_chain(self, n: int) -> Sampler:
-        """Return the chain of the inner sampler, followed by the randomizations of this sampler."""
+        """Return the inner sampler as a chain, followed by the randomizations of this sampler."""
         chain = self.base.as_chain(n)
         for step in self.steps:
             chain = chain.then(step)

@@ -13,9 +13,9 @@ In the kernels, ``pattern`` bool (T·s, s) is true at the points. Its edges join
 The rows of frame t are t·s … t·s + s − 1; sets and dither masks have one frame.
 ``energy`` float64 (T·s, s) is the sum of Gaussians around the cells that contain a one.
 ``weights`` is a tuple: one Gaussian along an axis of space (2·reach + 1,), and one over time (T,).
-``heads`` int64 (2, T·s) holds two column numbers for each row of the pattern:
-the column of the cell with a one at which the energy is highest (tightest cluster),
-and the column of the cell with a zero at which the energy is lowest (largest void).
+``heads`` int64 (2, T·s) holds the columns of two cells for each row of the pattern.
+The first cell is the tightest cluster: of all cells with a one, it has the highest energy.
+The second cell is the largest void: of all cells with a zero, it has the lowest energy.
 A column number is −1 if the row of the pattern has no ones, or no zeros.
 A ``grid`` is the tuple of the arrays ``pattern``, ``energy`` and ``heads``.
 The cell in row i and column j has the number i·s + j.
@@ -257,7 +257,7 @@ def _flip(cell: int, grid: Any, weights: Any) -> None:
     for k in range(weights[0].size):
         _find_heads(i // side * side + (i + k - reach) % side, pattern, energy, heads)
 
-    # In other frames, only the cell at the place of the flipped cell has a new energy
+    # Flipping a cell changes the energy of one cell in each other frame, at the same place
     for other in range(i + side, i + rows, side):
         row = other % rows
         kind = _CLUSTER if pattern[row, j] else _VOID

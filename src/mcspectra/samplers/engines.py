@@ -35,7 +35,8 @@ from mcspectra.samplers.external import OneByOne, qualified_name
 
 __all__ = ["QmcpySampler", "ScipySampler", "is_engine", "is_generator"]
 
-_RANDOMNESS = ("rng", "seed")  # names of the argument for the generator: seed before scipy 1.15
+# Engines of scipy take the random generator as the argument `rng`, before scipy 1.15 as `seed`
+_RANDOMNESS = ("rng", "seed")
 _SET_ELSEWHERE = ("dimension", "replications", "seed")  # arguments that QmcpySampler sets itself
 _UNBIASED = ("Halton", "LatinHypercube", "Sobol")  # scrambled engines of scipy with uniform points
 # Values of QMCPy's argument `randomize` with which points are uniform

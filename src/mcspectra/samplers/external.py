@@ -75,7 +75,8 @@ SEED_BITS = 31
 # Recognition of nets and lattices among given sets
 _NET_BASES = (2, 3, 5)
 # Least number of balanced elementary intervals in a set that counts as a net.
-# Sets of fewer than `_FEW` points need more balanced intervals: chance easily balances them.
+# In a set of fewer than `_FEW` points, intervals are often balanced by chance.
+# Small sets therefore need more balanced intervals to count as a net.
 _LEAST_CELLS, _LEAST_CELLS_OF_FEW = 8, 16
 _FEW = 64
 # Largest product of the number of points and the number of interval shapes in a test for nets.
@@ -149,8 +150,8 @@ class GivenPoints(Sampler):
         If sets have different numbers of points, `points` holds the sets with the fewest points.
     cycle
         Whether the R given sets are used cyclically: realization r is set r mod R.
-        Without a randomization, the sets are only repeated:
-        a variance over any number of realizations is the variance of the R sets.
+        Without a randomization, more than R realizations only repeat the R given sets.
+        The variance over any number of realizations then describes only the R given sets.
     dims
         Number of coordinates, by default as in the sets; a given number must agree with them.
     name_
@@ -284,7 +285,7 @@ def net_quality(points: Array, like: tuple[int, int] | None = None) -> tuple[int
     For sets of fewer than 64 points, the least m − t is 4 in base 2 and 3 in base 3.
     If m is smaller than the least m − t, the set counts as a net only for t = 0.
     If a larger set of the same file is a net, `like` is the base and the quality t of this net.
-    In the base of the larger net, the set counts as a net if its t is not larger.
+    The set then counts as a net in this base if its t is not larger than the t of the larger set.
     Blue noise of 16 points or more is rarely taken for a net: in tests, at most 1 of 200 sets was.
     """
     n, dims = points.shape

@@ -322,8 +322,8 @@ class Determinantal(Sampler):
     def _power(self, n: int, m: Array) -> Array:
         """Return ⟨|S_m|²⟩ at integer frequencies m (..., d): (1 − s)/n, and 1 at m = 0.
 
-        A frequency k of the kernel's n frequencies counts for s if k + m is also one of them;
-        s is the fraction of frequencies that count.
+        The kernel has n frequencies k. For a fraction s of these frequencies,
+        the sum k + m is also a frequency of the kernel.
         """
         waves = self.frequencies(n)
         flat = np.rint(m).reshape(-1, self.dims).astype(np.int64)

@@ -318,7 +318,7 @@ class PairPattern:
     Attributes
     ----------
     share
-        Number of ordered pairs with these relations, divided by n².
+        Number of ordered pairs of points in the group, divided by n².
     axes
         Relation of the two points on each axis; the axes are independent.
     """
@@ -622,12 +622,12 @@ class _Image(Law):
 
     @property
     def fixed(self) -> bool:  # type: ignore[override]
-        """Whether the set is fixed before the map."""
+        """Whether the original set, which is mapped, is fixed."""
         return self.inner.fixed
 
     @property
     def uniform(self) -> bool:  # type: ignore[override]
-        """Whether the points are uniform before the map."""
+        """Whether the points of the original set, which is mapped, are uniform."""
         return self.inner.uniform
 
 
@@ -750,9 +750,9 @@ def moved(law: Law, by: Sequence[float]) -> Law:
 def scrambled(law: Law, kind: Scramble, bases: Sequence[int], *, shifts: bool = True) -> Law:
     """Return the law after the digits in the given bases are randomized.
 
-    The law of strata does not change if the sides of the strata are powers of the base.
-    In this case, the law does not change for strata of the domain and of single axes:
+    The law of stratified points does not change if the sides of the strata are powers of the base:
     scrambling maps strata to strata, and points are already uniform within a stratum.
+    Points that are stratified along single axes also keep their law.
     Samplers refuse scrambles that break their strata.
     """
     digits = tuple(map(int, bases))
@@ -806,7 +806,8 @@ def bases_to_scramble(laws: Sequence[Law]) -> tuple[int, ...] | None:
     The result is None for lattices, which scrambling breaks, and for sets that are not nets.
     For lattices and for sets that are not nets, a shift is the better randomization.
     A set of a few points can be both a net and a lattice.
-    A set of both kinds counts as a lattice if all other sets are lattices, and else as a net.
+    If all other sets are lattices, a set that is a net and a lattice counts as a lattice.
+    Otherwise, a set that is a net and a lattice counts as a net.
     """
     found = {law.bases if isinstance(law, Fixed | Unknown) else None for law in laws}
     if len(found) > 1 or all(isinstance(law, Fixed) and law.even for law in laws):

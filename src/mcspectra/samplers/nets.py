@@ -396,7 +396,7 @@ class JoinedPairs(_BinaryNet):
         """Return the columns of the generator matrices: uint32 (4, 32); 2^31 means ½."""
         own = np.asarray(self.plane.direction_numbers(n), np.uint32)
         linked = own.copy()
-        # Nets from outside of this package need not have links of their own
+        # Nets that are defined outside of this package get the default matrix U
         link = self.plane.link(n) if isinstance(self.plane, _BinaryNet) else _LINK
         for column, rows in enumerate(link):
             parts = [own[:, j] for j in range(len(link)) if rows >> j & 1]

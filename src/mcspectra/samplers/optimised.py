@@ -42,8 +42,8 @@ Report: TypeAlias = Callable[[float], None]
 """Function that is called at intervals with the fraction of the work done."""
 
 _CHILD = 1  # label of the random stream for the translations of reused sets
-# Number of earlier steps in the memory of limited-memory BFGS; 5 to 20 are usual.
-# For each of these steps, the memory also holds the change of the gradient.
+# Number of earlier steps that limited-memory BFGS stores; 5 to 20 are usual.
+# BFGS also stores the change of the gradient in each of the earlier steps.
 _MEMORY = 10
 _DECREASE = 1e-4  # least decrease of an accepted step, relative to the slope
 _HALVINGS = 20

@@ -216,7 +216,8 @@ def _prime_powers_near(n: int, power: int, dims: int) -> tuple[int | None, int]:
 def _bush_levels(s: int, strength: int, out: Array) -> None:
     # Bush's array: row i belongs to the polynomial with the base-s digits of i as coefficients.
     # The levels are written to the array `out`, int32 (s^strength, d) with d ≤ s + 1.
-    # Column 0 is the leading coefficient, column j + 1 is the value at j modulo the prime s.
+    # Column 0 of the array is the leading coefficient of the polynomial.
+    # Column j + 1 of the array is the value of the polynomial at j, modulo the prime s.
     n, dims = out.shape
     for i in range(n):
         out[i, 0] = i // (n // s)

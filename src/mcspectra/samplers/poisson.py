@@ -133,7 +133,7 @@ class PoissonDisk(Sampler):
         Raises
         ------
         ParameterError
-            If the mode is "maximal", in which every set has its own minimum distance.
+            If the mode is "maximal", because each set then has its own minimum distance.
         """
         if self.mode == "maximal":
             raise ParameterError(

@@ -10,7 +10,7 @@ Random positions make the sequence Owen-scrambled without permutations of digits
 Notation of the kernels: ``keys`` uint64 (R, 2) from `Stream.keys`; ``out`` float64 (R, n, 2).
 A coordinate is a word of 53 bits; its level-ℓ bit is worth 2^-(ℓ+1).
 Random numbers 2i and 2i + 1 of a realization are the low bits of point i.
-Choices and shuffles use random numbers of higher indices.
+Choices and shuffles use random numbers with higher indices than the points.
 """
 
 from __future__ import annotations
@@ -147,7 +147,7 @@ class PMJ02BlueNoise(_PlaneSequence):
     A single point is not uniform: its density over sixteenths of an axis varies by up to a tenth.
 
     The papers choose the best of some candidates for each point in turn.
-    When a point is added, however, its candidates differ only within narrow free intervals.
+    The candidates for a new point hardly differ, because they lie in narrow free intervals.
     If the bits of all points in a strip are flipped, the points can move farther.
 
     References
@@ -173,8 +173,10 @@ def pairings() -> Array:
 
     Multiples of b^m do not change the first m digits of x or y.
     Each block of 4^m points therefore has one point in each of 2^m × 2^m cells.
-    Partners on the first axis differ only in digit k of x, so their polynomials differ by t^k.
-    Partners on the second axis differ only in digit k of y: their polynomials differ by (t + 1)^k.
+    Two points that pass k combines on the first axis differ only in digit k of x.
+    The difference of their polynomials is therefore t^k.
+    Two points that pass k combines on the second axis differ only in digit k of y.
+    The difference of their polynomials is therefore (t + 1)^k.
     """
     even = 0x5555555555555555
     out = np.empty((2, _PASSES), np.uint64)

@@ -201,7 +201,7 @@ class Hammersley(RadicalInverses):
         return np.concatenate([nths, rest], axis=2)
 
     def as_chain(self, n: int) -> Sampler:
-        """Return the equivalent chain of samplers for n = 2^m, and this sampler for other n."""
+        """Return the plain sampler followed by its randomization if n = 2^m, else this sampler."""
         return self if n & (n - 1) else RadicalInverses.as_chain(self, n)
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:

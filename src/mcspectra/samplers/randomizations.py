@@ -153,7 +153,8 @@ class RandomRotation(Randomization):
     Other parts of the torus stay empty. Taking the points in a window avoids both problems.
     Inside the window, distances are preserved up to a scale of 1 + O(n^-1/2) for random points.
     Distances across the window's border are not preserved.
-    The translation moves this border to a random place, and makes every point exactly uniform.
+    The translation moves the window's border to a random place.
+    The translation also makes every point exactly uniform.
     """
 
     fits: ClassVar[Mapping[Structure, Structure]] = _TURNED
@@ -174,7 +175,10 @@ class RandomRotation(Randomization):
         return Randomization.fit(self, sampler)
 
     def left(self, sampler: Sampler) -> Structure:
-        """Return the structure that is left. A toroidal rotation keeps digits in a common base."""
+        """Return the structure of the points that the rotation preserves.
+
+        A toroidal rotation preserves digits if all axes have the same base.
+        """
         same = self.boundary == "toroidal" and len(set(sampler.digit_bases)) == 1
         if sampler.structure is Structure.DIGITS and same:
             return Structure.DIGITS

@@ -47,9 +47,9 @@ _EXACT = 1e-9
 # Largest accepted relative error of the areas if rounding prevents a smaller one.
 # If the areas have this error, the transport cost has an error of 1e-6
 _CLOSE = 1e-4
-# Largest number of visits (see `kernels.Diagram`) for a transport cost; takes some seconds.
-# 8192 random points take 2^24 visits.
-# If all points lie in one quarter of the square, they take more than 2^30 visits.
+# Largest amount of work (see `kernels.Diagram`) for a transport cost; takes some seconds.
+# The amount of work is 2^24 for 8192 random points.
+# If all points lie in one quarter of the square, the amount of work is more than 2^30.
 _MOST_WORK = 2**32
 _REPORTS = 50
 _CHUNK = 4096  # number of moves between reports of progress
@@ -221,8 +221,8 @@ def transport_cost(points: object) -> float:
             "points are too far from uniform; transform them to be nearly uniform, or give fewer."
         )
     # Add a correction: the missing area of each cell times its weight in the power diagram.
-    # The sum is the value of the dual transport problem.
-    # The dual value has an error of second order in the missing areas.
+    # The corrected cost is the value of the dual transport problem.
+    # The error of the corrected cost is of second order in the missing areas of the cells.
     return float(np.sum(diagram.moments) + np.sum(weights * lacking))
 
 

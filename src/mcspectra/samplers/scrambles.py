@@ -195,7 +195,7 @@ class DigitalShift(_OfPlaces):
     Notes
     -----
     Without `jitter`, all points have one offset in their elementary intervals.
-    The variance of smooth functions is that of a shifted grid.
+    For smooth functions, the variance is then the same as with a shifted grid.
     With `jitter`, the variance is at most that of stratified points.
     The relative places of points in the net stay the same.
     If the points of a net are far apart, as in larcher-pillichshammer, they stay far apart.
@@ -280,15 +280,16 @@ class Owen(_OfDigits):
         In each multiplication, lower bits change only higher bits.
         Every point is exactly uniform, and nets stay nets.
         The variance depends only on the joint distribution of pairs of points.
-        For pairs of points, bit flips below the first different digit pass tests of independence.
-        For many points together, bit flips fail tests of independence.
+        The bit flips below the first digit in which points differ were tested for independence.
+        The tests find no dependence between the bit flips of two points.
+        For many points together, the tests find that bit flips depend on each other.
     base
         Base of the digits: one number, or one per dim, as for digital-shift.
 
     Notes
     -----
     The hash is from Laine and Karras, in the form and with the constants of Vegdahl (2021).
-    The seed is longer than in these hashes: 126 random bits for two rounds.
+    The seed is longer than in the published hashes: two rounds use 126 random bits.
     Each round has a random summand and a random odd factor.
 
     Halton, hammersley and van-der-corput points are drawn and scrambled in one step.

@@ -46,7 +46,8 @@ class Subset(Randomization):
 
     Notes
     -----
-    Minimum distances remain. Strata and intervals with one point each remain only if n = N.
+    The points of a subset are at least as far apart as the points of the whole set.
+    Strata or intervals of the whole set that contain one point each are preserved only if n = N.
 
     References
     ----------

@@ -87,7 +87,7 @@ def projected_quantiles(direction: Array, n: int) -> Array:
     """Return the quantiles (k − ½)/n, k = 1 … n, of θ·(x − ½) for x uniform in the cube.
 
     θ·(x − ½) is a sum of independent uniform numbers, one of width |θ_j| for each component θ_j.
-    The computation starts with the distribution function of the number of the largest width.
+    First, the distribution function of the component with the largest width is computed.
     For each further component, the function is averaged over an interval of the component's width.
     """
     widths = np.sort(np.abs(direction))[::-1]

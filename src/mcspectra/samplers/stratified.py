@@ -626,7 +626,8 @@ class SharedCells(Sampler):
     ----------
     path
         File .npz with an array ``cells`` of integers of shape (W, n, d).
-        An entry is 1 + the index of the cell along an axis, negative if the offset is reflected.
+        Each integer belongs to a cell and an axis: it is 1 + the index of the cell along the axis.
+        The integer is negative if the offset of the cell's point is reflected along the axis.
         The largest absolute value in the array is the number of cells along an axis.
     dims
         Number of coordinates, by default as in the file; a given number must agree with it.

@@ -39,7 +39,8 @@ def crop_scaled(
 def split_pair(packed: Array, first: Array, second: Array) -> None:
     """Split the transform F = S1 + i S2 of two real-weighted sets by Hermitian symmetry.
 
-    packed (M,) is F on the full grid. The results are first and second, (H,) with H = (M+1)/2:
+    `packed` contains F at the M frequencies of the full grid.
+    S1 and S2 are written to `first` and `second`, at half of the frequencies: (H,), H = (M+1)/2.
     S1(m) = (F(m) + conj F(−m))/2, S2(m) = (F(m) − conj F(−m))/(2i).
     """
     last = packed.size - 1

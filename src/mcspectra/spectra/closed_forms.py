@@ -6,7 +6,9 @@ The shift does not change the power. It makes the covariance matrix C_ml diagona
 
 Method
 ------
-The closed forms distinguish three kinds of sets. All use two transforms, products over the axes.
+There are different closed forms for the three kinds of sets listed below.
+All closed forms use two transforms, which are given here for one axis.
+In several dims, each transform is the product of the transforms of the axes.
 The transform of the unit interval is χ(ν) = sinc(πν) exp(−iπν).
 The transform of a grid of s points is A_s(ν) = (1/s) Σ_{j<s} exp(−2πi νj/s).
 
@@ -601,7 +603,8 @@ def _interval(nu: Array) -> Array:
 def _comb(nu: Array, sides: Any) -> Array:
     """Return A_s(ν) for each coordinate: the transform of the grid {j/s}, which has period s."""
     s = np.asarray(sides, float)
-    rest = nu - s * np.rint(nu / s)  # |rest| ≤ s/2, so the divisor in the next line is not 0
+    # For |rest| ≤ s/2, the transform of the interval at rest/s is not 0, so it can be a divisor
+    rest = nu - s * np.rint(nu / s)
     return np.asarray(_interval(rest) / _interval(rest / s))
 
 
@@ -678,7 +681,7 @@ class _StrataAxis:
     """The starts t of importance-sampled strata or grids on one axis, with weights for means.
 
     A start t is the lower end of a stratum, or the offset of a grid.
-    All means over starts use the same weights, one for each start.
+    Each start t has one weight, which is used in all means over starts.
     """
 
     density: Density
@@ -714,7 +717,7 @@ class _StrataAxis:
         return np.asarray(self.sides * (first + _strips(m, np.zeros(1), self._warp(over))))
 
     def of_grid(self, m: Array) -> Array:
-        """Return S_m of grids whose offsets δ are the starts: (frequencies, starts)."""
+        """Return S_m of the grid with offset t for each start t: (frequencies, starts)."""
         total = np.zeros((m.size, self.starts.size), complex)
         for j in range(self.sides):
             x = self._warp(self.starts + j / self.sides)

@@ -248,7 +248,7 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
             points, weights = weighted_points(source, p, self.n, stream, (0, 2))
             exact = _powers(double, points, weights)
             # Estimate the standard deviation of the power from two realizations.
-            # For an exponential distribution, it is the mean absolute difference of two powers
+            # An exponential distribution has the standard deviation E|X − Y|, with two powers X, Y
             spread = polar.rings(np.abs(exact[0] - exact[1])) / self.realizations**0.5
             for single in singles:
                 error = polar.rings(np.abs(_powers(single, points, weights) - exact).mean(axis=0))
@@ -456,7 +456,7 @@ class PowerSums:
 
     @staticmethod
     def zeros(size: int, mean: bool) -> PowerSums:
-        """Return sums of value zero, before the first realization is added."""
+        """Return the sums before the first realization is added: all sums are zero."""
         return PowerSums(MeanSums.zeros(size), np.zeros(size, np.complex128) if mean else None)
 
     def take(self, s: Array) -> None:

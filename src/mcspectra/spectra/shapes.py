@@ -135,11 +135,11 @@ def radial_statistics(spectrum: xr.Dataset) -> xr.Dataset:
         Anisotropies are NaN if a ring has only one direction, or has no power.
         ``radial_power`` is the mean, and ``radial_power_se`` is its standard error.
         The standard error is copied from the spectrum.
-        Without errors in the spectrum, it is computed as if frequencies were uncorrelated.
+        Without errors in the spectrum, the standard error assumes uncorrelated frequencies.
         ``anisotropy`` is the variance over directions, divided by the mean² [Ulichney1988]_.
         ``anisotropy_db`` is 10 log10 of the anisotropy.
         ``anisotropy_noise_db`` is the anisotropy (dB) that noise causes in an isotropic spectrum.
-        For Gaussian S, this noise value is −10 log10 of the number of realizations.
+        For Gaussian S, noise causes an anisotropy (dB) of −10 log10 of the number of realizations.
 
     Examples
     --------
@@ -426,7 +426,8 @@ def _over_directions(half: _HalfSpectrum, label: Array, lengths: Array) -> _LowF
     """
     whole = _fit_class(half, label, lengths, "all", 1)
     assert whole is not None
-    # Compute the variance over directions beyond noise, relative to mean², and average over lengths
+    # Compute the variance of the power over directions, and subtract the variance from noise.
+    # Divide by the squared mean power of each length, and average over frequencies
     mean, _, count = half.mean_by(label, len(lengths))
     several = (label >= 0) & (count[label] > 1)
     own, k = mean[label[several]], count[label[several]]

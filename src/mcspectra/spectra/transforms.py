@@ -24,12 +24,13 @@ Engines
     Direct summation by matrix products, axis by axis. It is exact to rounding, and costs O(n M).
     It is the reference for tests, and the faster engine if there are few points.
 ``auto``
-    NUFFT, with three exceptions.
-    If n M < 4000, the direct engine is used: it is about a microsecond faster than FINUFFT.
-    The direct engine is also used for fewer than about 1000 points in four dims, and beyond four.
+    The engine is ``nufft``, except in three cases in which the direct engine is used.
+    If n M < 4000, the direct engine is about a microsecond faster than FINUFFT.
+    In four dims, the direct engine is used for fewer than about 1000 points.
+    In more than four dims, the direct engine is always used.
 
 Real weights imply S_{−m} = conj S_m, so results cover only *half* of the grid:
-the flat C-order indices before m = 0, and m = 0 itself.
+m = 0, and all frequencies before m = 0 if the grid is flattened in C order.
 """
 
 from __future__ import annotations

@@ -133,7 +133,8 @@ _PUT_TASK = "INSERT OR REPLACE INTO tasks VALUES (?, ?, ?, ?, ?, ?)"
 _RESULT = "SELECT path, digest, payload FROM cells LEFT JOIN results USING (place)"
 _PAYLOADS = "SELECT payload FROM results WHERE place = ?"
 _TEXTS = "SELECT name, text, digest FROM {} WHERE kind = ?"
-_NOTED = ("texts", "notes")  # Both of these tables contain all notes
+# Names of two tables; all notes are stored twice, once in each table
+_NOTED = ("texts", "notes")
 _ONE_TASK = "SELECT * FROM tasks WHERE path = ? AND run = ? AND first = ? AND blocks = ?"
 
 # SQLite errors that do not concern the contents of the file, by code, in words
@@ -262,7 +263,10 @@ class StudyTally(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class _Header(msgspec.Struct, frozen=True, kw_only=True):
-    """The note that no run changes: the study, the number of cells, and a digest of all paths."""
+    """Note in the ledger with the study, the number of cells, and a digest of all paths.
+
+    Runs of the study never change this note.
+    """
 
     study: StudyNote
     # The number of cells is limited, because verifying a damaged file may list all cells

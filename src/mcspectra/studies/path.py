@@ -5,7 +5,7 @@ Method
 All changes are measured at the same counts and with the same random numbers as the given path.
 The function `mcspectra.improve.remedy.ranked` compares the changes at the largest count.
 If Russian roulette changes, the cost of a path is measured by its number of random numbers.
-The cost of the given path is 1.
+The cost is relative to the scene as given, in which a path has the cost 1.
 The number of random numbers grows with the iterations of the integrator's loop.
 Each iteration traces one ray and at most one shadow ray.
 A change that needs a pilot is compared with the given path at an equal total of paths.
@@ -65,8 +65,11 @@ PATH_SAMPLERS = ("random", "latin-hypercube", "rank1-lattice | shift", "sobol | 
 """Samplers that are compared by default; they support any count in any number of dims."""
 
 _EFFORTS = {
-    # Each effort has five values: numbers n of paths per estimate, estimates for each n,
-    # realizations for ANOVA, paths for the shares of lights, and True to predict variances
+    # For each effort, the first value lists the numbers n of paths per estimate.
+    # The second value is the number of estimates for each n.
+    # The third value is the number of realizations for ANOVA.
+    # The fourth value is the number of paths from which the shares of lights are computed.
+    # The fifth value is True if variances are also predicted
     "quick": ((16, 64, 256, 1024), 200, 10_000, 2**14, False),
     "full": ((16, 64, 256, 1024, 4096), 1000, 100_000, 2**17, True),
 }
@@ -116,8 +119,10 @@ def analyse_path(
 
     Parameters
     ----------
-    scene, integrator, channel, dims
-        Same as in `PathPixel`, but ``"rgb"`` is not allowed.
+    scene, integrator
+        Same as in `PathPixel`.
+    channel, dims
+        Same as in `PathPixel`, but the channel ``"rgb"`` is not allowed.
     x, y
         Coordinates of the pixel. Alternatively, ``x`` alone is the name of a pixel
         (see `named_pixels`).
@@ -274,7 +279,7 @@ def shares_by_light(f: PathPixel, paths: int, stream: Stream) -> xr.Dataset | No
         ``light_probability``, the current selection probability of the light;
         ``light_selection``, its improved selection probability.
         ``selection_ratio``: variance with the improved selection over that with the current one.
-        Variances with both selections are measured with new random paths.
+        For this ratio, the variances of both ways to select lights are measured with new paths.
         None for one light, for more than 64 lights, or for a pixel without noise.
 
     Raises
@@ -466,9 +471,10 @@ def path_remedies(
                 f"{ratio:.3g} ({bounds})"
             )
             if high < 0.0 and rate < 0.0:
-                # A changed estimate takes n paths, and P paths for its pilot.
-                # If its error equals the error of n + P paths without the change,
-                # the ratio of the variances is ((n + P)/n)^rate. Solve this equation for n
+                # With the change, an estimate takes n paths, and its pilot takes P paths.
+                # Without the change, n + P paths have the same cost.
+                # At equal cost, errors are equal if the variances have the ratio ((n + P)/n)^rate.
+                # Compute the number n of paths from the ratio that was measured for equal n
                 pays = candidate.pilot / math.expm1(found.log_ratio / rate)
                 note += f": it pays above about {float(f'{pays:.2g}'):.0f} paths."
             else:

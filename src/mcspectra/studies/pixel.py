@@ -229,7 +229,7 @@ def analyse_pixel(
     strategies: dict[str, AbstractEstimator] = {s: Estimator(g) for s, g in singles.items()}
     strategies |= combined
 
-    # Measure; search for remedies, the longest part, in a parallel thread
+    # The search for remedies takes longest, so it runs in a thread parallel to the measurements
     with ThreadPoolExecutor(1) as beside:
         searched = (
             beside.submit(

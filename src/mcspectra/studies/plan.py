@@ -69,12 +69,12 @@ __all__ = [
 MOST_EVALUATIONS = 10**15
 """Maximum number of evaluations of a study without --force: half a year on a hundred cores."""
 
-# Planning time in seconds: per spec, per estimator with densities, per density in several dims.
-# The fourth value is the time per density in one dim.
+# Planning times in seconds: _SPEC for each spec, and _WEIGHTED for each estimator with densities.
+# The time for each density is _DENSITY in several dims, and _WARP in one dim.
 # A density in one dim takes longer, because its warp is searched for gaps
 _SPEC, _WEIGHTED, _DENSITY, _WARP = 1e-4, 6e-4, 5e-4, 2e-3
-# Planning time in seconds per pair of estimator and sampler, and per cell.
-# Each item of a list in an analysis, such as a number of points, adds the third of these times
+# Planning times in seconds: _PAIR for each pair of estimator and sampler, and _CELL for each cell.
+# Each item of a list in an analysis, such as a number of points, adds the time _COUNT
 _PAIR, _CELL, _COUNT = 3e-6, 2.5e-5, 3e-6
 NOTED_SECONDS = 5.0
 """Planning time in seconds above which a message announces the wait."""
@@ -319,7 +319,8 @@ class _Planner:
             if id(table) not in self._vetted:
                 analysis, inputs = self.vetting.options(table)
                 vetted = [(name, analysis, inputs)]
-                for other in analysis.companions:  # Plan its companion analyses as well
+                # Also plan the companions: other analyses that a study adds to this analysis
+                for other in analysis.companions:
                     kind = ANALYSES.load(other)
                     shared = {*kind.__struct_fields__} & {*analysis.__struct_fields__}
                     made = kind(**{key: getattr(analysis, key) for key in shared})

@@ -108,8 +108,10 @@ class StudyStatus(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes
     ----------
-    title, study_hash, seed, versions
-        Title, hash and seed of the study, and versions of the packages that computed it.
+    title, study_hash, seed
+        Title, hash and seed of the study.
+    versions
+        Versions of the packages that computed the study.
     format
         Format of the ledger.
     state
@@ -252,7 +254,7 @@ def result_scalars(source: str | Path, select: str | None = None) -> dict[str, d
     Raises
     ------
     ParameterError, StoreError
-        For the same reasons as in `open_results`, but a pattern may match no cell.
+        Same as in `open_results`, except that a pattern that matches no cell is not an error.
     """
     ledger = _ledger(source, select)
     if ledger is None:

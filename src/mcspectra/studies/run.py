@@ -81,7 +81,7 @@ def run_study(
         Cells depend on files such as images, point sets, scenes, and sources of functions.
     workers
         Number of threads, or of processes with a time limit; all processors by default.
-        The number does not change any bit of the results.
+        Results have the same bits for any number of workers.
     time_limit
         Time limit of a task in seconds; by default the study's limit.
         With a limit, tasks run in separate processes.

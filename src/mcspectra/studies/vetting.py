@@ -225,7 +225,7 @@ class Vetting:
 def _sources(name: str, found: object) -> dict[Path, str]:
     """Return the files of the module that names a function and of the module that defines it.
 
-    Modules that the naming or the defining module imports are not included.
+    Files of other modules, such as imported modules, are not included.
     """
     module = name.partition(":")[0]
     modules = {module, str(getattr(found, "__module__", module))}

@@ -185,7 +185,7 @@ def check_density(density: Density | str, *, dims: int | None = None) -> None:
     u[0, 0] = 0.0
     u[0, 1] = BELOW_ONE
 
-    # Check types and shapes of the three functions for stacked points
+    # Check types and shapes of the results of sample, pdf and invert for an array of 3 × 5 points
     few = u[:3, :5]
     x = values_at(who, "sample", given.sample, few, (*few.shape[:-1], given.dims))
     low, high = float(x.min()), float(x.max())
@@ -353,7 +353,10 @@ class _Restricted(Integrand):
         return self.inner.spec
 
     def landmarks(self) -> Array:
-        """Return the landmarks of the integrand inside the box, in coordinates of the box."""
+        """Return the landmarks inside the box: points in small regions where f may differ from 0.
+
+        The points have coordinates relative to the box.
+        """
         low, high = np.array(self.low), np.array(self.high)
         places = (self.inner.landmarks() - low) / (high - low)
         return np.asarray(places[((places >= 0.0) & (places <= 1.0)).all(axis=1)])
@@ -417,7 +420,7 @@ def check_analysis(analysis: Analysis, estimator: Any = None, sampler: Any = "ji
         If an option has no description, a reserved name, or a default outside its limits.
         If `need` raises an error, is slow or is not finite.
         If keys of reductions repeat, or if `part` lacks a key.
-        If states change when they are stored as bytes.
+        If the state of a reduction changes when it is stored as bytes and read again.
         If results depend on chunks, differ for the same seed, or have undeclared variables.
 
     Examples

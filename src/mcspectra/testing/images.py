@@ -42,8 +42,10 @@ def assert_same_image(
 
     Parameters
     ----------
-    new, reference, level, target
-        The same parameters as in `mcspectra.rendering.gate`.
+    new, reference
+        Frames to test and the reference, as in `mcspectra.rendering.gate`.
+    level, target
+        Probability of a false alarm, and relative bias of the image mean that must be found.
     report
         Folder for a page with figures, which is written if the assertion fails.
     **options
