@@ -55,14 +55,14 @@ _BYTES = 16  # bytes per complex number
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
     """Check maps and bands against a matrix in 1-D and 2-D; in more dims, show maps and bands."""
-    realizations = 200 if quick else 4000
+    realizations = 200 if quick else 2000
     whole = {d: bell_terms("jittered", d, SMALL[d], realizations, seed, matrix=True) for d in SMALL}
     runs = {d: bell_terms("jittered", d, RUNS[d], realizations, seed) for d in RUNS}
     bands = {name: bell_terms(name, 3, RUNS[3], 2 * realizations, seed) for name in SAMPLERS}
     one, two, three = (entries(d, 64) for d in (1, 2, 3))
     shares = ", ".join(f"{number(main_share(data))} ({name})" for name, data in bands.items())
     mapped = {
-        name: bell_terms(name, 2, (64, 24), 600 if quick else 20_000, seed)
+        name: bell_terms(name, 2, (64, 24), 600 if quick else 6000, seed)
         for name in ("jittered", "jittered | shift")
     }
     weighted = mcs.variance_terms(
@@ -70,7 +70,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         "random",
         64,
         half_width=24,
-        realizations=400 if quick else 20_000,
+        realizations=400 if quick else 4000,
         rng=seed,
     )
     cases = {"jittered points": mapped["jittered"], "importance sampling": weighted}

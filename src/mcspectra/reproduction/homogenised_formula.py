@@ -24,7 +24,7 @@ _HIGHEST = 512  # highest frequency of the sums for f = x + y
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
     """Measure the terms of four samplers with and without a shift, and sum closed forms."""
-    realizations = 600 if quick else 10_000
+    realizations = 600 if quick else 6000
     shifted = {name: terms(f"{name} | shift", realizations, seed) for name in SAMPLERS}
     rows = {name: ratios(name, 4 * realizations, seed) for name in SAMPLERS}
     x = "Σ |f_m|² ⟨|S_m|²⟩ / measured variance"
