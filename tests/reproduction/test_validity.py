@@ -20,7 +20,7 @@ def test_coefficients_at_real_frequencies_by_quadrature():
     nu = 1.37
 
     def f(x):
-        wave = 1.0 - np.cos(2 * np.pi * x) + 0.5 * np.cos(16 * np.pi * x)
+        wave = 1.0 - np.cos(2 * np.pi * x) + 0.5 * np.sin(16 * np.pi * x)
         return complex(wave * np.exp(-2j * np.pi * nu * x))
 
     expected = quad(f, 0, 1, complex_func=True, limit=200)[0]

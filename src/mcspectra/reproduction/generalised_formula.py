@@ -37,7 +37,7 @@ _SHOWN = 16  # half width of the matrices in the figure
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
     """Estimate terms and matrices of all samplers and integrands, and compare with closed forms."""
-    realizations = 2000 if quick else 10_000
+    realizations = 1000 if quick else 10_000
     line, bell = (
         {name: terms(mcs.integrand(spec, 1), name, realizations, seed) for name in SAMPLERS}
         for spec in (LINE, BELL)
