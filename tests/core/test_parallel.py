@@ -68,10 +68,13 @@ def test_a_process_that_dies_gives_an_error():
 
 
 def test_an_interrupt_ends_the_processes():
+    def interrupted():
+        with process_map(2) as mapped:
+            for _ in mapped(time.sleep, [0.0, 60.0, 60.0]):
+                raise KeyboardInterrupt
+
     start = time.perf_counter()
-    with pytest.raises(KeyboardInterrupt), process_map(2) as mapped:
-        done = mapped(time.sleep, [0.0, 60.0, 60.0])
-        next(done)
-        raise KeyboardInterrupt
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
     while multiprocessing.active_children():
         assert time.perf_counter() - start < 50

@@ -5,10 +5,12 @@ from dataclasses import replace
 from importlib.resources import files
 from typing import Any
 
+import numpy as np
 import pytest
 from playwright.sync_api import Page
 
 import mcspectra as mcs
+from mcspectra.cli.main import main
 from mcspectra.report import write_comparison, write_report
 from mcspectra.report.bench_page import write_bench
 from mcspectra.report.sampler_cards import QUICK, measure_card
@@ -34,6 +36,26 @@ def _folder(make, tmp_path_factory):
     write_bench(
         bench, str(root / "bench"), [measure_card(s, effort=tiny) for s in bench["sampler"].values]
     )
+    return root
+
+
+@pytest.fixture(scope="module", name="images")
+def _images(tmp_path_factory):
+    """Write the pages of a map, of frames and of a gate."""
+    root, rng = tmp_path_factory.mktemp("images"), np.random.default_rng(1)
+    for name, mean in (("new", 0.9), ("old", 1.0)):
+        (root / name).mkdir()
+        for k in range(6):
+            image = mean * (1 + 0.2 * rng.standard_normal((24, 24)))
+            np.save(root / name / f"v_16spp_{k}.npy", image.astype(np.float32))
+    new, old = str(root / "new"), str(root / "old")
+    small = ["--size", "24,16", "--crop", "8,6,6,4", "--counts", "4,16", "-m", "8"]
+    for code, words in (
+        (0, ["map", "veach", *small, "-o", str(root / "map")]),
+        (0, ["frames", new, "--against", old, "-o", str(root / "frames")]),
+        (3, ["gate", new, old, "-o", str(root / "gate")]),
+    ):
+        assert main([*words, "--quiet"]) == code
     return root
 
 
@@ -160,6 +182,20 @@ def test_all_plots_are_drawn_without_overflow_or_serious_axe_findings(browser, f
         visit.page.emulate_media(color_scheme=scheme)
         assert visit.wrongs() == []
     assert visit.page.title() != "run"
+    visit.leave()
+
+
+@pytest.mark.render
+@pytest.mark.parametrize("name", ["map", "frames", "gate"])
+def test_pages_of_images_have_no_overflow_and_no_serious_axe_findings(browser, images, name):
+    visit = Visit(browser, images / name / "report.html", viewport={"width": 390, "height": 800})
+    visit.unfold()
+    for width in (390, 1200):
+        visit.page.set_viewport_size({"width": width, "height": 800})
+        assert visit.page.evaluate("document.documentElement.scrollWidth") <= width
+    for scheme in ("light", "dark"):
+        visit.page.emulate_media(color_scheme=scheme)
+        assert visit.wrongs() == []
     visit.leave()
 
 
