@@ -144,7 +144,7 @@ class ProfileSettings:
     # The required decrease of the variance was tested in 112 profiles with 4096 evaluations each:
     # seven functions with growth or heavy tails, two samplers and eight seeds.
     # With a required decrease of 1 standard error, none of 88 advised changes raised the variance.
-    # With a required decrease of 0.5 standard errors, one of 99 advised changes raised the variance.
+    # With a required decrease of 0.5 standard errors, one of 99 advised changes raised variances.
     # If no decrease of the variance was required, five of 109 advised changes raised the variance.
     tail_errors: float = 1.0
     # Number of sets of a lattice at each count.
