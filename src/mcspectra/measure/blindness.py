@@ -1,4 +1,4 @@
-"""Detect estimates that missed the source of their variance, and explain each in a sentence.
+"""Detect estimates that may have missed most of the variance, and explain each in a sentence.
 
 Estimates give no upper bound of the variance in three cases.
 All estimates may be equal, or their mean may differ from the integral.
@@ -34,7 +34,7 @@ VANISHES = "the variance vanishes to rounding"
 
 @dataclass(frozen=True)
 class BlindnessSettings:
-    """Thresholds that detect estimates which missed the source of their variance."""
+    """Thresholds that detect estimates which may have missed most of the variance."""
 
     # Largest share of one estimate in Σ (estimate − mean)².
     # If one estimate has more than 20 % of Σ (estimate − mean)², the tail is not resolved.

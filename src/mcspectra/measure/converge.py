@@ -439,7 +439,7 @@ def convergence(
         ``fit_chi2`` is the lack of fit per degree of freedom.
 
         A deterministic set has the variance 0 and no rate, which the attribute ``note`` reports.
-        The note also reports estimates that missed the source of their variance.
+        The note also reports estimates that may have missed most of the variance.
         The estimates may be all equal, or their tails may not be resolved.
         The mean of the estimates may be five standard errors from the integral.
         ∫g² may be infinite, or too large for the measured variance of random points.

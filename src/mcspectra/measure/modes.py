@@ -12,7 +12,7 @@ With each further factor A, as in A² Ω, the columns approximate the eigenvecto
 The results are the eigenpairs of A projected on the span of these columns (Rayleigh-Ritz).
 The distance of λ to an eigenvalue of A is at most ‖A v − λ v‖.
 The coordinates are the real and imaginary parts of the stored coefficients.
-These parts are multiplied by √2 if only one of the frequencies m and −m is stored.
+Real and imaginary parts are multiplied by √2 if only one of the frequencies m and −m is stored.
 
 A is estimated from realizations. Each batch of realizations gives a variance along a mode v.
 The spread over batches gives the standard error of λ, which is the variance along v.
@@ -154,7 +154,10 @@ class Modes(Counted, frozen=True, kw_only=True):
         )
 
     def reduction(self, subject: Subject, stream: Stream) -> Steps:
-        """Yield passes over the realizations, each with the vectors of the previous pass."""
+        """Yield passes over the realizations, which multiply the covariance matrix by vectors.
+
+        After the first pass, the vectors are an orthonormal basis of the previous products.
+        """
         estimator, n = subject.estimator, self.n
         frequencies = Frequencies.of(subject, self)
         if frequencies.diverge:
@@ -272,7 +275,7 @@ class Modes(Counted, frozen=True, kw_only=True):
         )
 
     def part(self, subject: Subject, stream: Stream, key: str) -> Reduction[Any]:
-        """Return one pass over the realizations, which is named `key`.
+        """Return the pass over the realizations whose number is `key`.
 
         Earlier passes are repeated, because each pass starts from the vectors of the pass before.
         """

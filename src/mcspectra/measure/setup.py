@@ -90,7 +90,7 @@ def affordable_count(setup: Setup, budget: int) -> int | None:
             else:
                 return n
         # If other counts are poor, use the next smaller power of the base.
-        # If all counts near a number are allowed, use large steps
+        # If the sampler allows every count near n, reduce n by large steps
         base = max(source.digit_bases, default=2)
         power = base ** int(math.log(n, base) + 1e-9)
         if poor and power < n:

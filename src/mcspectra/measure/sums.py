@@ -171,7 +171,7 @@ class SpectralSums:
     band_m2: Array  # Sums of products of deviations of two bands' estimates, (C, A, A)
     truncated: Moments  # Moments of the estimate truncated at each half width: (C, K+1)
     # Σ_r (S − S̄)_m conj(S − S̄)_l, and Σ_r (S − S̄)_m (S − S̄)_l without the conjugate: (H, 2H).
-    # Both sums together give the covariances between ±m and ±l
+    # The sums with and without the conjugate give the covariances between ±m and ±l
     matrix: Array | None
 
     @staticmethod
@@ -245,9 +245,8 @@ class RunningSpread:
     """Sums over blocks that give the standard error of a weighted mean of arrays.
 
     Each block has an array x and a weight w; all arrays x have the same shape and type.
-    The error follows from the deviations of the arrays x from a weighted mean of all arrays.
-    In this mean, the weight of a block is the square of its weight w.
-    If all blocks are equally long, the weighted mean is the plain mean over blocks.
+    The error follows from the deviations of the arrays x from their mean with the weights w².
+    If all blocks are equally long, the mean with the weights w² is the plain mean over blocks.
     For complex numbers the error is the root of the mean |error|².
     """
 
@@ -335,8 +334,9 @@ def spread(deviation: Array, share: Array) -> Array:
 def ratio_factors(above: Array, below: Array, share: Array) -> Array:
     """Return the ends of the 95 % interval of a ratio of two means, divided by the ratio.
 
-    The shape is (..., 2).
-    The two means are weighted means of positive numbers, one per block: (B, ...).
+    The ratio is the weighted mean of `above` divided by the weighted mean of `below`.
+    The arrays `above` and `below` have one positive number per block: (B, ...).
+    The result has shape (..., 2).
     The interval is logarithmic, by the jackknife with Student's t [Miller1974]_.
     If the error comes mostly from few blocks, the tail is not resolved.
     With an unresolved tail, the interval is 1 + √(excess kurtosis / B) times as wide.

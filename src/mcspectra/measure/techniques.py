@@ -297,7 +297,7 @@ def technique_terms(
     The time is O(R (n + T² M)) for R realizations, T techniques and M frequencies.
     The memory for T techniques and M frequencies is O(T² M).
     The bottleneck compares the techniques' own variances.
-    Correlations between techniques may cancel part of these variances.
+    Correlations between techniques may cancel part of the techniques' own variances.
 
     Examples
     --------
@@ -324,8 +324,8 @@ def _variables(total: _Total, view: View) -> Variables:
     """Return result variables of one count, with a leading channel axis."""
     found, moments = total.sums.covariances(view), total.sums.moments
     share = total.weights / total.weights.sum()
-    # With few stored sets, a factor widens the standard error of the whole variance.
-    # The errors of all techniques are multiplied by the factor of the whole variance
+    # With few stored sets, a factor widens the standard error of the whole estimate's variance.
+    # The widening factor of the whole estimate also widens the standard errors of all techniques
     wider = moments.widening[:, -1]
     errors = spread(total.values - weighted_sum(share, total.values), share)
     errors = errors * wider[:, None, None]

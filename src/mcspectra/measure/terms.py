@@ -277,7 +277,7 @@ def variance_terms(
     half_width
         Frequencies m run over {−half_width … half_width}^d.
         The default is 64, or the power of two near 2 n^(1/d) if that is larger.
-        The default is lower if f has no higher frequencies.
+        The default is smaller if f has only rounding noise at the highest frequencies.
         The number of frequencies is at most 2^17 by default.
     realizations
         Number of independent realizations, at least 2.
@@ -289,7 +289,7 @@ def variance_terms(
         ``"auto"`` is the basis that fits the sampler's randomization.
         The attribute ``basis`` names the basis. It must fit all samplers of a list.
     space
-        ``"domain"`` uses f with the warped, weighted points (the paper's view).
+        ``"domain"`` uses f with the warped, weighted points, like the reproduced paper.
         ``"primary"`` uses g(u) with the sampler's own points.
         The primary view shows discontinuities of the warp.
         The default is the domain view, if there is a domain.
@@ -336,9 +336,9 @@ def variance_terms(
         Few batches that hold most of the error widen the interval of ``captured``.
 
         A set that is always the same has no variance, which the attribute ``note`` reports.
-        The note also names estimates that missed the source of their variance (see `convergence`).
+        The note also names estimates that may have missed most of the variance (see `convergence`).
         For these estimates the upper end of ``measured_variance_ci`` is infinite.
-        If estimates missed the source of their variance, the lower end of ``captured_ci`` is 0.
+        If estimates may have missed most of the variance, the lower end of ``captured_ci`` is 0.
 
     Raises
     ------

@@ -100,8 +100,9 @@ class Frequencies:
         dims = estimator.dims if chosen == "primary" else estimator.domain_dims
         width: int | None = asked.half_width
         if width is None:
-            # Use twice the frequency n^(1/d), within the limits.
-            # At higher frequencies, n jittered points have the power of random points
+            # The default half width is twice the frequency n^(1/d), rounded up to a power of two.
+            # A lower limit and the largest number of frequencies may change the default half width.
+            # At frequencies above 2 n^(1/d), n jittered points have the power of random points
             width = max(
                 _SETTINGS.least_width, 2 ** math.ceil(math.log2(2.0 * n ** (1.0 / dims)) - 1e-9)
             )

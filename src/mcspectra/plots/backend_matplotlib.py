@@ -550,7 +550,7 @@ def _panel(axes: Axes, panel: Panel, look: Look) -> Iterator[tuple[Scale, Scalar
     room = axes.get_window_extent().width / axes.figure.dpi
     if panel.title:
         # Fix the position of the title: the search for a free place is slow.
-        # If the width is given, letters are counted closely, so that fewer titles are shortened
+        # If the width is given, letters are taken as narrower, so that fewer titles are shortened
         size = look.title * (_TITLE_LETTER if look.width is None else _CLOSE_LETTER)
         letters = max(int(room / size), 12 if look.width is None else 13)
         lines = textwrap.wrap(panel.title, letters, break_long_words=False)

@@ -50,7 +50,7 @@ class Axis:
         Label of the axis; empty if the panel's title describes it.
     kind
         A ``signed`` axis is linear within ± `threshold` and logarithmic beyond.
-        Each side of its linear part takes as much space as half a decade.
+        Each half of the linear part of a signed axis takes as much space as half a decade.
     low, high
         Limits. None: the limits of the marks, with a small margin.
     ticks

@@ -270,7 +270,7 @@ def _shares(values: Array) -> Scale:
 def _choice(
     group: Group, styles: Styles, *, variable: str, of: str, none: str, caption: str
 ) -> Plot:
-    """Map the bounce, decision or sampler that is chosen at each pixel, or none."""
+    """Show which bounce, decision or sampler is chosen at each pixel; white means no choice."""
     data = next(iter(group.values()))
     labels: list[Any] = list(group) if of == "sampler" else data[of].values.tolist()
     names = (none, *(bounce_name(v) if of == "bounce" else str(v) for v in labels))
@@ -510,7 +510,7 @@ def _frame_errors(group: Group, _: Styles) -> Plot:
     bias, square = (data[f"frame_{name}"].values * 100.0 for name in ("bias", "relmse"))
     ends, square_ends = (data[f"frame_{name}_ci"].values.T * 100.0 for name in ("bias", "relmse"))
     across = Axis(label="frame", low=float(x[0]), high=float(x[-1]))
-    # Few sequences have long intervals, which would hide the values
+    # With few sequences, intervals are long. Limit the axis, because long intervals hide the values
     far = 4.0 * max(float(np.nanmax(np.abs(bias))), 1e-3)
     reach = 1.1 * float(np.clip(np.nanmax(np.abs(ends)), None, far))
     top = 1.1 * float(np.clip(np.nanmax(square_ends), None, 4.0 * np.nanmax(square)))

@@ -124,7 +124,8 @@ def signed_axis(
         ticks = {t: tick_label(t) for t in _round_steps(low, high, most - 2)}
         low = low - pad if low < 0 or low == high else low
         return Axis(label=label, low=low, high=high + pad, ticks=ticks)
-    # If an end of the axis lies in the linear part, move it to the threshold, to show values
+    # If an end of the axis is closer to 0 than the threshold, but too large to look like 0,
+    # move the end to the threshold, so that the values near the end can be seen
     low, high = (
         math.copysign(threshold, end) if _SEEN * threshold < abs(end) < threshold else end
         for end in (low, high)

@@ -134,7 +134,8 @@ def _relative(data: xr.Dataset) -> Array:
     """Return the relative power (frequency, radius), averaged over 1/16 cycle per frame."""
     power = data["relative_power"].transpose("frequency", "radius").values
     frames = data.sizes["frame"]
-    # Add the frequencies of opposite sign. The first and the last weight of the average are halved
+    # Extend the power to negative frequencies, where it is the same as at positive frequencies.
+    # If the moving average has an even width, its first and its last weight are halved
     whole = power[np.minimum(np.arange(frames), frames - np.arange(frames))]
     width = frames // _BANDS
     if width < 2:

@@ -74,7 +74,7 @@ __all__ = [
 
 _FLOOR = 1e-4  # smallest power that is shown; below it there is practically no noise
 _LINEAR_TOP = 12.0  # largest power that is shown on a linear axis
-_MOST_NUMBERS, _MOST_NAMES = 7, 13  # largest counts of labels along an axis: numbers, names
+_MOST_NUMBERS, _MOST_NAMES = 7, 13  # how many numbers, or how many names, may label an axis
 _MOST_ENTRIES = 257  # largest number of entries along each side of a matrix that is drawn
 _MOST_CHAINS = 6  # largest number of quantities of Markov chains in one plot
 _SPACINGS = 6.0  # largest distance that is shown, in units of the mean spacing of points
@@ -285,7 +285,7 @@ def product(group: Group, styles: Styles) -> Plot:
 
     Each value belongs to a shell of |m|. The power of f is summed over the shell.
     The power of the samples is averaged over the shell with the weights |f_m|².
-    The product of both powers is therefore exactly the part of the shell in the power term.
+    Power of f times power of samples is therefore exactly what the shell adds to the power term.
     """
     f, s, both, notes = {}, {}, {}, {}
     for name, each in group.items():
@@ -724,7 +724,10 @@ def _frequency_ticks(m: Array) -> dict[float, str]:
 
 
 def _by_frequency(data: xr.Dataset) -> tuple[Array, Array, Array]:
-    """Return frequencies, contributions and power parts: per m in 1-D, else sums over shells."""
+    """Return frequencies, their contributions to the variance, and their parts of the power term.
+
+    In 1-D, each frequency has its own values. In more dims, values are summed over shells of |m|.
+    """
     dims = frequency_dims(data)
     total, power = (
         data[name].transpose(*dims).values for name in ("contribution", "power_contribution")
@@ -741,10 +744,9 @@ def _by_frequency(data: xr.Dataset) -> tuple[Array, Array, Array]:
 
 
 def _band_shares(matrix: Array) -> tuple[Array, Array]:
-    """Return two parts of the predicted variance for each band, as fractions of the variance.
+    """Return the variance of each band alone, and the part from correlations with other bands.
 
-    The first part is the variance of the band alone.
-    The second part comes from the correlations of the band with other bands.
+    The returned values are fractions of the predicted variance.
     """
     total = float(matrix.sum())
     if not np.isfinite(total) or total == 0:

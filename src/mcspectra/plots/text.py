@@ -119,7 +119,7 @@ def power_of_ten(exponent: int) -> str:
 def typeset(text: str) -> str:
     """Write the numbers in a sentence as `number` does: ``6.6e-05`` becomes ``6.6×10⁻⁵``.
 
-    Numbers inside a spec, such as ``width=1e-06``, do not change.
+    Numbers after an equals sign, as in ``width=1e-06``, are not changed: they belong to specs.
     """
     return _PLAIN_POWER.sub(
         lambda found: f"{'−' if found[1] else ''}{found[2]}×{power_of_ten(int(found[3]))}",

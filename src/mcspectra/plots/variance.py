@@ -739,7 +739,8 @@ def below_rounding(data: xr.Dataset) -> bool:
 def usable_counts(curve: xr.Dataset) -> Array:
     """Return which counts (n,) have a variance above rounding level.
 
-    As in the fit, the level is the rounding error of a mean of n terms of size |I|.
+    The rounding level is the squared rounding error of a mean of n terms of size |I|.
+    The fit of the rate also omits variances below the rounding level.
     The rounding error of a mean is a few units in the last place.
     """
     variance = curve["variance"].values

@@ -180,7 +180,7 @@ def _warp_words(data: xr.Dataset) -> str:
 def _jump_words(data: xr.Dataset) -> str:
     """Return the size of two kinds of jumps in words, such as ``inside 1.89 × 1.00, sides none``.
 
-    In this text, 1.89 is the length of the jumps, and 1.00 is their mean height.
+    The size ``1.89 × 1.00`` stands for jumps of length 1.89 with the mean height 1.00.
     """
     words = []
     for kind, word in (("interior", "inside"), ("boundary", "sides")):

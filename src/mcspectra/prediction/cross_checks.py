@@ -338,7 +338,10 @@ def of_pairs(
 def _of_counted_pairs(
     sampler: Sampler, n: int, g: Integrand, stream: Stream
 ) -> Callable[[int], MeanSums]:
-    """Return the estimator of one realization: the mean of A over its pairs."""
+    """Return a function that estimates the variance from the pairs of points of one realization.
+
+    The estimate sums the autocorrelation A(h) of g over the differences h of all pairs of points.
+    """
     if n > _SETTINGS.most_points:
         raise ParameterError(
             f"{n} points have too many pairs to count; give {_SETTINGS.most_points} at most."

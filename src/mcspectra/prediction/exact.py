@@ -5,7 +5,7 @@ see the sections "Exact variances of strata" and "Gains of scrambled nets".
 Strata may have a common offset. The formulas for other samplers are:
 
 * Digital shift in base 2, for coordinates that are multiples of 2^-L. The shift has L random bits.
-  Below these bits is an offset δ that is uniform in a cell and the same for all points.
+  The shift also adds an offset δ from 0 to 2^-L, which is uniform and the same for all points.
   For given δ, the values of g on the grid have the Walsh spectrum ĝ_m(δ).
   The points have the Walsh coefficients ŝ_m = (1/n) Σ_k wal_m(x_k).
   For digital nets |ŝ_m|² is 1 on the dual net and 0 elsewhere.
@@ -107,7 +107,7 @@ EXACT_TOLERANCE = 1e-6
 @final
 @dataclass(frozen=True)
 class ExactSettings:
-    """Settings for the agreement of quadratures, and for the cells of curves along axes.
+    """Settings for comparisons of quadratures, and for means of functions of one axis over cells.
 
     In comments, "the same results" means that variances change by at most 1e-9 in twelve cases.
     The cases are sums and products with jumps, kinks and poles, a wave, a disk and a ridge.
@@ -115,11 +115,11 @@ class ExactSettings:
     """
 
     # An error below this fraction of ∫g²/n is always small enough, for any tolerance.
-    # Halving or doubling this value gives the same results.
+    # Halving or doubling the negligible error gives the same results.
     negligible: float = 1e-9
     # The error of a quadrature is at most its difference from a lower order, times this factor.
     # At a jump, quadratures of both orders have errors of about the same size.
-    # With 1.5 instead of 3, the quadrature of a ridge is accepted without a second attempt.
+    # With the factor 1.5 instead of 3, a ridge-shaped g gets no second, finer quadrature.
     safety: float = 3.0
     # An error message suggests a larger tolerance if the relative error is below this value.
     offered: float = 0.5
@@ -130,7 +130,7 @@ class ExactSettings:
     hope: float = 10.0
     # Least number of dims, and least tolerance, for fits by sums of products.
     # Fits by sums of products give functions of single axes with relative errors of 2e-3.
-    # Halving or doubling the values gives the same results.
+    # Halving or doubling the number of dims or the tolerance gives the same results.
     many_dims: int = 4
     loose: float = 1e-3
     # Largest number of binary digits of a coordinate. It limits the cells of digital shifts.
@@ -158,19 +158,19 @@ class ExactSettings:
     white: float = 0.02
     # Rounding error of the mean of a curve h over a set, as a fraction of √∫h².
     # Rounding error of the variance of means over sets, as a fraction of ∫h²/n.
-    # Halving or doubling the values gives the same results.
+    # Halving or doubling the rounding errors gives the same results.
     rounded_mean: float = 1e-15
     rounded_variance: float = 1e-15
     # Number of points evaluated at a time. The number has no effect on the result.
     at_once: int = 2**20
     # A variance within cells is treated as rounding below this fraction of ∫h².
-    # Halving or doubling this value gives the same results.
+    # Halving or doubling `nothing` gives the same results.
     nothing: float = 1e-12
     # Number of ranges of offsets next to a cusp. Each range is 8 times as long as the next one.
-    # Halving or doubling this value gives the same results.
+    # Half or twice as many ranges of offsets give the same results.
     cusps: int = 10
     # A set counts as a grid if n times each coordinate is this close to an integer.
-    # Halving or doubling this value gives the same results.
+    # Halving or doubling `even` gives the same results.
     even: float = 1e-6
     # Relative error of a product's variance if points are rounded to cells of 2^-15.
     # Smaller tolerances raise an error.
@@ -196,7 +196,7 @@ def exact_variance(
     estimator, sampler, n
         Any estimator with one of the following samplers.
         The samplers random, jittered, regular and uniform-jitter are allowed.
-        These four samplers may have one of the randomizations shift, strata-shift and mirror.
+        Random points and strata may have one of the randomizations shift, strata-shift and mirror.
         The samplers antithetic-jittered and latin-hypercube are also allowed.
         The sampler latin-hypercube may also have shift.
         Nets and sequences, such as sobol or halton, are allowed with the randomization owen.
@@ -204,7 +204,7 @@ def exact_variance(
         Latin hypercubes and nets need about n cells per side.
         The number of cells limits n to some thousands in 2-D and some tens in 3-D.
         Sums and products of functions of one axis work in any dims.
-        Sums and products of functions of one axis allow orthogonal arrays and shifted sets.
+        For sums or products of functions of one axis, orthogonal arrays and shifted sets also work.
     dims
         Number of dims of a function, and of a spec without ``dims``.
         The default is the number of dims of the sampler, unless the sampler is a spec.
@@ -215,7 +215,7 @@ def exact_variance(
         For strata and oblique or curved jumps, the least tolerance is about 0.1.
         The message of the error gives a tolerance that is possible.
         If d is at least 4 and the tolerance at least 1e-3, f may be fitted by a sum of products.
-        The factors of these products are functions of one axis.
+        The factors of each product in the sum are functions of one axis.
         The fit is used if the 95 % interval of the variance is within the tolerance.
         Fits are available for latin-hypercube, nets with owen and sets with shift.
     max_evaluations
@@ -657,9 +657,9 @@ def _of_projections(law: Law, inner: Fixed, g: Separable) -> tuple[float, float]
                     energy[-1] *= 0.5
                     found.append(float(energy[1:] @ power[1:]) + float(spreads.mean()) / n)
                     continue
-                # If points are not evenly spaced, measure their power at low frequencies only.
-                # The cells of the axis resolve low frequencies.
-                # At higher frequencies, use white noise
+                # If points are not evenly spaced, measure their power at low frequencies only,
+                # where the cells resolve the waves.
+                # At higher frequencies, treat the power of the points as white noise
                 most = size // 8
                 m = np.arange(1, most + 1)
                 import finufft
@@ -748,7 +748,8 @@ def _variance(law: Law, g: Integrand, rule: Rule) -> tuple[Array, Array]:
     """Return the variance of a mean of g over a set, and a bound of its error, (channels or 1,)."""
     n, none = law.n, np.zeros(g.dims)
     match law:
-        # For folded and mirrored sets, use the set before this step, and fold or average g
+        # For folded or mirrored sets, use the set before folding or mirroring, and change g:
+        # a folded set needs the folded g, and a mirrored set needs averages of g over reflections
         case Folded(inner=inner):
             return _variance(inner, FoldedIntegrand(g), rule)
         case Mirrored(inner=inner, mode="uniform"):
@@ -806,7 +807,7 @@ def _variance(law: Law, g: Integrand, rule: Rule) -> tuple[Array, Array]:
         spread, unseen = weighted_sum(weights, found)
         return spread / n, unseen / n
 
-    # For a grid with one random offset, compute the variance over the offset of the grid's mean
+    # For a grid with one random offset, compute how the mean over the grid varies with the offset
     grids = (grid_values(g, sides, d).reshape(math.prod(sides), -1) for d in nodes)
     both = np.array([(v.mean(axis=0), (v**2).mean(axis=0)) for v in grids])
     one_mean, square = weighted_sum(weights, both)
@@ -871,7 +872,7 @@ def _latin(law: Law, g: Integrand, rule: Rule, *, shifted: bool) -> tuple[Array,
 def _nested(net: Fixed, bases: tuple[int, ...], g: Integrand, rule: Rule) -> tuple[Array, Array]:
     """Return the variance of a net under nested uniform scrambling, with its error."""
     n, points = net.n, net.points
-    # Find the number of digits of each axis in which all coordinates differ
+    # Find how many leading digits are needed on each axis to tell all coordinates apart
     digits = []
     for axis, base in enumerate(bases):
         level, limit = 0, math.floor(_SETTINGS.most_bits / math.log2(base))
@@ -948,7 +949,7 @@ def level_variances(means: Array, bases: tuple[int, ...], axis: int = 0) -> Arra
     The result has shape (L_0 + 1, L_1 + 1, …, channels).
     The entry for level 0 of all axes is the squared mean of the function.
     Along `axis`, the means are divided into parts: one part for each digit of the coordinate.
-    The later axes are split in the same way, one after the other.
+    Each part is then divided along the axes after `axis`, one axis at a time.
     """
     if axis == len(bases):
         return np.asarray((means**2).mean(axis=tuple(range(axis))))

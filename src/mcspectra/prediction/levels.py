@@ -5,7 +5,7 @@ The theory is in docs/theory.md, "Gains of scrambled nets".
 Here σ²_l is the variance of the part of g that varies with l_j digits of coordinate j.
 All but finitely many gains are 1.
 Gains other than 1 occur only at levels l with at most about n cells.
-At these levels, Σ l_j is near log n, although not every l_j is near log n.
+At levels with about n cells, Σ l_j is near log n, but single l_j may be much smaller.
 A table T has the means of g over equal cells. The variance is a sum over the levels of the table,
 plus the rest ω²_T within the cells, minus a correction for levels that the table lacks:
 
@@ -65,11 +65,11 @@ class LevelsSettings:
         Largest number of dims. In 4-D, 32,768 cells would have only 13 per side.
     cells
         Number of cells of the first table, by number of dims.
-        Halving or doubling this number changes variances by less than 0.1 %, within the intervals.
+        Half or twice as many cells change variances by less than 0.1 %, within the 95 % intervals.
     long, most_cells
         Largest number of cells of a table with more cells along some axes than along others.
         The number of cells is at most `long` n Π b_j, where b_j is the base of axis j.
-        With the factor Π b_j, cells resolve one digit more along each axis.
+        Because of the product Π b_j of the bases, cells may resolve one more digit along each axis.
         No table has more than `most_cells` cells.
         Halving or doubling `long` or `most_cells` changes nothing.
     more
@@ -78,7 +78,7 @@ class LevelsSettings:
         Results are the same for values from 1 to 6.
     orders
         Orders of the coarse and the fine Gauss-Legendre rule in each cell, by number of dims.
-        The error is the difference of the two rules.
+        The error of an integral is the difference between the coarse and the fine rule.
     parts
         Number of parts along each axis of a cell with a jump, by number of dims.
         Half as many parts change variances by up to 0.13 %, and twice as many by 0.05 %.
@@ -86,7 +86,7 @@ class LevelsSettings:
     most_rough, rough
         Largest number of cells that are divided, by number of dims.
         A cell is divided only if g varies in it by more than `rough` times the mean over cells.
-        Halving or doubling either value changes nothing.
+        Halving or doubling `most_rough` or `rough` changes nothing.
         A jump cuts a few hundred of 65,536 cells in 2-D, and a few thousand of 32,768 in 3-D.
     block
         Number of evaluations of g per call, 16 MB in 2-D. It has no effect on the result.
@@ -94,13 +94,13 @@ class LevelsSettings:
         Tables may miss a part of ∫g² that comes from poles inside cells.
         The missed part is added if it exceeds `clear` times the error of ∫g².
         Scrambling multiplies the missed part by an unknown gain between 0 and about 1.
-        `doubt` is the uncertainty of the gain of the missed part.
+        `doubt` is the assumed uncertainty of the gain that multiplies the missed part.
         With half of `clear`, variances have noise of 0.015 %. With twice `clear`, nothing changes.
     most_error, noise
         If half of the 95 % interval exceeds this fraction of the variance, an error is raised.
-        For larger intervals, other methods have smaller relative errors, below 0.2.
+        If cells are less accurate than `most_error`, other methods have relative errors below 0.2.
         An interval is always accepted if half of it is below `noise` times ∫g².
-        Halving or doubling either value changes nothing.
+        Halving or doubling `most_error` or `noise` changes nothing.
     """
 
     most_dims: int = 3
@@ -265,7 +265,7 @@ def _table(
 
     # At jumps, the squared means of cells and the variance within cells have opposite errors.
     # The opposite errors cancel if the squared means and the variance within cells are added.
-    # For long cells, the variance within cells is not computed, so the errors do not cancel.
+    # For long cells, only the squared means are computed, so their errors are not canceled.
     # Therefore the means by two quadrature rules are multiplied with each other, not squared.
     # The errors of the two quadrature rules are hardly correlated
     pairs = ([(0, 0), (-1, -1)] if whole else [(-1, -1), (0, -1)])[: len(means)]
@@ -300,8 +300,8 @@ def _cell_moments(
     if in_closed_form(g):
         mean, square = stratum_moments(g, sides, offset, 1)
         return mean.reshape(1, *sides, -1), square.reshape(1, *sides, -1)
-    # Cells are shorter along an axis with more cells than in a cubic table.
-    # Along such an axis, use one quadrature node less in each cell
+    # If an axis has more cells than in a cubic table, the cells are shorter along this axis.
+    # Shorter cells need one quadrature node less along the axis
     fine = np.array([not refined and side**dims > _SETTINGS.cells[dims] for side in sides])
     by_order = [stratum_moments(g, sides, offset, order - fine) for order in _SETTINGS.orders[dims]]
     means = np.stack([m for m, _ in by_order]).reshape(2, *sides, -1)
@@ -397,7 +397,11 @@ def _merged(moment: Array, sides: tuple[int, ...]) -> Array:
 def _predicted(
     scaled: Array, n: int, square: Array, how: str, *, rest: Any = 0.0, doubt: Any = 0.0
 ) -> Predicted:
-    """Make a prediction from n times the variance by each of Q quadrature rules, (Q, channels)."""
+    """Return the predicted variance and its interval.
+
+    The array `scaled` has n times the variance, as computed by each of Q quadrature rules.
+    The shape of `scaled` is (Q, channels).
+    """
     rounding = _ROUNDING * square
     value = np.where(scaled[-1] > rounding, scaled[-1], 0.0)
     error = np.abs(scaled[-1] - scaled[0]) + doubt + rounding + 1e-9 * value

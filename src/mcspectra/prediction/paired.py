@@ -192,7 +192,8 @@ class _Sums:
     ----------
     single
         Energies of g within the parts of strata, between parts, and between strata.
-        The energies are summed over the axes, for all profiles and by group: (1 + groups, 3).
+        The energies are summed over the axes. The shape is (1 + groups, 3).
+        Row 0 uses all profiles of g together, and every other row uses the profiles of one group.
     means
         Means of the functions h_ri, as an array of shape (dims, products).
     covariances
@@ -227,7 +228,7 @@ def _of_fine_cells(p: AnovaModel) -> list[tuple[Array, Array, Array]]:
     """Return means of the curves, energies of g_i and covariances of the factors, of each axis.
 
     The cells are so fine that means over cells keep nearly all energy of the curves.
-    Means over parts and strata, which are larger cells, are exact.
+    Means over strata and over parts of strata are exact: both are larger than the fine cells.
     """
     found, own = list[tuple[Array, Array, Array]](), len(p.main[0])
     for curves, main, factors in zip(p.axes, p.main, p.factors, strict=True):
@@ -253,7 +254,7 @@ def _energies(
 
     The energies of g minus the fit have shape (replicates, 4).
     Column 0 is the energy of all functions of several axes.
-    Each other column is the energy of one kind of components, listed in `_MULTIPLES`.
+    Columns 1 to 3 are the energies of the three kinds of components that `_MULTIPLES` lists.
     """
     singles, means, covariances = np.zeros((len(p.main[0]), 3)), list[Array](), list[Array]()
     own, centers = len(p.main[0]), list[Array]()
@@ -317,7 +318,8 @@ def _energies(
         middle = 0.5 * (one + two).mean(axis=(1, 2), keepdims=True)
         one, two = one - middle, two - middle
         # Axes are chosen at random for each pair of points, so multiply by the number of choices.
-        # If one axis has a common stratum and another a common part, each pair of axes counts twice
+        # If points share a stratum on one axis and a part of a stratum on another, order matters:
+        # the axes (i, j) and (j, i) are different choices, so each pair of axes counts twice
         many = math.comb(d, len(along)) * (2 if name == "parts" else 1)
         product, square = one * two, 0.5 * (one**2 + two**2)
         more[:, 1 + k] = many * (product[0] - product[1]).mean(axis=-1)

@@ -9,7 +9,7 @@ The variances of independent techniques add up.
 ``auto`` returns the first prediction with a narrow enough interval.
 If no interval is narrow enough, ``auto`` returns the prediction with the narrowest interval.
 The last method of ``auto``, ``extrapolated``, measures small sets of the sampler.
-The remaining methods check a prediction.
+Methods that `METHODS` lists after ``extrapolated`` serve to check predictions.
 """
 
 from __future__ import annotations
@@ -126,14 +126,14 @@ class QuadratureSettings:
     ----------
     tolerance
         Largest relative error with which a quadrature takes precedence over all other methods.
-        If g jumps, intervals of other methods are at least as wide as this relative error.
+        If g jumps, the relative errors of all other methods are at least about as large as 0.01.
         Tolerances were tested on a jump along a line with 5 samplers at n = 64.
         With the tolerance 0.003, quadrature is used for one sampler less than with 0.01.
         With the tolerance 0.03, quadrature is used for one sampler more than with 0.01.
     evaluations
         Number of evaluations of g above which other methods come first.
         The default is a sixteenth of the most evaluations that `exact_variance` makes.
-        For the jump and the 5 samplers, any limit from 2^20 to 2^24 gives the same results.
+        For a jump along a line and 5 samplers, any limit from 2^20 to 2^24 gives the same results.
     most_breaks
         Largest number of breaks of g for the quadrature of shifted strata in several dims.
         The breaks divide the range of offsets along each axis. Each interval needs its own nodes.
@@ -166,7 +166,7 @@ class AutoSettings:
     loose
         Largest half width of a 95 % interval, relative to the variance, at additional counts.
         Additional counts with larger intervals are not used for rates.
-        An error of this size changes a slope over two octaves by 0.16.
+        An error as large as the half width changes the slope over two octaves by 0.16.
     square, coefficients, tables
         Numbers of evaluations of g, from which the costs of methods are estimated.
         Computing ∫g² takes at most `square` evaluations.
@@ -188,10 +188,10 @@ class AutoSettings:
 class TableSettings:
     """Settings for a table of g at the centers of cells, measured with sets of the sampler.
 
-    The changes stated below were measured in three cases at n = 64.
-    Two cases are a jump along a line and a smooth g, both in 2-D with pmj02.
-    The third case is a Gaussian of width 0.1 in 3-D with latin-hypercube.
-    The 95 % intervals of the three variances are about ± 3 %.
+    The changes stated below were measured at n = 64 for three integrands.
+    A jump along a line and a smooth g were measured in 2-D with pmj02.
+    A Gaussian of width 0.1 was measured in 3-D with latin-hypercube.
+    The predicted variances of the three integrands have 95 % intervals of about ± 3 %.
 
     Attributes
     ----------
@@ -227,10 +227,10 @@ class TableSettings:
 class ExtrapolationSettings:
     """Settings for the measured counts, and for the line through their variances.
 
-    The changes stated below were measured in three cases.
-    Two cases, at n = 256 and 1024 with sobol | owen, are a jump in 4-D and a smooth g in 2-D.
-    The jump in the first case is along a plane.
-    The third case is a smooth g in 4-D with latin-hypercube at n = 100.
+    The changes stated below were measured for three integrands.
+    A jump along a plane in 4-D and a smooth g in 2-D were measured with sobol | owen.
+    The numbers of points of sobol | owen were 256 and 1024.
+    A smooth g in 4-D was measured with latin-hypercube at n = 100.
 
     Attributes
     ----------
@@ -249,14 +249,14 @@ class ExtrapolationSettings:
         Number of counts closest to n that the line is fitted to.
         Three counts leave one degree of freedom, for which Student's t is 12.7.
         Four counts leave two degrees of freedom, for which t is 4.3.
-        Eight counts halve the width of the interval and need twice the evaluations.
+        With eight instead of four counts, intervals are half as wide, but evaluations are doubled.
     sets
         Realizations of each small count. The relative error of a variance is √(2/2000) = 3 %.
     near_sets, near_points
         Least number of realizations of a count close to n, and least total number of points.
         There are at least `near_sets` realizations, and at least `near_points` points in total.
-        Halving or doubling both numbers changes variances by less than 4 %,
-        and the intervals of the variances are far wider: 14 to 60 %.
+        Half or twice as many realizations and points change variances by less than 4 %.
+        A change of 4 % is far smaller than the intervals of the variances, which are 14 to 60 %.
     most_factor
         Upper limit of the factor between an extrapolated variance and the end of its interval.
         Without this upper limit, the exponential of the error could overflow.
@@ -283,8 +283,8 @@ class EvaluationLimits:
     evaluations
         Default for the largest number of evaluations of a user's function.
         A function that takes 4 µs per point needs one second for 2^18 evaluations.
-        With 2^18 evaluations, the ends of an interval are variance / q and variance · q.
-        The width q of an interval is 1.5 at measured numbers of points, and 2 at n = 4,096.
+        With 2^18 evaluations at measured counts, intervals end at 1/1.5 and 1.5 times the variance.
+        With 2^18 evaluations at n = 4,096, intervals end at half and at twice the variance.
     predictions
         If fewer evaluations per technique are allowed, variances are only measured, not predicted.
         Predictions need 1.2 to 13 million evaluations.
@@ -306,8 +306,8 @@ class EvaluationLimits:
     fitted
         Number of measured counts to whose variances a line is fitted.
         Five counts leave three degrees of freedom, for which Student's t is 3.2.
-        A line through four counts has intervals that are 1.4 times as wide.
-        A line through six counts does not follow curves that bend.
+        With four instead of five counts, the intervals of the line are 1.4 times as wide.
+        With six counts, the line does not follow curves that bend.
     """
 
     evaluations: int = 2**18
@@ -396,8 +396,8 @@ def of_table(law: Law, known: Known, stream: Stream, settings: TableSettings = _
     if not (moments.resolved & (moments.variance > rounding_floor(moments.mean))).all():
         raise NoClosedForm(f"{sets} sets do not resolve the variance of {law.name}.")
     tail = missed / n
-    # The whole tail is also an error, because the quality of points within cells is unknown:
-    # points in a cell may be spread as evenly as cells, or be no better than random points
+    # The variance within cells, `tail`, is computed as for random points.
+    # Points within cells may be spread more evenly, so `tail` is also added to the error
     error = CONFIDENCE_Z * moments.relative_se * moments.variance + tail + miss / n
     share = 1.0 - np.minimum(missed / known.square[0], 1.0)
     return Predicted(moments.variance + tail, error, f"{sets} sets", share, tail)
@@ -422,7 +422,7 @@ def extrapolated(
 ) -> Predicted:
     """Fit a line to log variances measured at the small counts closest to n, but not at n."""
     # Use counts near n for which point sets are as regular as sets of n points.
-    # If n is a power of two, these counts are powers of two.
+    # If n is a power of two, the counts near n are also powers of two.
     # For any other n, the counts differ from n by multiples of a power of two that divides n
     step = min(n & -n, 1 << max(0, (n // settings.near).bit_length() - 1))
     near = [n + k * step for k in (-2, -1, 1, 2)]
@@ -437,7 +437,7 @@ def extrapolated(
             continue
         with contextlib.suppress(CountError):
             # For a single technique, `nearest_count` already gives a count that the sampler allows.
-            # A second check of such a count would only repeat warnings
+            # Checking an allowed count a second time would only repeat warnings
             if sum(estimator.counts) > 1:
                 estimator.check_sampler(sampler, count)
             close = counts[count]
@@ -492,7 +492,7 @@ class Method:
         The function predicts one technique; if it does not apply, it raises `NoClosedForm`.
         Methods that only predict whole estimators have None here.
     applies
-        Whether ``auto`` tries the method for a law and an integrand, decided without evaluations.
+        Whether ``auto`` tries the method for given points and a given g; g is not evaluated.
         A method requested by name is always tried.
     ahead
         Whether ``auto`` tries the method at larger counts than requested, to find the limit rate.
@@ -574,9 +574,10 @@ def _exactly(
 def _checked(
     check: Callable[[AbstractEstimator, Sampler, int, Terms, Stream], Cells],
 ) -> Callable[[AbstractEstimator, Sampler, int, Prediction, Stream], Cells]:
-    """Make a cross-check callable with the arguments of a prediction.
+    """Adapt a cross-check, so that it takes the same arguments as a method of prediction.
 
-    The cross-check gets a `variance_terms` analysis with the same half width and realizations.
+    The cross-check is called with a `variance_terms` analysis instead of the prediction.
+    The analysis has the half width and the number of realizations of the prediction.
     """
 
     def of_estimator(
@@ -836,9 +837,9 @@ class Prediction(Counted, frozen=True, kw_only=True):
         return cost
 
     def _terms(self, subject: Subject, n: int) -> tuple[Terms, Need, str]:
-        """Return the analysis that samples spectra, and what it needs.
+        """Return the analysis that samples spectra, its time and memory, and a text.
 
-        A text says why the analysis has no frequencies. Usually the text is empty.
+        If the analysis cannot include frequencies, the text says why. Otherwise the text is empty.
         """
         asked = terms_for(subject.estimator, n, self.half_width, self.realizations)
         without, refusal = msgspec.structs.replace(asked, half_width=0), ""
@@ -867,7 +868,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
         predictor = Predictor(estimator, stream, measured, self.limit(subject) or 0)
         own, other = (Stream.from_rng(np.random.SeedSequence([stream.key, k])) for k in (0, 1))
 
-        # Counts of a sampler. With auto they include counts for rates and their limit.
+        # Find the counts of each sampler. Method auto adds counts that show the limit of the rate.
         # A count of 0 marks an unused place in the list
         counts = [_places(s, self.counts) if auto else [0, *self.counts, 0, 0] for s in samplers]
         wanted = [(s, name, n) for s, each in enumerate(counts) for name in names for n in each]
@@ -968,7 +969,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
             for texts in (cells.methods, cells.hows, cells.notes)
         )
 
-        # Collect the notes. With all methods, reasons for missing values are only in `how`
+        # Collect the notes. If all methods are requested, only `how` explains missing values
         said = list(dict.fromkeys(filter(None, notes)))
         if predictor.measured is not None:
             said.append(
@@ -1087,7 +1088,7 @@ def predict(
         Standard errors need at least 4 realizations.
     rng
         Seed (SPEC 7) of methods that draw sets.
-        The method pair-correlation draws other sets than the method measured.
+        The methods ``pair-correlation`` and ``measured`` draw different sets.
     workers
         Number of threads. The default is all processors. It has no effect on results.
     max_evaluations
@@ -1095,7 +1096,7 @@ def predict(
         By default ``auto`` and ``extrapolated`` evaluate users' functions at most 2^18 times.
         With 2^18 evaluations, variances are only measured at small n and extrapolated.
         Extrapolated variances have wider intervals than other predictions.
-        With 2^24 or more evaluations for each technique, ``auto`` predicts.
+        With 2^24 or more evaluations for each technique, ``auto`` also tries methods that predict.
         A method raises before it starts if it is known to need more than the limit.
 
     Returns
@@ -1142,8 +1143,8 @@ def predict(
     f is evaluated at quadrature nodes and on grids that `predict` chooses.
     The method ``moves`` applies up to 8,192 random shifts or scrambles to a fixed set.
     Lattices with shift and nets with digital-shift use ``moves`` in 1 to 3 dims.
-    For other moved or scrambled sets, sums of products come first.
-    If sums of products are less precise than ± 3 %, ``moves`` is used for these sets.
+    Other shifted or scrambled sets are predicted from a fit of g by sums of products.
+    If the fit gives an interval wider than ± 3 %, ``moves`` is used instead of the fit.
     For ``moves``, nested scrambles are replaced by linear scrambles.
     Pairs of points have the same distribution in linear and nested scrambles.
 
@@ -1160,14 +1161,14 @@ def predict(
     Random points have the limit −1.
     Strata of the cube and jumps along curves have the limit −1 − 1/d.
     For other sets the limit is −2 if g jumps across an axis, except for jumps at cell borders.
-    A limit of theory is used if the last slopes are at least as steep.
+    A theoretical limit is used if the last slopes are at least as steep.
 
     If theory gives no limit, the slopes over the last octaves must agree.
     The last octave ends at 4 times the largest requested count; for strata, it ends at n = 2^16.
-    Counts are extended only in 1 to 3 dims, and only if no sets have to be drawn.
-    If the slopes agree, the limit is a nearby exponent of theory.
-    The exponents of theory are −1 − k/d with an integer k, −2 and −3.
-    A constant slope that is near no exponent of theory is the limit itself.
+    Counts above the requested ones are used only in 1 to 3 dims, if no sets have to be drawn.
+    If the slopes agree, the limit is the theoretical exponent near the slopes.
+    The theoretical exponents are −2, −3, and −1 − k/d for integers k.
+    If a constant slope is near no theoretical exponent, the slope itself is the limit.
     If the slopes do not agree, ``limit_rate`` is NaN and the attribute ``note`` has the last rates.
     Jumps of less than 1e-4 of g are not detected.
 
@@ -1420,7 +1421,7 @@ def _within(counts: Sequence[int], points: int) -> ExtrapolationSettings:
 def _places(sampler: Sampler, counts: Sequence[int]) -> list[int]:
     """Return a smaller count, the given counts, and two larger counts.
 
-    The smaller count is added only if a single count is given.
+    A count smaller than the given one is added only if a single count is given.
     A zero in the returned list stands for a smaller or larger count that is left out.
     """
     last = counts[-1]

@@ -70,16 +70,18 @@ class DecaySettings:
     ----------
     octaves
         The line is fitted to this number of octaves of |m|, at the end of the spectrum.
-        For 12 test functions, two octaves give the same exponents to 0.15 and double the intervals.
+        With two octaves, the exponents of 12 test functions change by at most 0.15.
+        The intervals of the exponents are twice as wide with two octaves as with three.
         With four octaves, a Gaussian of width 0.1 appears to decay like |m|^-12 instead of |m|^-5.
     least_shells
-        Least number of shells of half an octave in a fit. Fewer shells leave no scatter.
+        Least number of shells of half an octave in a fit.
+        With two shells, the line fits exactly, and no scatter is left to estimate its error.
         A spectrum has fewer shells only if rounding noise hides most of them.
     bend
         Largest accepted change of the slope in log |m|, from the first to the last fitted octave.
         If the slope changes more, the decay of |f_m|² is reported as not yet settled.
         For test functions with jumps and kinks, the exponent changes by at most 0.9.
-        The exponent changes by 8.6 for a Gaussian of width 0.1, as it hides the kink at the border.
+        For a Gaussian of width 0.1, which hides its kink at the border, exponents change by 8.6.
     widths, width
         Default half widths by number of dims, and the default for all other numbers of dims.
         The half width is larger in 1-D, because 1-D spectra have few frequencies per shell.
@@ -156,40 +158,40 @@ class JumpSettings:
 class LimitSettings:
     """Settings to find the limit of the slope of a predicted curve, and the bend of the curve.
 
-    "The same results" means that limits and bends of 64 predicted curves did not change.
-    The curves are for 8 samplers and 8 integrands in 1 to 3 dims, at n = 16 to 1024.
+    "The same results" means that limits and bends of 64 test curves did not change.
+    The test curves are predicted for 8 samplers and 8 integrands in 1 to 3 dims, at n = 16 to 1024.
 
     Attributes
     ----------
     late
         Number of octaves at the end of a curve whose slope estimates the limit.
         The limits are the same for slopes over the last 2 to 4 octaves.
-        With 8 octaves, the limits of 4 of the 64 curves are not found.
-        These 4 curves are for scrambled nets, and bend only at large n.
+        With slopes over 8 octaves, no limit is found for 4 of 64 test curves.
+        The 4 curves without a limit are for scrambled nets, and bend only at large n.
     near
         The limit is a theoretical exponent that differs from the slope by less than this number.
         The difference is limited to 0.4/d, because theoretical exponents are 1/d apart.
         The limits of rates are the same for thresholds from 0.1 to 0.4.
     agree
         Largest difference between local slopes in the octaves at the end of a curve.
-        The limits of the 64 curves are the same for thresholds from 0.2 to 0.4.
-        With the threshold 0.1, the limit of one of the 64 curves is not found.
+        Allowed differences of slopes from 0.2 to 0.4 give the same limits for 64 test curves.
+        If slopes may differ by 0.1 only, no limit is found for one of 64 test curves.
     leaves
         Largest difference between the last slope and a theoretical exponent.
         If the last slopes move away from the exponent, and differ from it by more than this number,
         the exponent is not the limit of the slopes.
-        With 0.025 to 0.1 as the allowed difference, the limits of the 64 curves are the same.
+        Allowed differences of slopes from 0.025 to 0.1 give the same limits for 64 test curves.
     still
         Three successive slopes count as constant if they differ by at most this number.
         A constant slope may be the limit of the rate even if theory does not list it.
         For example, the variance next to a pole t^-a has the rate −1 − (1 − 2a)/d.
-        With slopes that differ by 0.005 to 0.02 at most, the limits of the 64 curves are the same.
+        Allowed slope differences from 0.005 to 0.02 give the same limits for 64 test curves.
     change
         A curve may bend if its first slope differs from its limit by more than this number.
         The bends are the same for thresholds from 0.15 to 0.3.
     most_change
         Largest candidate change of the exponent at a bend. Exponents lie between −1 and −5.
-        If changes of up to 8 instead of 4 are tried, the bends of the 64 curves are the same.
+        If changes up to 8 instead of 4 are tried, the bends of 64 test curves stay the same.
     tried
         Numbers of candidates for the position of a bend, and for the change of the exponent.
         Over 10 octaves, candidate bends are 0.1 octaves apart. This is the accuracy of a bend.
@@ -197,7 +199,7 @@ class LimitSettings:
         A curve has a bend if two power laws fit it much better than one power law.
         The scatter about two power laws must be below this fraction of the scatter about one.
         With fractions from 0.125 to 0.25, the same curves have a bend.
-        With the fraction 0.5, one more of the 64 curves has a bend.
+        If half of the scatter may remain, one more of 64 test curves has a bend.
     """
 
     late: int = 4
@@ -409,10 +411,10 @@ def rates_of(
         Rate: the slope of a straight line through the variances at the requested counts.
 
         Limit: the theoretical bound, if it is certain and the last slope is at least as steep.
-        The last slope is over the last four octaves.
-        If no bound is certain, the limit is the theoretical exponent nearest to the last slope.
-        This exponent must be close to the last slope, and is used only in up to 3 dims.
-        A limit requires that the slope hardly changes over these octaves.
+        The last slope is the slope over the last four octaves of n.
+        If theory gives no certain bound of the rate, the limit is the nearest theoretical exponent.
+        The nearest exponent must be close to the last slope, and is used only in up to 3 dims.
+        A limit requires that the slope hardly changes over the last four octaves.
         The theoretical exponents are −1 − k/d, −2 and −3.
         Here k is 0 for white power, 1 for a jump, 2 for strata and 3 for a kink.
         The exponent −3 may have a factor (log n)^(d − 1).

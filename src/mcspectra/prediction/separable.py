@@ -49,30 +49,30 @@ class PiecewiseSettings:
     """
 
     # Number of Legendre coefficients of a piece, and of initial pieces of an axis.
-    # Halving or doubling this value gives the same results.
+    # Half or twice as many Legendre coefficients or pieces give the same results.
     order: int = 16
     pieces: int = 32
     # Largest ratio of the last Legendre coefficients of a piece to its largest coefficient.
     # Below this ratio, the polynomial of the piece is accurate enough.
-    # Halving or doubling this value gives the same results.
+    # Halving or doubling `settled` gives the same results.
     settled: float = 1e-11
     # A piece that adds less than this fraction to ∫h² counts as settled.
-    # Halving or doubling this value gives the same results.
+    # Halving or doubling `negligible` gives the same results.
     negligible: float = 1e-15
     # A piece narrower than this contains a kink or a jump.
-    # Halving or doubling this value gives the same results.
+    # Halving or doubling `kink` gives the same results.
     kink: float = 2.0**-12
     # Next to a kink, the last Legendre coefficients may be as large as this fraction of √∫h².
     # Here h is the function of one axis that the polynomials represent.
-    # Halving or doubling this value gives the same results.
+    # Halving or doubling `small` gives the same results.
     small: float = 1e-9
     # Rounding error of a node as a fraction of its coordinate: four units in the last place.
-    # Halving or doubling this value gives the same results.
+    # Halving or doubling `rounded` gives the same results.
     rounded: float = 2.0**-51
     # Largest number of nodes of an axis, which limits the evaluations.
     most_nodes: int = 2**17
     # Pieces of this width are not halved again, because the nodes would differ by rounding only.
-    # Halving or doubling this value gives the same results.
+    # Halving or doubling `least` gives the same results.
     least: float = 2.0**-50
     least_at_0: float = 2.0**-64
     # Numbers k of the distances 2^-k from a pole, at which g is evaluated to fit its exponent.
@@ -82,31 +82,31 @@ class PiecewiseSettings:
     near_0: tuple[int, ...] = (40, 45, 50, 55, 60)
     inside: tuple[int, ...] = (20, 23, 26, 29, 32)
     # Smallest exponent of a pole. Polynomials resolve weaker poles.
-    # Halving or doubling this value gives the same results.
+    # Halving or doubling `pole` gives the same results.
     pole: float = 0.02
     # Relative error of the distances to a pole that is not at 0.
     # The error of the distances affects intervals of variances, but not the variances.
     place: float = 2.0**-16
-    # Smallest change of a function from one distance to the next that counts as a pole.
-    # The change is measured as a fraction of the value of the function.
-    # Halving or doubling this value gives the same results.
+    # Least growth of a function toward a pole, from one distance 2^-k to the next.
+    # The growth is measured as a fraction of the value of the function.
+    # Halving or doubling `step` gives the same results.
     step: float = 1e-6
     # On a side of a pole without a power law, the polynomial pieces end at this distance from it.
-    # Halving or doubling this value gives the same results.
+    # Halving or doubling `gap` gives the same results.
     gap: float = 2.0**-40
     # Number of probe points at which g is evaluated to find the largest value of a product.
-    # Halving or doubling this value gives the same results.
+    # Half or twice as many probe points give the same results.
     candidates: int = 2**10
     # A first test uses this number of probe points, and as many points with large values of g.
-    # Halving or doubling this value gives the same results.
+    # Half or twice as many probe points in the first test give the same results.
     lines: int = 16
     # Relative rounding error of g in the test of a sum or product.
-    # Halving or doubling this value gives the same results.
+    # Halving or doubling `same` gives the same results.
     same: float = 1e-7
     # If g − c is tested for being a product, the constant c is a value that g takes often.
     # The fraction of probe points at which g = c must exceed `common`.
     # For an indicator function, for example, g often takes the value c = 0.
-    # Halving or doubling this value gives the same results.
+    # Halving or doubling `common` gives the same results.
     common: float = 0.1
 
 
@@ -161,7 +161,7 @@ class PiecewiseCurve:
     def _values(self, piece: Array, x: Array) -> Array:
         """Evaluate h − mean at points, on the given pieces, by Clenshaw's algorithm.
 
-        The pieces broadcast with x.
+        The shapes of `piece` and `x` follow the broadcasting rules of NumPy.
         """
         y = np.clip(2.0 * (x - self.start[piece]) / self.width[piece] - 1.0, -1.0, 1.0)
         c = self.coefficients
@@ -362,7 +362,7 @@ class Separable:
     product
         Whether the functions are multiplied. Otherwise they are added.
     constant
-        The constant c. It is 0 for sums.
+        The constant c that is added to the product of the functions. For sums, c is 0.
     """
 
     curves: tuple[PiecewiseCurve, ...]

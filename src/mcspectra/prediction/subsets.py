@@ -104,8 +104,8 @@ class SubsetSettings:
     All changes that are stated below were measured in six cases at n = 64 and 256.
     The integrands are smooth functions, a ball in 4-D, a slab, a jump along a line and a kink.
     The samplers are latin-hypercube, rank1-lattice | shift, and sobol with owen or digital-shift.
-    The variance is predicted within ±63 % for the ball, and within ±0.2 to 1.3 % otherwise.
-    Some settings change only the variance of the ball, by less than 8 %.
+    The variance of a ball in 4-D is predicted within ±63 %, other variances within ±0.2 to 1.3 %.
+    Some settings change only the variance of the ball in 4-D, by less than 8 %.
     "The same results" means changes of less than 1e-6.
 
     Attributes
@@ -140,9 +140,9 @@ class SubsetSettings:
         Largest number of products in a fit, if the fit has more than `few_dims` dims.
         In at most `few_dims` dims, a fit has at most `few_rank` products.
         In few dims, only functions with jumps across axes are predicted by a sum of products.
-        More products would not resolve the jumps of a function in few dims.
+        More than `few_rank` products would not resolve the jumps of a function in few dims.
         The variance of a ball in 4-D is predicted within ±86 % with three products in a fit.
-        With twelve products in a fit, the variance of the ball is predicted within ±53 %.
+        With twelve products in a fit, the variance of a ball in 4-D is predicted within ±53 %.
         With three or twelve products, variances of the other test integrands stay the same.
     sweeps, settled
         Largest number of sweeps of a fit.
@@ -157,7 +157,7 @@ class SubsetSettings:
         Halving or doubling this value changes variances by less than 5e-7.
     good
         A fit is accepted below this residual energy, relative to the variance.
-        Halving or doubling this value gives the same results.
+        Halving or doubling the accepted residual energy gives the same results.
     stands_out
         A profile jumps where its step is this many times as large as the neighboring steps.
         A profile has a kink at a node if its slope changes far more there than at nearby nodes.
@@ -168,20 +168,20 @@ class SubsetSettings:
         Values from 20 to 80 give the same results.
     shared
         A jump is shared by profiles if the mean profile has a large step.
-        The squared step of the mean must exceed this fraction of the mean square of all steps.
+        The squared step of the mean profile must exceed this fraction of the mean squared step.
         Values from 0.05 to 0.2 give the same results.
     bent
         Least change of the slope at a kink, as a fraction of the largest slope.
         Halving or doubling this value changes variances by less than 0.005 %.
     cells
         Number of cells into which an axis is divided to compute the energy of the fit.
-        The means of smooth pieces over these cells are exact.
+        The means of smooth pieces over the cells of an axis are exact.
         Values from 2^11 to 2^13 give the same results.
     fine, finest
         Number of cells along an axis for the functions of single axes.
         `fine` is for axes along which g is smooth, and `finest` is for axes with jumps.
         For Latin hypercubes and lattices only the variance within cells remains.
-        Halving or doubling either value changes variances by less than 0.01 %.
+        Half or twice as many cells along an axis change variances by less than 0.01 %.
     start
         Standard deviation of the random coefficients with which the fit of a new product starts.
         The constant coefficient of each factor starts at 1.
@@ -200,7 +200,7 @@ class SubsetSettings:
         A fixed set is drawn only once.
         The interval includes the spread of the variances over the drawn sets.
     digits
-        Least number of cells along an axis. The digits of a point are the digits of its cells.
+        Least number of cells along an axis. The index of a cell gives the digits of a coordinate.
         With more points than this number, an axis has at least as many cells as there are points.
     offsets
         Number of offsets within a stratum. The mean over them replaces a uniformly random offset.
@@ -480,7 +480,7 @@ class _Pairs:
         width = max(first.shape[-1] for first in singles)
 
         def stacked(tables: list[Array]) -> Array:
-            # If an axis has fewer digits than others, repeat its last covariance
+            # Axes with fewer digits have shorter tables. Fill them with their last covariance
             wide = [np.pad(t, ((0, 0), (0, width - t.shape[-1])), "edge") for t in tables]
             return np.ascontiguousarray(np.stack(wide).transpose(0, 2, 1))
 
@@ -503,13 +503,14 @@ def pair_sums(
 ) -> Array:
     """Sum the covariances of chosen points with all points of a set: (rows, variants + 1).
 
-    `rows` holds the indices of the chosen points, and `codes` (n, d, digits) the digits of all.
+    `rows` holds the indices of the chosen points.
+    `codes` (n, d, digits) holds the digits of the coordinates of all points of the set.
     `first` (d, differences, variants) holds the covariances of functions of single axes.
     `rest` (d, differences, q) holds the covariances of the factors of q products.
     The factors have the means `means` (d, q), and the products have the weights `weights` (q,).
     In each row of the result, the first entries are sums of `first` over the axes.
     The last entry is the sum of interactions: Σ_q weight Σ_{|v| ≥ 2} Π_{i∈v} rest_i Π_{i∉v} mean_i.
-    On each axis, the covariance depends on a comparison of two points, which `mode` chooses.
+    `mode` states how the digits of two points are compared. The result selects the covariance.
     Mode 0 counts the common digits of two points. Mode 1 is the exclusive or of their digits.
     Mode 2 is the difference of the digits of two points modulo `cells`.
     """
@@ -732,8 +733,8 @@ def _fitted(
         missed = scale**2 * float(((values[-1] / scale - sums) ** 2).mean())
         # The energy (variance) of the fit may differ from its sample variance at the test points.
         # The difference between energy and sample variance also counts as missed energy.
-        # The energy of g also differs from its sample variance at the test points.
-        # This difference is sampling error, so it is subtracted from the difference for the fit
+        # For g, energy and sample variance at the test points differ only by sampling error.
+        # The sampling error of g is subtracted from the difference that is found for the fit
         curves = [w @ c for w, c in zip(weights, cells, strict=True)]  # Rows: sum, products
         averages = np.stack([c.mean(axis=1) for c in curves])
         squares = np.stack([c @ c.T / c.shape[1] for c in curves])
@@ -837,8 +838,8 @@ def pairs_of(law: Law, stream: Stream) -> tuple[_Pairs, Array, Array]:
     """Return how pairs of points are compared, the points' digits, and indices of some points.
 
     The digits have shape (sets, n, d, digits).
-    It is enough to sum over pairs that contain a point with one of the indices:
-    these pairs have the same distribution as all pairs of points.
+    It is enough to sum over the pairs that contain a point with one of the returned indices:
+    pairs with the chosen points have the same distribution as all pairs of points.
 
     Raises
     ------
@@ -891,7 +892,10 @@ def pairs_of(law: Law, stream: Stream) -> tuple[_Pairs, Array, Array]:
 
 
 def offsets_within(side: float, by: Array, *, uniform: bool) -> tuple[tuple[float, ...], ...]:
-    """Return offsets of strata along each axis: one per axis, or several for a uniform offset."""
+    """Return the offsets of strata along each axis.
+
+    A fixed offset gives one value per axis. A uniformly random offset gives several values.
+    """
     if not uniform:
         return tuple((float(b) % side,) for b in by)
     places = (np.arange(SUBSET_SETTINGS.offsets) + 0.5) / SUBSET_SETTINGS.offsets * side

@@ -4,9 +4,9 @@ The covariance matrix C_ml is diagonal. With the power P(m) = ⟨|S_m|²⟩,
 
     Var = Σ_{m≠0} |g_m|² P(m) = Σ_{m in C} |g_m|² P(m) + (∫g² − I² − Σ_{m in C} |g_m|²) / n + …,
 
-Here C is the set of frequencies that are summed. It has three parts. The first part is a box.
-The second part, strips along the axes, holds the energy of functions that are not periodic.
-The third part, multiples of a few integer vectors, holds the energy of jumps along diagonals.
+Here C is the set of frequencies that are summed: a box, strips, and multiples of vectors.
+Strips along the axes hold the energy of functions that are not periodic.
+Multiples of a few integer vectors hold the energy of jumps along diagonals.
 Outside the set C, the power P tends to 1/n.
 The error of the tail is the difference between P and 1/n at the box's border, weighted by |g_m|².
 
@@ -71,7 +71,7 @@ class Reach:
         Half width of the box of frequencies about 0.
     strips
         Strips of frequencies along each axis: the largest frequency and half width of each strip.
-        If the power is estimated from drawn sets, only the first strip along each axis is used.
+        If the power comes from drawn sets, each axis uses only its first strip of frequencies.
     diagonal
         Largest |m_i| of frequencies along diagonals of the cube, or 0 without diagonals.
     """
@@ -97,7 +97,7 @@ class TorusSettings:
         Ranges of the frequencies that are summed, by number of dims.
         The ranges differ for exact Fourier coefficients and for coefficients from a table of g.
         Exact coefficients cost a few operations each.
-        A table has `nodes` nodes per wavelength of the box.
+        A table of g has `nodes` nodes per wavelength of the highest frequency in the box.
     nodes
         Number of nodes per wavelength of the highest frequency, in the finer table.
         If g jumps, half as many nodes change variances by 0.4 % and multiply the error by 4 to 30.
@@ -151,7 +151,7 @@ class DrawnSettings:
     Some settings are for a smooth function of |m| that is fitted to the estimated power.
 
     Effects of settings were measured for a smooth function in 2-D, poisson-disk and n = 64.
-    The predicted variance of this function has an interval of ±3.1 %.
+    The variance of the smooth test function is predicted with an interval of ±3.1 %.
 
     Attributes
     ----------
@@ -210,7 +210,7 @@ class DualSettings:
     """Settings for the frequencies of a dual lattice that are summed.
 
     The effects of the settings were measured for a disk with rank1-lattice | shift at n = 64.
-    The predicted variance of the disk has an interval of ±0.11 %.
+    For the disk and a lattice of 64 points, the predicted variance has an interval of ±0.11 %.
 
     Attributes
     ----------
@@ -224,8 +224,8 @@ class DualSettings:
     jump
         Largest ratio of the energies Σ |g_m|² of two successive octaves of frequency.
         The ratio of energies is one half if g jumps along curves, and less otherwise.
-        With a largest ratio below one half, the tail of the spectrum of a jump would be cut off.
-        With a largest ratio of one, the extrapolated tail of the spectrum would be infinite.
+        If the largest ratio were below one half, the spectrum of a jump would lose its tail.
+        If the largest ratio were one, the extrapolated tail of the spectrum would be infinite.
     whole
         Rounding error of n times the differences of lattice points, which are multiples of 1/n.
         Coordinates are accurate to 2^-53. The result is the same for errors from 5e-7 to 2e-6.
@@ -259,8 +259,8 @@ class MovesSettings:
         Number of evaluations per call. The number has no effect on the result.
     spreads
         Number of parts into which the offsets are divided.
-        The variances of these parts give the standard error.
-        With 8 or 32 parts of the offsets instead of 16, intervals are 1 to 1.6 times as wide.
+        The spread of the variances over the parts of the offsets gives the standard error.
+        With offsets in 8 or 32 parts instead of 16, intervals are 1 to 1.6 times as wide.
     steps
         Number of rounds of lattice reduction. Values from 6 to 24 give the same results.
     """
@@ -698,9 +698,8 @@ def _drawn(
     lawful = isotropic and len(np.unique(np.rint(length[inside] ** 2 * n))) >= _DRAWN.least_lengths
     core = replace(low, energy=np.where(inside, low.energy, 0.0) if lawful else 0.0 * low.energy)
     sums, low_sum, count = [np.zeros(r.shape) for r in regions], np.zeros(low.shape), 0
-    # Add three parts of the variance.
-    # The first part is from low frequencies at which a smooth function may fit the power.
-    # The second part is from all other low frequencies, and the third from higher frequencies
+    # Add the variance from frequencies at which a smooth function of |m| may replace the power,
+    # the variance from all other low frequencies, and the variance from higher frequencies
     values: tuple[list[Array], ...] = ([], [], [])
     while True:
         for x in (

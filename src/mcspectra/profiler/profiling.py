@@ -87,17 +87,17 @@ class ProfileSettings:
     # Width in columns to which the text of a cause is wrapped, as in a usual terminal or page.
     width: int = 100
     # Number of points of each net to which a change of the estimator is fitted, such as a density.
-    # All 20 nets together have 1280 such points.
+    # The 20 nets together have 1280 points for fits.
     # The comments below refer to 12 profiles of 8192 evaluations: six functions, with two seeds.
-    # With half or twice as many points, the advice of the 12 profiles was the same.
-    # However, the RMSE of one estimator with a fitted change differed by a factor of 2.4.
+    # With half or twice as many points for fits, the advice of 12 test profiles was the same.
+    # However, the number of points changed the RMSE of one fitted estimator by a factor of 2.4.
     fitted_points: int = 64
     # Dependence between draws is reported as a cause if few of the draws are effective.
     # The number of effective draws, divided by all draws, must be below this limit at 95 %.
     # With 70 % effective draws, standard errors are 20 % larger than for independent draws.
     dependent: float = 0.7
     # Least number of points of each net with which a change of the estimator is measured.
-    # With at least 8 points, two of 12 test profiles would have too few evaluations
+    # If nets needed 8 points or more, two of 12 test profiles would have too few evaluations
     # to measure the preintegration of a jump along an axis.
     least_checked: int = 4
     # Maximum number of counts n of points at which the variance of a sampler is measured.
@@ -122,30 +122,30 @@ class ProfileSettings:
     teeth: int = 4
     teeth_scatter: float = 0.84
     # A changed estimator is first assumed to have the same rate as the given estimator.
-    # The value is the standard error of the assumed rate.
+    # This setting is the standard error of the rate that is assumed for the changed estimator.
     # With 0.2 or 0.8 instead of 0.4, the RMSEs in 12 test profiles change by at most 8 %.
     alike_error: float = 0.4
     # If all estimates of a changed estimator are equal, its points may have missed a peak of g.
-    # The change is dropped if this common estimate differs from the mean of unchanged estimates:
-    # the difference must exceed this number of standard errors of that mean.
+    # The change is dropped if the equal estimates are far from the mean of the given estimator:
+    # the distance must exceed this number of standard errors of the given estimator's mean.
     # A normal error exceeds 4 standard errors with probability 6e-5.
     off_sigmas: float = 4.0
     # If nets have fewer points than `few_points`, the rate of a changed estimator is limited:
     # rates that are steeper than `steepest_rate` are replaced by `steepest_rate`.
     # Few points do not show whether a steep rate continues at larger numbers of points.
     # Without the limit, an extrapolation to the whole budget would exaggerate the gain of a change.
-    # The advice of 12 profiles was the same for 8 or 32 points, and for rates of −1.5 or −3.
-    # In these tests, the RMSE of one changed estimator differed by a factor of up to 1.9.
+    # With `few_points` 8 or 32, or a steepest rate of −1.5 or −3, 12 profiles gave equal advice.
+    # In 12 profiles, other values of the two settings changed one RMSE by a factor of up to 1.9.
     few_points: int = 16
     steepest_rate: float = -2.0
     # A change must lower the log variance by at least this number of standard errors.
-    # The log variance is extrapolated to an estimate that takes the whole budget.
+    # The log variance is extrapolated to as many points as the whole budget allows.
     # A decrease of the variance is required only if g grows at the border or has a heavy tail.
-    # The required decrease was tested in 112 profiles with 4096 evaluations each:
+    # The required decrease of the variance was tested in 112 profiles with 4096 evaluations each:
     # seven functions with growth or heavy tails, two samplers and eight seeds.
-    # With 1 standard error, none of 88 recommended changes had a larger variance than before.
-    # With 0.5 standard errors, one of 99 recommended changes had a larger variance.
-    # With no required decrease, five of 109 recommended changes had a larger variance than before.
+    # With a required decrease of 1 standard error, none of 88 advised changes raised the variance.
+    # With a required decrease of 0.5 standard errors, one of 99 advised changes raised variances.
+    # If no decrease of the variance was required, five of 109 advised changes raised the variance.
     tail_errors: float = 1.0
     # Number of sets of a lattice at each count.
     # Few sets are drawn, because few evaluations are left and rates require several counts.
@@ -162,7 +162,7 @@ class ProfileSettings:
     # Few sets and counts are used, because only large sets show the steep rate of lattices.
     steep_sets: int = 4
     steep_counts: int = 2
-    # Lattices get this multiple of the usual evaluations if g is smooth and periodic.
+    # If g is smooth and periodic, the evaluations for lattices are multiplied by this factor.
     steep_weight: int = 2
     # A substitution that makes g periodic is tried if n^(1/d) is at least `resolving_points`.
     # With fewer points, folded lattices have less variance (`benchmarks periodized`).
@@ -175,7 +175,7 @@ _SETTINGS = ProfileSettings()
 _PAIRS, _FOLDED = "antithetic-jittered", f"{LATTICE} | mirror(mode='fold')"
 # Causes that concern the sets of a sampler and not g
 _OF_SETS = {"deterministic-set", "few-realizations", "correlated-replicates"}
-# If g is smooth or has one of these causes of noise, the profile tries lattices
+# Causes of noise for which the profile tries lattices. Lattices are also tried if g is smooth
 _GAINED = {
     "kink",
     "cusp",
@@ -299,7 +299,7 @@ class Profile:
         """All results as text of several lines."""
         low, high = self.interval
         found = [
-            # The causes are listed below, so leave the first cause out of the answer
+            # The answer includes the first cause. Remove the cause, because all causes follow below
             str(self.answer).replace(f" {self.causes[0].sentence}", "", 1),
             "",
             f"integral   {_shown(self.integral, low, high)}",
@@ -457,7 +457,7 @@ def profile(
     budget
         Maximum number of evaluations of f in total, at least 256.
         With 262,144 evaluations, errors of rates are about 0.05 instead of 0.1.
-        These evaluations take less than a second if f is fast.
+        If f is fast, 262,144 evaluations take less than a second.
     target
         For scenes only: relative error σ / mean that pixels should reach, by default 0.05.
     rng
@@ -554,7 +554,7 @@ def _is_scene(subject: object) -> bool:
 
 @final
 class _Filled:
-    """A function f whose value, where f failed, is the mean of its earlier values."""
+    """A user's function. If the function fails, the mean of earlier values replaces its value."""
 
     def __init__(self, calls: Calls) -> None:
         self.calls, self.__name__ = calls, calls.name
@@ -1001,7 +1001,7 @@ class _FoundSampler:
 
 
 def _is_known(curve: Curve, count: int) -> bool:
-    """Return whether a curve determines the variance at `count` points."""
+    """Return whether a measured curve of variances gives the variance at `count` points."""
     return math.isfinite(curve.rate) or count >= curve.vanishes
 
 
@@ -1016,8 +1016,9 @@ def _measured_rivals(
 ) -> tuple[dict[str, Curve], list[str], int]:
     """Measure rival set-ups with at most `left` evaluations.
 
-    Return curves of the measured rivals, reasons why other rivals were not measured,
-    and the number of evaluations that were used.
+    A set-up is an estimator with a sampler. The first returned value is a curve for each set-up.
+    The second value lists reasons why set-ups were not measured.
+    The third value is the number of evaluations that were used.
     """
     curves, not_tried, calls = dict[str, Curve](), list[str](), 0
     jumps, least = _shape(causes) in _JUMPS, 2 * _SETTINGS.lattice_sets * _SETTINGS.least_checked
@@ -1042,8 +1043,8 @@ def _measured_rivals(
             if lattice and curve.counts[-1:].sum() < _SETTINGS.few_points:
                 curve = replace(curve, rate=max(curve.rate, _SETTINGS.steepest_rate))
             elif name in steep:
-                # Few counts hardly show the rate. Assume a rate between the theoretical rate
-                # and a quarter of the theoretical rate: two standard errors around their mean
+                # Few counts hardly show the rate. Assume a 95 % interval of the rate that reaches
+                # from a quarter of the theoretical rate to the whole theoretical rate
                 limit = -2.0 * CANDIDATE_SETTINGS.order * (1.0 - _growth(causes))
                 error = -0.1875 * limit
                 curve = curve.towards(0.625 * limit, error)
@@ -1111,7 +1112,7 @@ def _results(
     cost, slope = given.cost, curve.rate if math.isfinite(curve.rate) else -1.0
 
     def needed(gain: float) -> float:
-        """Return how many evaluations the given set-up needs for the variance after the change."""
+        """Return how many evaluations the given set-up needs to divide its variance by `gain`."""
         if not (slope < 0.0 and math.isfinite(gain)):
             return math.inf
         return float(cost * points * gain ** (-1.0 / slope))
@@ -1181,7 +1182,10 @@ def _results(
 def _offers(
     evidence: Evidence, causes: Sequence[Cause], budget: int, stream: Stream
 ) -> list[Candidate]:
-    """Return changes of the estimator that remove causes, fitted to values of g at nets."""
+    """Return changes of the estimator that remove causes of noise.
+
+    The changes are fitted to values of g at the points of nets.
+    """
     estimator = evidence.estimator
     kinds: list[Any] = list(
         dict.fromkeys(k for cause in causes for k in cause.kinds if k in CHANGES)
@@ -1271,10 +1275,10 @@ def _improved(
             smooths |= curve.rate < _SETTINGS.steepest_rate
             curve = replace(curve, rate=max(curve.rate, _SETTINGS.steepest_rate))
         (ours, ours_se), (other, other_se) = curve.at(n), base.at(cost)
-        # Extrapolate the variance of the changed estimator in two ways. Take the geometric mean.
-        # The first extrapolation uses the measured rate of the changed estimator.
-        # The second extrapolation assumes that the gain over the best sampler does not depend on n.
-        # Half of the difference of the two extrapolations is an additional error
+        # Extrapolate the variance with the measured rate of the changed estimator.
+        # Also extrapolate the variance as if the gain over the best sampler did not depend on n.
+        # Use the geometric mean of both extrapolated variances.
+        # Half of the difference of the two extrapolated log variances is an additional error
         points_at_budget = budget // estimator.evaluations_per_point
         (value, error), at_best = curve.at(at_budget), base.at(points_at_budget)[0]
         kept = ours / other * at_best if other > 0.0 else 0.0

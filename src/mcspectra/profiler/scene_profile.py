@@ -17,7 +17,7 @@ The number of samples that a share q of the pixels needs follows from the q-quan
 Samplers are compared by the geometric mean of their variances over the noisier half of the pixels.
 The noisier pixels decide the number of samples, because other pixels need fewer samples.
 Errors from few renders are noisy, which widens the distribution of errors over the pixels.
-The distribution is narrowed again: two halves of the renders show how noisy the errors are.
+The errors are therefore moved toward their median; two halves of the renders show how far.
 If the answer is far from the measured numbers of samples, it is checked by further renders:
 pixels near the quantile are rendered again with a number of samples near the answer.
 """
@@ -80,7 +80,7 @@ __all__ = [
 @final
 @dataclass(frozen=True)
 class SceneSettings:
-    """Settings that divide the time of a scene's profile, and limits of its statistics."""
+    """Shares of time for the steps of a scene's profile, and limits of its statistics."""
 
     # Number of measured pixels.
     # With 1000 pixels, the measured 95 % quantile is a true quantile between 93.6 and 96.4 %.
@@ -99,13 +99,13 @@ class SceneSettings:
     pilot_pixels: int = 256
     pilot_renders: int = 16
     # Fraction of the time that is spent on the comparison of samplers.
-    # The rest of the time is for larger numbers of samples and for the confirmation
+    # The rest of the time is for larger numbers of samples, and for confirming the best sampler
     comparison: float = 0.55
     # Number of pixels near a quantile of the errors that are rendered with more samples.
     # Each of these pixels is rendered `near_renders` times
     near: int = 32
     near_renders: int = 16
-    # Fraction of the time that is spent on pixels near a quantile: an average over five scenes
+    # Fraction of the time for pixels near a quantile. It is the average fraction in five scenes
     nearby: float = 0.2
     # Seconds to compile the two kernels of a sampler, as a part of the estimated time
     compilation: float = 2.0
@@ -174,7 +174,7 @@ class SceneProfile:
     ----------
     answer
         The recommended sampler, compared with the sampler of the scene.
-        Both samplers take `compared_spp` samples per pixel.
+        The recommended sampler and the scene's sampler take `compared_spp` samples per pixel.
         The errors `rmse` in the answer are medians of σ / mean over the pixels.
     target
         Relative error σ / mean that pixels should reach.
@@ -559,7 +559,7 @@ class _Work:
     def plan(
         self, candidates: Mapping[str, str | Mapping[str, Any]], most: int, given: str
     ) -> SceneCost:
-        """Measure the speed, and return what the profile would do."""
+        """Measure the speed, and estimate the time and the number of samples of the profile."""
         tiles, renders, speed = self.planned(candidates, most, given)
         tracer, film = self.rendered.tracer, self.rendered.film
         wide = (self.side + 2 * film.margin) ** 2
@@ -777,7 +777,7 @@ class _Work:
         """Return logarithms of squared errors of pixels, moved toward their median.
 
         Noise of the measured errors makes the spread of their logarithms over the pixels too large.
-        The logarithms are moved so far that the additional spread vanishes.
+        Moving the logarithms toward their median removes the part of the spread that is only noise.
         """
         logs = self._logs(values, mean)
         halves = [self._logs(values[k::2], mean) for k in (0, 1)]
@@ -832,7 +832,7 @@ class _Work:
             n, level, error = float(first), before, before_error
             wanted = n * math.exp((goal - level) / slope)
 
-        # Render pixels near the quantile with a number of samples near the answer
+        # Render the pixels near the quantile of the errors, with about the number of samples wanted
         for _ in range(2):
             if 0.5 * n <= wanted <= 2.0 * n or wanted < 0.5 * first or n >= settings.most_samples:
                 break

@@ -74,7 +74,7 @@ def quality_figures(
     Returns
     -------
     xarray.Dataset
-        One variable per figure, on the dim ``realization``.
+        Each figure of quality, such as the discrepancy, is a variable on the dim ``realization``.
         A figure is NaN if it cannot be computed. Its attribute ``missing`` gives the reason:
         the set has too many points or dims, or n is not a power of the base.
         The attribute ``sets`` is the number of different sets, if the sampler has a limited number.

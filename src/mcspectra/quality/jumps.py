@@ -25,7 +25,7 @@ _FIRST, _NEXT = 6, 12
 # On a straight line, six halvings of the interval leave 1/64 of the change
 _SLOPE = 1 / 32
 # Fraction of a change that must remain after the last twelve halvings if the change is a jump.
-# The square root of the distance has no jump: only 2^-6 of its change remains
+# For example, √x has no jump at 0: twelve halvings leave 2^-6 of its change
 _STAYS = 0.5
 _GROWS = 2.0  # Factor by which a change must grow so that it counts as a pole
 _NEGLIGIBLE = 1e-7  # Fraction of the scale below which changes are ignored
@@ -95,7 +95,7 @@ def find_jumps(function: Function, dims: int, side: int, *, scale: float) -> Jum
     centers = grid_centers(side, dims)
     for axis in range(dims):
         # Halve the intervals between cells, and discard intervals in which the function is smooth.
-        # Halve the others in two steps, and compare the changes of the function after each step
+        # Halve the remaining intervals in two steps, and compare the changes after each step
         shape = np.moveaxis(centers, axis, 0)[:-1].shape
         near = np.moveaxis(centers, axis, 0)[:-1].reshape(-1, dims)
         far = near.copy()
@@ -161,5 +161,5 @@ def _halve(function: Function, ends: Array, values: Array, times: int) -> tuple[
 
 
 def _change(values: Array) -> Array:
-    """Return the distance (k,) between the values (2, k, c) at both ends."""
+    """Return how much a function changes over k intervals; `values` (2, k, c) are at the ends."""
     return np.asarray(np.sqrt(((values[1] - values[0]) ** 2).sum(axis=-1)))

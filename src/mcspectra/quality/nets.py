@@ -18,8 +18,8 @@ from mcspectra.samplers._primes import LARGEST_BASE, power_from
 
 __all__ = ["elementary_intervals", "net_t_value"]
 
-# Largest allowed number of points, multiplied by the number of shapes of elementary intervals.
-# A check of a set with the largest allowed number takes about a minute
+# Largest allowed work of a check: the number of points times the number of interval shapes.
+# A check with the largest allowed work takes about a minute
 _MOST_WORK = 2**34
 
 

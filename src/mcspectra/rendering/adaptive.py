@@ -15,7 +15,8 @@ A sample of a pixel with n samples has the weight w/n, where w is the film's fil
 The image is therefore filtered in the same way as an image with equal samples everywhere.
 
 For random points, V = v/n. With samples in proportion to v, all pixels have the same error.
-Equal samples of the same cost give the same mean square error, but a larger one at noisy pixels.
+Equal and adaptive samples of the same cost give the same mean square error of the image.
+However, noisy pixels have larger errors if all pixels have equally many samples.
 Adaptive sampling therefore lowers the largest errors and the upper quantiles of the errors.
 """
 
@@ -306,7 +307,7 @@ def render_adaptive(
     if joint_dims is not None:
         plugin["joint_dims"] = as_integer("joint_dims", joint_dims, least=0)
     for count in np.unique(levels):
-        # Refuse impossible samplers here, because errors in Mitsuba have other messages
+        # Check the sampler before Mitsuba does, so that the error has a message of this package
         padded_sets(points, int(count), joint_dims)
     tracer = Tracer(request, spec, "rgb", (width, height))
     with LOCK:

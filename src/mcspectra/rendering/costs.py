@@ -32,7 +32,7 @@ class SceneCost:
     ----------
     what
         Description of the work, such as ``"6 renders of each with 3 samplers"``.
-        In the printed sentence, the description follows the number of pixels.
+        The printed sentence gives the number of pixels first, and then the description of the work.
     size
         Width and height of the image or crop, in pixels.
     pixels
@@ -134,7 +134,7 @@ def timed_work(
     if len(runs) > 1:
         before, shorter = runs[-2]
         # The last two runs give the time per unit of size, but a busy machine may distort it.
-        # Limit the time per unit: at most the mean of the last run, and at least half of the mean
+        # The time per unit is limited to 50 to 100 % of the mean time per unit of the last run
         slope = (spent - shorter) / (size - before)
         each = min(max(slope, 0.5 * each), each)
     fixed = max(spent - each * size, 0.0) + max(compiled - runs[0][1], 0.0)

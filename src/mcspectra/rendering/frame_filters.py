@@ -249,7 +249,7 @@ def curve_filters(height: int, width: int, times: int) -> dict[str, dict[float, 
     return {name: chains for name, chains in found.items() if len(chains) > 1}
 
 
-_LEFT_OUT = 0.1  # largest weight beyond the sequence for filters that are plotted
+_LEFT_OUT = 0.1  # largest total weight before a sequence's first frame, for plotted filters
 
 
 @final

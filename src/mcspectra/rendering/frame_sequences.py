@@ -157,8 +157,7 @@ class Temporal:
     pixels
         Effective number of frames of each pixel, averaged over a square of `window` pixels.
     frames_for_squares
-        Number of independent frames whose mean squared error has the same variance
-        as the mean squared error of a sequence.
+        A sequence gives the mean squared error as accurately as this number of independent frames.
     """
 
     frequency: Array
@@ -274,7 +273,7 @@ class TimeStatistics:
         Covariance of transformed errors at each lag in frames, summed over rings of frequencies.
         The dims are (sequence, radius, lag).
         Errors are divided by the standard deviation in a square of pixels around each pixel.
-        The standard deviation of the pixel itself depends on its errors: it would bias the ratio.
+        Division by a pixel's own standard deviation, which depends on its errors, would be biased.
         The last row holds the frequencies outside all rings, so the rows contain all frequencies.
     sums
         For each pixel (y, x): the squared time average of its error, summed over sequences.

@@ -474,8 +474,8 @@ def _percentiles(need: Array, spread: Array) -> dict[str, float]:
     """Return median and 95th percentile of the samples needed, taken over the pixels.
 
     Errors of the estimates widen the distribution over the pixels.
-    The logarithms are therefore moved towards their median.
-    Moving the logarithms lowers their variance by their mean error variance [Louis1984]_.
+    The logarithms of the samples needed are therefore moved towards their median.
+    The variance of the logarithms falls by the mean variance of their errors [Louis1984]_.
     """
     known = np.isfinite(need) & np.isfinite(spread) & (need > 0)
     if not known.any():
@@ -499,7 +499,7 @@ class _Group:
     The array `means` has one value per sequence.
     The array `averages` is the variance of the mean over a sequence, for each pixel.
     The array `spread` is the squared standard error of the variance of each pixel.
-    For its mean of squares, a sequence counts as `frames_per` independent frames.
+    For mean squared errors, a sequence is worth `frames_per` independent frames.
     The array `image` is the mean over the sequences of their first frames.
     The number `alike` is the sum of squared correlations of pixels over all lags.
     """
@@ -811,8 +811,8 @@ def _group(
     }
     if over_time is not None:
         told["sequences"] = count
-    # If variances differ between pixels, the mean variance has a larger error:
-    # the error is that of a mean over fewer pixels
+    # If variances differ between pixels, the error of the mean variance is larger,
+    # as if the mean variance were a mean over fewer pixels
     variances = moments.variance[varied]
     uneven = varied.sum() * float((variances**2).sum()) / float(variances.sum()) ** 2
     return _Group(
@@ -854,7 +854,7 @@ def _variance_of_variance(moments: Moments) -> Array:
     Var(s²) = k₄/R + 2σ⁴/(R − 1) with the fourth cumulant k₄.
     With four or more frames, Var(s²) is estimated by k-statistics [Kenney & Keeping 1951].
     With two or three frames, σ² is the mean variance of nearby pixels.
-    If these pixels have different variances, the estimate is too large.
+    If the nearby pixels have different variances, the estimate is too large.
     """
     count = moments.count
     variance, fourth = moments.variance, moments.m4 / count
@@ -1017,7 +1017,9 @@ def _lags(every: Array, variance: float) -> tuple[Array, list[int] | None, float
 
 
 def _related(sample: Array, alike: float) -> tuple[tuple[int, int] | None, float]:
-    """Return the two frames whose errors correlate most if significant, and their correlation.
+    """Return the two frames whose errors correlate most, and their correlation.
+
+    If the largest correlation is not significant, None is returned instead of the frames.
 
     If errors are independent, deviations from the mean of R frames correlate by −1/(R − 1).
     """

@@ -1,7 +1,7 @@
 """A gate for continuous integration: do new renders agree with a reference?
 
 The verdict is ``pass``, ``fail`` or ``undecided``.
-The gate also states how large a bias must be to be found with high probability.
+The function `gate` also states how large a bias must be to be found with high probability.
 """
 
 from __future__ import annotations
@@ -44,7 +44,8 @@ GATE_VERDICTS = {"pass": 0, "fail": 3, "undecided": 4}
 """Exit code of the command for each verdict."""
 
 _LEAST_LEVEL = 1e-4
-# Number of relabelings, times the significance level. With more, tests would find little more
+# The number of relabelings is `_RELABELINGS` divided by the significance level.
+# More relabelings would hardly improve the tests
 _RELABELINGS = 5
 _SAMPLE = 2**15  # number of tiles at which two frames are compared
 _ONE_SEED = 0.9  # two frames of one set have the same seed if their errors correlate more than this
@@ -85,7 +86,8 @@ def gate(
     level
         Probability of a false alarm, from 0.0001 to below 1, for all tests together.
     target
-        Relative bias of the image mean that must be found; otherwise the verdict is undecided.
+        Relative bias of the image mean that the tests must be able to find.
+        If the tests could miss a bias of this size, the verdict is undecided.
     spp, spp_reference
         Samples per pixel of the frames; by default from names and headers.
         If neither set states its samples per pixel, both are assumed to have equally many.
@@ -377,7 +379,7 @@ def _result(case: _Case, level: float, rng: int) -> _Result:
                 outcome=outcome, method=method, levels=levels, noise_ratio=ratio, scale=scale
             )
         # If the noise of the sets differs, their frames are not exchangeable.
-        # Tests of means would not be exact; only the tests of the noise remain exact
+        # Relabeling is then exact for tests of the noise only, and means are tested by t values
         means = cautious(levels, contrast, level, alike=False, noise=False)
         noise = [each for each in outcome.tests if each.name not in _MEANS]
         both = [*means.tests, *noise]

@@ -40,7 +40,7 @@ __all__ = ["relabelled"]
 _SHARED = 4
 # Variances are averaged over neighbors only if there are at least this many tiles
 _MANY = 64
-# Number that is added to the score −log p of the whole image: most bugs change its mean
+# Most bugs change the mean of the whole image, so this number is added to its score −log p
 _FAVOR = 1.5
 # Least degrees of freedom for tests of single pixels.
 # With few frames, pixels that are lit in half of the frames often separate the sets by chance
@@ -251,7 +251,7 @@ def _spread_family(
 
 
 def _one_sided(share: Array, degrees: int) -> tuple[Array, float]:
-    """Return −log p for correlations by their t values, and the first t value."""
+    """Return −log p for the correlation of each relabeling, and the t value of the true labels."""
     share = np.clip(share, -1.0 + 1e-12, 1.0 - 1e-12)
     t = share * np.sqrt(degrees / (1.0 - share**2))
     score = _surprise(t**2, degrees, 1) + _MEDIAN

@@ -156,7 +156,7 @@ def render(
     finished, threads = 0, available_workers(workers)
     for images, evaluate in map_in_order(draw, blocks, threads if net is None else 1):
         means = evaluate()
-        # A single image has no variances: with 4 samples per pixel, this saves a third of the time
+        # For a single image, skip the variances. With 4 samples per pixel, 1/3 less time is needed
         if realizations == 1:
             found = Moments(1, means, *[np.zeros(())] * 3)
         else:

@@ -6,7 +6,7 @@ Coordinate j of point i: XOR those columns of generator matrix j that the bits o
 Nested uniform scrambling is computed by the hash of ``owen(method='hash')``.
 The class `NetPoints` computes the points of the sampler from its keys, rounded to float32.
 Renderers request one or two numbers at a time and need point sets in a random order.
-The sets for such requests (`Pads`) are scrambled by one round of the hash.
+Sets for requests of one or two numbers (`Pads`) are scrambled by one round of the hash function.
 Each scramble takes 63 random bits, and the order of the points is random.
 Nets with ``digital-shift(jitter=True)`` are shifted instead, by m random bits per coordinate.
 """
@@ -195,7 +195,7 @@ class Pads:
 
     Each order is a row of a table of random permutations, which is the same in every process.
     Random numbers shift the argument of a permutation, and are combined with its values by XOR.
-    Sets are scrambled independently, so images are unbiased for any table of orders.
+    Sets are scrambled independently, so images are unbiased for any table of permutations.
     """
 
     def __init__(

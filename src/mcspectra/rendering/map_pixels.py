@@ -227,7 +227,10 @@ class _Field:
         return out
 
     def _neighbors(self, known: Array) -> tuple[Array, Array, tuple[Array, Array, Array]]:
-        """Weights and indices of the known pixels near each pixel, and near each known pixel."""
+        """Return weights and indices of the known pixels near each pixel of the grid.
+
+        The third value has the weights and indices of other known pixels near each known pixel.
+        """
         key = known.tobytes()
         if key not in self._made:
             from scipy.spatial import cKDTree

@@ -49,7 +49,7 @@ def fit_lines(
 ) -> LineFits:
     """Fit lines to all variances at once, given relative errors and means, (S, N, …).
 
-    Zeros are ignored, and variances that rounding in float32 could cause.
+    Variances that are zero, or that rounding in float32 could cause, are ignored.
     Variances with a relative standard error above `largest_se` are ignored as well.
     Variances with large errors come from few realizations that hit a rare event.
     Most variances with large errors are far too small.
@@ -70,7 +70,7 @@ def smooth(rate: Array, rate_se: Array, window: int, independent: bool) -> tuple
     """Average rates (S, y, x) over window × window pixels, weighted by their precision.
 
     Pixels without a rate are ignored and remain without a rate.
-    If the points of pixels are `independent`, an average has a smaller error than its pixels.
+    If the points of pixels are `independent`, averaging lowers the standard error of the rate.
     If the points are not independent, the result has the mean standard error of the pixels.
     The mean is exact if all errors in the window are equal, and too large if they are not.
     """
@@ -146,7 +146,7 @@ def path_shares(chains: Array, partitions: list[Array]) -> tuple[Array, Array, A
     tuple
         The variance and its standard error (2, P).
         The shares of all parts, each with the two ends of its 95 % interval (3, ΣG, P).
-        Intervals use Student's t. Its degrees of freedom count the chains that carry variance.
+        Intervals use Student's t, with degrees of freedom from the effective number of chains.
         Intervals are NaN if the standard error of the variance exceeds half of the variance.
         For each partition, the index of the part with the largest share (partitions, P).
         The index is `UNDECIDED` if the share does not differ significantly from another share.
@@ -202,7 +202,7 @@ def gain(single: LineFits, mis: LineFits, total: float, missed: Array) -> tuple[
     The variances of MIS and of the strategies come from the fitted lines.
     MIS gives each technique half of the samples.
     The standard error treats the two variances as independent.
-    The variances share points, so this standard error is too large rather than too small.
+    The two variances use the same points, so the standard error is rather too large than too small.
     """
     levels, errors = single.at(total)
     levels = np.where(missed, np.nan, levels)

@@ -5,8 +5,7 @@ The lane adds up its samples in a recorded loop: float32 values in a float64 sum
 Only one number per lane is copied, so memory does not grow with the number of samples.
 A lane has the same bits no matter which other lanes are computed.
 One evaluation gives two estimates of a technique, without and with the weight of MIS.
-With one lane per sample instead, the program would take 2 to 3 times as long.
-These times were measured on two cores with Veach's scene.
+With one lane per sample instead, Veach's scene takes 2 to 3 times as long on two cores.
 
 Predictions
 -----------
@@ -16,7 +15,7 @@ All pixels of a tile use the same table of samples. The predicted variance is th
 *Jittered* points: Var = n⁻² Σ_j Var_j(g) over the strata j.
 Each Var_j = ∫g² − (∫g)² comes from pairs of independent samples.
 A grid divides the stratum into cells, and each cell has one pair.
-The product of the two means estimates the square of ∫g, so that the prediction is unbiased.
+The product of the means of all first and of all second samples estimates (∫g)² without bias.
 Two independent predictions per stratum give the standard error.
 
 *Random* points: Var = (∫g² − (∫g)²)/n on a midpoint grid.
@@ -31,7 +30,7 @@ n Var = Σ_l Γ_l σ²_l, with the gains Γ_l of levels l.
 The variance of g is the sum of σ²_l, the parts that depend on l_j bits of coordinate j.
 The parts come from means over blocks of a grid with a random point in each cell.
 
-The last three predictions take their standard errors from grids with half the resolution.
+For random points, shifted points and nets, grids of half the resolution give standard errors.
 Other samplers have no prediction, because the formulas ignore the cross term of the variance.
 
 No prediction detects a light that is so rare that no sample hits it.
@@ -469,7 +468,7 @@ def unmet(prediction: Prediction, values: Array, there: Array) -> Array:
     """Return the error (P,) of variances predicted from values (N, P) that may miss light.
 
     The values may miss a part M of the integral, in a region of small volume q.
-    For any stratification this adds the variance M²/(q n), because few points hit the region.
+    For any stratification, M adds the variance M²/(q n), because few points hit its small region.
     If none of N samples hit the region, q is at most about 1/N. The integral is at least `there`.
     If the missed part M exceeds three standard errors, q is unknown, and the error infinite.
     """

@@ -1,6 +1,6 @@
 """Maps over an image: variance, its rate, the bottleneck technique, and the gain of MIS.
 
-Every pixel is the integrand `Pixel`, with the ray through the center of the pixel.
+The integrand of every pixel is `Pixel`, with the ray through the center of the pixel.
 As in `convergence`, variances are measured over realizations at several counts n.
 The rate is the slope of log variance against log n.
 For a whole image, only few realizations are affordable, so all intervals are wide.
@@ -567,7 +567,7 @@ def variance_map(
         If the single strategies are also measured, ``mis_gain`` and its interval ``mis_gain_ci``:
         the variance of the better single strategy divided by that of MIS.
         Both variances come from the fitted lines, for the same total of samples (the largest n).
-        A strategy whose estimates significantly miss light is excluded from this gain.
+        A strategy whose estimates significantly miss light is excluded from ``mis_gain``.
 
         ``predicted_ratio(strategy)`` and ``predicted_ratio_ci``:
         predicted variance divided by measured variance at the largest n.
@@ -584,7 +584,7 @@ def variance_map(
         Estimates may be negative, and their intervals ``_ci`` extend below 0.
         Shares are NaN if the standard error of ``path_variance`` exceeds half of this variance.
         ``largest_bounce`` and ``largest_decision`` are the indices of the largest shares.
-        An index is −1 if the share does not differ significantly from another share.
+        The index is −1 if the largest share does not differ significantly from another share.
 
         With `pixels`: ``measured`` is 1 at measured pixels, otherwise 0.
         ``interpolation_factor(strategy)`` is a factor f that bounds the error of interpolation:
@@ -608,14 +608,15 @@ def variance_map(
     Notes
     -----
     All shares come from the same pairs of paths and are sensitive to outliers.
-    With 128 pairs, a share of a few per cent that rare paths cause is mostly too small.
-    The interval of a share that rare paths cause is also too narrow.
+    With 128 pairs, shares of a few per cent are mostly too small if they come from rare paths.
+    Intervals of shares that come from rare paths are also too narrow.
 
     With `pixels`, another pixel gets the mean of its 8 nearest measured pixels.
     Weights are inverse squares of distances [Shepard1968]_; variances are averaged as logarithms.
     Choices such as ``bottleneck`` are those of the nearest measured pixel.
     The error of interpolation is measured by leaving out each measured pixel once.
-    Intervals are as wide as needed for 95 % of these pixels; features between pixels may be missed.
+    Intervals are as wide as needed for 95 % of the measured pixels.
+    Features between measured pixels may be missed.
 
     Pixels are measured in tiles. For any image, memory is therefore about 200 MiB plus the result.
     A study keeps finished tiles and can resume.
@@ -812,7 +813,7 @@ def _predicted(maps: Maps, largest_se: float, missed: Array) -> dict[str, Array]
 
     The interval combines the errors of both variances.
     The ratio is NaN if hardly any samples of the measurement or of the prediction hit a rare event.
-    With so few hits, variances and their errors are mostly far too small.
+    If hardly any samples hit a rare event, variances and their errors are mostly far too small.
     """
     predicted, measured = maps.predicted, maps.variance[:, -1]
     with np.errstate(invalid="ignore", divide="ignore"):

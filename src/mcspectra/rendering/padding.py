@@ -60,7 +60,7 @@ def as_rendered(
         The bounce and the decision for which each random number of the path is used.
     joint_dims
         How many of the first numbers come from one joint set; 0 for none.
-        The default comes from `joint_dims_of`. If all are joint, the sampler itself is returned.
+        The default comes from `joint_dims_of`. If all numbers are joint, `sampler` is returned.
 
     Raises
     ------
@@ -120,12 +120,12 @@ class Padded(Sampler):
 
     @property
     def spec(self) -> str:
-        """Spec of the source. Padding belongs to the renderer, and `padding_note` describes it."""
+        """Spec of the sampler without padding. The renderer pads, as `padding_note` describes."""
         return self.source.spec
 
     @property
     def plain(self) -> Sampler:
-        """The sampler itself, although `plain` usually means a sampler without randomizations.
+        """This sampler with its randomizations. For other samplers, `plain` has no randomizations.
 
         Randomizations of a padded sampler cannot be removed: they are applied before the padding.
         """

@@ -19,7 +19,7 @@ For any other integrator, decisions are named ``request 1``, ``request 2`` and s
 Mitsuba selects a light by stretching the first coordinate of its point.
 The choice of the light and the choice of a point on it are therefore one decision.
 
-Rare paths need more than D random numbers. If D is set to a smaller number, all paths may.
+Rare paths need more than D random numbers. If D is set to a smaller number, any path may need more.
 Random numbers after the first D are hashed from the last two coordinates.
 The integrand remains a function of u, but good points do not spread hashed numbers evenly.
 
@@ -27,7 +27,7 @@ Integrators return the radiance of all lights together.
 The choice of paths does not depend on the emission.
 The radiance of each path is therefore linear in the emission.
 With all lights but one dimmed to 2^-30, the radiance is the part of that light.
-No light is turned off, because the texture of a light chooses the points on the light.
+Lights are only dimmed, because the points on a light are chosen by the texture of its emission.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ _ORDERS = {
     # Random numbers that a bounce requests, by class of integrator: (how many, for which decision)
     "PathIntegrator": (_PATH,),
     "PRBIntegrator": (_PATH,),
-    # Both orders occur, because compilers evaluate the arguments of a call in different orders
+    # Lobe and direction occur in either order, because compilers order arguments differently
     "DirectIntegrator": (_PATH[:3], (_PATH[0], _PATH[2], _PATH[1])),
 }
 
@@ -314,7 +314,7 @@ class Tracer:
 
     def dry_run(self, pixels: tuple[tuple[int, int], ...]) -> tuple[tuple[Dimension, ...], float]:
         # A dry run only records how the paths of a scene use random numbers.
-        # This use does not depend on the probabilities of lights, or on dimmed lights
+        # The probabilities and the brightness of lights do not change how paths use random numbers
         lit = replace(self, selection=None, light=None)
         with LOCK:
             return dimensions_of(load_scene(self.scene))(lit, pixels)

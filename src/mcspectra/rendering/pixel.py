@@ -9,7 +9,7 @@ The integrand is evaluated at the direction to which the strategy maps u.
 ``light`` samples a light, ``bsdf`` the BSDF, and ``environment`` a density of directions.
 ``mis-light`` and ``mis-bsdf`` weight the first two by a heuristic [VeachGuibas1995]_.
 The heuristic is for equal numbers of samples.
-With independent points, the sum of both parts is therefore multiple importance sampling.
+With independent points, ``mis-light`` plus ``mis-bsdf`` is therefore multiple importance sampling.
 `pixel_mis` supports all heuristics, and any counts and techniques.
 All techniques sample directions, but each maps a separate unit cube to directions by its own warp.
 Results therefore exist only in primary space, and densities are per steradian.
@@ -19,7 +19,7 @@ Mitsuba computes in float32: values carry relative errors of about 1e-7.
 Averages are computed in float64.
 With all lights, Mitsuba selects a light at random, uniformly or by ``sampling_weight``.
 The selection stretches the first coordinate: it cuts the square into strips and adds jumps.
-A single light avoids these discontinuities, and so does a separate coordinate.
+A single light, or a separate coordinate that selects the light, avoids the additional jumps.
 The columns of u have the following meanings:
 
 ===========  ==================================================================================
@@ -42,7 +42,7 @@ Every density p_t nevertheless integrates to 1.
 
 `integral` is the mean over independently scrambled sets of Sobol' points.
 The integrand of a pixel jumps along curves, the edges of lights and occluders.
-These curves are not parallel to any axis, so Gauss-Legendre quadrature does not converge.
+If jumps are not parallel to any axis, Gauss-Legendre quadrature does not converge.
 The scrambled points are unbiased for any integrand.
 The spread of the means of the sets gives a reliable error [Owen1997]_.
 """
@@ -469,7 +469,7 @@ def incident_light(
         "Above" means on the side of the camera.
         ``incident_radiance`` is L_e of the used lights, or 0 where a surface blocks them.
         ``reflected_radiance`` is f_r L_e cos per steradian.
-        Its integral over directions equals the integral of every strategy of `Pixel`.
+        Every strategy of `Pixel` has the same integral as ``reflected_radiance`` over directions.
 
     Raises
     ------

@@ -19,7 +19,7 @@ The second pair of numbers is a point on the lens or on a light.
 Each pair of a joint set is as evenly spread as a padded set of the same net in two dims
 (see `mcspectra.samplers.nets.JoinedPairs`).
 All other samplers are padded by default.
-The same rule holds for `mcspectra.rendering.variance_map` and for pixels (`padding`).
+`mcspectra.rendering.variance_map` and pixels (`padding`) have the same defaults of joint sets.
 The command ``python -m benchmarks scenes`` measures the effect of joint sets on five scenes.
 
 In vectorized variants, lane i is sample i mod n of pixel ⌊i / n⌋.
@@ -360,7 +360,10 @@ class PixelState:
 def seed_lanes(
     module: Any, sets: PaddedSets, stream: Stream, wavefront_size: int, per_pass: int
 ) -> LaneState | None:
-    """Return the state of a wavefront, or None for size 1, which renderers use to free memory."""
+    """Return the state of a wavefront, or None for a wavefront of size 1.
+
+    Renderers set the size to 1 to free memory.
+    """
     pixels, rest = divmod(wavefront_size, per_pass)
     if rest:
         return None
@@ -571,7 +574,7 @@ class Rounds:
 class PaddedSets:
     """Sets of one sampler for requests of one and two numbers, and joint sets in more dims.
 
-    The default of `joint` is the result of `joint_dims_of` for the sampler.
+    `joint` is the number of dims of joint sets. Its default comes from `joint_dims_of`.
     Raises a ParameterError if the spec, the count or the dims are not possible.
     """
 

@@ -194,7 +194,7 @@ def from_mitsuba(source: Any, dims: int = DEFAULT_DIMS) -> MitsubaObject:
     -------
     MitsubaObject
         A sampler of the object's points. It allows only the counts that Mitsuba does not round.
-        Each time, the object is asked whether it rounds the count.
+        For each count, the sampler asks Mitsuba's object whether it rounds the count.
 
     Raises
     ------

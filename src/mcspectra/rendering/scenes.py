@@ -125,7 +125,7 @@ def load_scene(scene: Scene) -> Any:
         A name in `SCENES`, with optional parameters in brackets (``"veach(width=384)"``),
         the path of a Mitsuba XML file, or a dictionary for `mitsuba.load_dict`.
         A scene file is read again if it has changed since the last call.
-        A change of a texture, mesh or other file in the scene has the same effect.
+        The file is also read again if a texture, mesh or other file in the scene has changed.
         Relative paths start in the folder of the file.
 
     Raises
@@ -179,7 +179,7 @@ def render_file(
     sampler
         Spec of one of our samplers, which replaces the scene's own sampler in memory.
     joint_dims
-        With `sampler`: how many first numbers of a path come from one set; the others are padded.
+        How many first numbers of a path come from one set of `sampler`. All others are padded.
         The default is 4 for randomized nets in base 2 and 0 otherwise.
     spp
         Samples per pixel; by default the number in the file.
@@ -610,7 +610,7 @@ MOST_XML = 2**26
 _LONGEST_REASON = 300  # maximum length of Mitsuba's message in characters
 _INCLUDES = 16  # maximum levels of includes; Mitsuba allows at most 15
 _MOST_NAMES = 64  # maximum number of values that the parameters in one text can produce
-# Maximum number of passes over all names. Each pass follows one more include or default
+# Maximum number of searches for names in a scene. Each search may resolve an include or a default
 _MOST_ROUNDS = 64
 _LONGEST_PATH = 4096  # maximum length of a path in Linux; a longer text cannot be a file
 _LONGEST_PARAMETER, _LONGEST_TEXT = 64, 2**20  # longest name and longest text, in characters
@@ -729,7 +729,7 @@ def referenced_files(
                     around = tuple(folders | {file.parent: None})
                     if trust is not None and tag == "string":
                         trust.check_scene_spec(name, where)
-                        for ending in ("eta", "k"):  # Mitsuba may open these two files
+                        for ending in ("eta", "k"):  # Mitsuba may open two files per material
                             places(f"data/ior/{name}.{ending}.spd", around, where)
                     if tag == "path":
                         for folder in (*around, here):

@@ -192,7 +192,7 @@ class PixelSampler(ScreenSampler):
     """
 
     sampler: Sampler
-    dims: int = 0  # set to the number of dims of the sampler
+    dims: int = 0  # replaced by the number of dims of the sampler
 
     def _check(self) -> None:
         settle(self, sampler=shared_sets(self.sampler), dims=self.sampler.dims)
@@ -573,7 +573,7 @@ class Tiles(ScreenSampler):
         * ``.npy``: shape (frames, height, width, channels), or (height, width, channels), or
           (height, width) for one channel. Floats lie in [0,1).
           Level k of unsigned integers of 8 or 16 bits becomes (k + ½)/L, for L levels.
-          Other integers are ranks k from 0 to L − 1.
+          Integers of other types are ranks k from 0 to L − 1, which become (k + ½)/L.
         * ``.bin``, ``.raw``: bytes in the order of a shape that must be given.
     shape
         Frames, height, width and channels of a file of bytes.
@@ -838,7 +838,7 @@ class Tables(ScreenSampler):
         return whole, block.frames * n % 256 == 0
 
     def check(self, n: int, block: ScreenBlock, seeds: int) -> None:
-        """Also reject more samples than the 256 of the tables."""
+        """Also reject more than 256 samples per pixel, because the tables have 256 samples."""
         ScreenSampler.check(self, n, block, seeds)
         if n > 256:
             raise CountError(f"{self.spec} has 256 samples per pixel, not {n}; ask for fewer.")
