@@ -43,7 +43,10 @@ from mcspectra.measure.setup import Setup, affordable_count
 BUDGET = 4096
 ESTIMATES, RENDERED = 1000, 200  # estimates by brute force for each function, and for each scene
 REALIZATIONS = 100  # realizations of each candidate in remedies
-KINDS = ("sampler", "unshifted", "mirrored", "regression", "preintegrated", "fitted", "techniques")
+KINDS = (
+    *("sampler", "unshifted", "mirrored", "regression", "preintegrated", "fitted", "periodized"),
+    "techniques",
+)
 SIGMAS = 1.96
 
 
@@ -247,7 +250,10 @@ def judge(case: Case, seed: int = 0) -> Found:
         ends = tuple(np.ravel(plan["planned_n_ci"].values))
         found.words.append(f"plan: {float(plan['planned_n']):.0f} of {n}")
         if not _overlap(ends, reached):
-            found.wrong.append(f"plan {ends[0]:.0f} to {ends[1]:.0f}, not {n}")
+            # The error of strata at a jump oscillates with n, so fewer points can be enough
+            there = _brute(given, math.ceil(ends[1]), case.estimates, seed + 1)
+            if ends[0] > reached[1] or there[1] > before[2]:
+                found.wrong.append(f"plan {ends[0]:.0f} to {ends[1]:.0f}, not {n}")
     predicted = mcs.predict(estimator, case.sampler, [n], rng=seed + 4)
     ends = tuple(np.sqrt(np.maximum(predicted["predicted_variance_ci"].values.ravel(), 0.0)))
     if not _overlap(ends, before[1:]):
