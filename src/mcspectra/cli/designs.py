@@ -71,7 +71,7 @@ def design_(options: argparse.Namespace) -> VerbOutput:
     """Search for a sampler or a density with small variance, and measure the gain.
 
     A sampler is optimized for a class of integrands.
-    The table compares the mean variances of the new sampler and of usual samplers.
+    The table compares the variances of the new sampler and of usual samplers.
     The variances are means over integrands of the class that the search did not use.
     If a usual sampler has less variance, the usual sampler is saved instead.
     Ctrl-C ends the search and keeps the best sampler found.
