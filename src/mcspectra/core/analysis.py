@@ -16,7 +16,7 @@ Therefore results have the same bits for any number of threads and machines.
 
 In some analyses, later draws depend on earlier results, for example to stop at a precision.
 In this case, the method `Analysis.reduction` is a generator.
-The generator yields a list of sums over blocks, which are `Reduction` objects.
+In each step, the generator yields a list of reductions, which are sums over blocks.
 For each `Reduction`, the generator receives one state: the merged state of all blocks.
 At its end, the generator returns the dataset.
 """
@@ -383,7 +383,7 @@ class Reduction(Generic[State]):
 Steps: TypeAlias = "Generator[list[Reduction[Any]], list[Any], xr.Dataset]"
 """Type of the generator that computes an analysis step by step.
 
-At each step, the generator yields sums over blocks, and receives their merged states.
+In each step, the generator yields reductions (sums over blocks), and receives merged states.
 At its end, the generator returns the dataset.
 """
 
