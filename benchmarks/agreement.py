@@ -12,9 +12,10 @@ A function agrees with brute force under these conditions:
     A different set-up is accepted if its RMSE intervals by `profile` and `remedies` overlap.
     For example, one function may recommend a preintegration, and the other a regression.
     A different set-up is also accepted if both set-ups have the same RMSE within their intervals;
-* `plan`: the RMSE by brute force is the target, and `plan` returns an interval of the n needed.
-  This interval overlaps a reference interval around the n that 4,096 evaluations allow.
-  The reference interval is computed from the ends of the RMSE interval by brute force;
+* `plan`: it gets the RMSE by brute force as its target, and returns an interval of n.
+  The interval of n from `plan` overlaps a reference interval around the n of brute force.
+  Brute force also gives an interval of the RMSE. Both of its ends are converted to values of n,
+  which are the ends of the reference interval of n;
 * `predict`: its RMSE interval at 4,096 evaluations overlaps the interval by brute force.
 
 An interval with an unknown end counts as overlapping.
@@ -63,7 +64,10 @@ class Case:
 
 @dataclass
 class Found:
-    """Results of a case: disagreements, bad advice, exceeded budgets, and answers in words."""
+    """Texts about one estimator, in four lists.
+
+    The lists hold disagreements, recommendations with a larger RMSE, exceeded budgets and answers.
+    """
 
     wrong: list[str] = field(default_factory=list)
     worse: list[str] = field(default_factory=list)

@@ -1,10 +1,10 @@
 """Latency of the explorer in Chromium: time from a slider's move to the updated figures.
 
-The page is the default page: 256 jittered points and 129² frequencies.
+The explorer shows its default page, with 256 jittered points and 129² frequencies.
 A key moves the slider of the strata shift.
 After each move, the server updates all figures in rounds with more and more realizations.
 The page records when bokeh receives new data for the first figure.
-The page also records when the last figure gets its data of the first round.
+The page also records when the first round of realizations has updated the last figure.
 The server's processor time is measured for each move of the slider, and the median is printed.
 Each measurement lasts from the key press until the last figure of the last round.
 """

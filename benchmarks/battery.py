@@ -14,8 +14,8 @@ A case checks these points:
   The budget is 8,192 or 262,144 evaluations.
 
 No rate is reported for an infinite variance.
-For jumps along axes, local rates vary between −1 and −3 for the same f.
-For these cases, realizations at 16 to 4,096 points give the rate.
+If f jumps along an axis, its true rate is measured at 16 to 4,096 points,
+because the local rates of the same f vary between −1 and −3.
 """
 
 from __future__ import annotations

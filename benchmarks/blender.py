@@ -23,13 +23,13 @@ from typing import Any
 PATTERNS = ("TABULATED_SOBOL", "BLUE_NOISE")
 SAMPLES, FRAMES = (4, 16, 64), 8
 SIZE = (96, 64)
-# Errors after filters are predicted from MEASURED frames, and measured with HELD other frames
+# Numbers of frames: to predict the errors after filters, and to measure these errors
 MEASURED, HELD = 24, 48
 SEEDS, HELD_SEEDS, TIMES = 4, 8, 12
 # In frames of a sequence, only this number of columns on the left is compared.
 # Farther to the right, 60 pixels of the light's reflection make half of the variance
 COLUMNS = 60
-# The gate compares PAIRS pairs of sets, and each set has EACH frames
+# Number of pairs of frame sets that the gate compares, and number of frames in each set
 PAIRS, EACH = 50, 8
 INSTALL = (
     "Not run: Blender is not found. Put blender on the path, or run `pip install bpy` in a Python "

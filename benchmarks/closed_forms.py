@@ -62,7 +62,10 @@ def z_values(sampler: str, n: int, dims: int, realizations: int = REALIZATIONS) 
 
 
 def main(*flags: str) -> None:
-    """Print a row for each net and randomization, and the root mean square of all z."""
+    """Print a row for each net and randomization.
+
+    The last row has the root mean square of all differences, in standard errors.
+    """
     only = [flag.partition("=")[2] for flag in flags if flag.startswith("--net=")]
     found = []
     print("net | step | dims | n | numbers | z rms | largest z")

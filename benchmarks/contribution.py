@@ -1,6 +1,6 @@
 """Time of `variance_terms` with 64 given bands, relative to drawing and transforming the points.
 
-The reference draws and transforms the points, and does nothing else.
+The time of `variance_terms` is divided by the time of drawing and transforming the points alone.
 Every analysis of spectra must draw and transform its points.
 The printed seconds are the shortest time of all rounds. The ratio is the median over the rounds.
 The ratio of the shortest times is also printed, because the machine may have been busy.

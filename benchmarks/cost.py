@@ -33,7 +33,8 @@ COUNTS = (256, 1024, 4096, 16384, 65536)
 HALF_WIDTHS = (16, 32, 64, 128, 256)
 REALIZATIONS = (2, 4, 8, 16, 32, 64)
 ACCURACIES = (1e-2, 1e-4, 1e-6, 1e-8)
-FIXED = (4096, 64)  # number of points and half width of the cases in which R or ε varies
+# Number of points and half width of the grid, while the realizations R or the accuracy ε vary
+FIXED = (4096, 64)
 _SECONDS = 0.15  # seconds of repeated calls for each case; all cases are timed twice
 
 
@@ -85,7 +86,10 @@ def main(*flags: str) -> None:
 def _series(
     label: str, x: tuple[float, ...], times: Array, model: Array, first: int, step: int = 1
 ) -> Series:
-    """Return a curve with one case for each x: cases `first`, `first` + `step`, and so on."""
+    """Return the measured and the modeled times of some cases, as functions of x.
+
+    The first x belongs to the case with index `first`, and each next x to a case `step` later.
+    """
     chosen = np.arange(len(x)) * step + first
     return Series(label, np.array(x, np.float64), times[chosen], model[chosen])
 

@@ -1,7 +1,7 @@
 """Compare SciPy's L-BFGS-B, QR and eigensolver with our own minimizer, QR and eigensolver.
 
 The command ``python -m benchmarks descent`` runs L-BFGS-B and our descent.
-Both descents minimize the energies, or similar functions, of three optimized samplers.
+L-BFGS-B and our descent minimize the energies, or similar functions, of three optimized samplers.
 The command prints the smallest values after as many evaluations as our descent takes.
 To compare bits, the computations of SciPy and NumPy are repeated with other numbers of threads.
 These computations are also repeated with the kernels of OpenBLAS for other processors.

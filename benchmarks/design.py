@@ -40,7 +40,7 @@ RIVALS = ("sobol | owen", "korobov | shift", "rank1-lattice | shift")
 PLANE = ("pmj02",)  # in 2-D, designs are also compared with these samplers
 FOLDED = ("korobov | shift | mirror(mode='fold')", "rank1-lattice | shift | mirror(mode='fold')")
 TURNED = ((2, 64, ("lattice", "points")), (2, 256, ("lattice",)), (4, 64, ("lattice", "points")))
-"""Dims, n and kinds for Gaussians of random orientation."""
+"""Gaussians of random orientation: dims, number of points, and kinds of designs to search."""
 DESIGNS = SearchSettings(return_rival=False)  # measure designs even if a rival is better
 NETS = {
     "onetwo_init_tab.dat": "sobol(directions={!r}) | owen",

@@ -9,7 +9,7 @@ Direct light from Sobol' points with a dither mask gives blue noise.
 Sequences have independent frames, or frames that share renders as if samples were reused.
 A frame that shares renders is the mean of 4 renders; the next frame contains 3 of these.
 The function `mcspectra.rendering.frames` predicts the error from some of the frames.
-The other frames are filtered by scipy.ndimage and by a recursive average.
+Frames not used for the prediction are filtered by scipy.ndimage and by a recursive average.
 The benchmark ``blender`` does the same with frames of Cycles.
 """
 
@@ -24,7 +24,7 @@ import numpy as np
 from scipy.ndimage import convolve1d, gaussian_filter
 
 SIZE, SPP = 96, 4
-# Errors are predicted from MEASURED independent frames, and measured with HELD other frames
+# Numbers of independent frames: to predict the errors, and to measure these errors
 MEASURED, HELD = 24, 48
 SEEDS, HELD_SEEDS, TIMES, REUSED = 4, 8, 24, 4
 FIRST = 0.1  # averages in which the first frame has at least this weight are not compared

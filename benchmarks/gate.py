@@ -85,7 +85,7 @@ def _library(depth: int, sampler: dict[str, Any], count: int) -> Array:
 def _samples(depth: int, count: int) -> Array:
     """Return the luminance of independent samples of each pixel (sample, y, x), in large batches.
 
-    Sample k has the same path for two different depths, up to the smaller depth.
+    If the maximum depth is changed, sample k follows the same path up to the smaller depth.
     """
     import drjit as dr
     import mitsuba as mi
@@ -167,7 +167,8 @@ def _alarms(libraries: dict[str, Array], pairs: int) -> None:
 def _errors(cosine: Array) -> dict[str, Callable[[Array, Array], Array]]:
     """Return functions by name; each makes faulty frames from whole paths and direct light."""
     corner = np.zeros((SIZE, SIZE), bool)
-    corner[20:26, 24:31] = True  # the error "light dropped in 1 %" darkens these 42 of 4096 pixels
+    # The error "light dropped in 1 %" darkens a rectangle of 42 among the 4096 pixels
+    corner[20:26, 24:31] = True
 
     return {
         "none": lambda whole, _: whole,
@@ -381,7 +382,10 @@ def _speed() -> None:
 
 
 def main(*flags: str) -> None:
-    """Print false alarms, power, the check of the stated bias, and seconds."""
+    """Print tables of false alarms and of detected errors, and the time of the tests.
+
+    The tables of detected errors include a check of the smallest bias that the gate claims to find.
+    """
     from mcspectra.rendering import load_mitsuba, register_samplers
 
     mi = load_mitsuba()

@@ -58,7 +58,7 @@ def _pairing() -> None:
 def main() -> None:
     """Print how much the sum of the three terms differs from the variance, for 1, 2 and 3 dims.
 
-    The variances that our formula and the formula of the slides predict follow.
+    The last lines compare measured variances with our formula and with the formula of the slides.
     """
     names = ("random", "jittered", "jittered | shift", "one-sided")
     for dims in SIZES:

@@ -2,8 +2,9 @@
 
 Each budget is 2^14 evaluations, of which the pilot uses 2^11.
 Variances come from new samples, measured by `mcspectra.convergence`.
-For nets, both variances use the largest power of two within the budget.
-The printed ratios are medians over pilots.
+With nets, the plain and the changed estimator use the largest power of two within the budget.
+A pilot is a set of evaluations to which changes are fitted.
+Each printed ratio is the median over several pilots.
 """
 
 from __future__ import annotations

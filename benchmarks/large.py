@@ -38,7 +38,7 @@ print(json.dumps([seconds, used]))
 
 @dataclass(frozen=True)
 class Case:
-    """Sizes of one call: the grid of frequencies, n jittered points, and their realizations."""
+    """One call of `variance_terms`: size of the frequency grid, and numbers of points and sets."""
 
     dims: int
     half_width: int

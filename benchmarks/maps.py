@@ -6,7 +6,7 @@ Mitsuba's kernels read random numbers and first hits from tables that exist befo
 A kernel processes all samples in parallel, and sums over the samples of a pixel.
 The raw Mitsuba calls copy their results to NumPy, and compute no statistics.
 The map loops over samples. One evaluation gives both the plain and the weighted estimate.
-The line "kernels alone" measures the map's loops without its statistics.
+The benchmark also prints the time of the kernels of the map without statistics ("kernels alone").
 ``--full`` maps 256 × 170 pixels without predictions and compares with the raw calls alone.
 This map takes minutes. The default map is smaller.
 """
@@ -62,7 +62,7 @@ def main(*flags: str) -> None:
 
 
 def run_map(size: tuple[int, int], predict_every: int = 0) -> None:
-    """Map four strategies and the sum of both techniques."""
+    """Map the variance of light and BSDF sampling, plain and weighted, and of MIS."""
     variance_map(
         "veach",
         counts=COUNTS,

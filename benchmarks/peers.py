@@ -4,7 +4,7 @@ Every method estimates ten integrals with 30 seeds each, all in one run. The met
 
 * ``profile``: `mcspectra.profile` uses a quarter of the evaluations.
   The function `integrate(profile=…)` uses the remaining evaluations;
-* ``after``: like ``profile``, but `integrate` uses 4,096 evaluations after a profile of 4,096.
+* ``after``: like ``profile``, but the profile and the integral use 4,096 evaluations each.
   A function that is integrated repeatedly needs its profile only once;
 * ``integrate``: the function `mcspectra.integrate`, called without a profile;
 * ``scipy``: 16 scrambled Sobol' sets of SciPy, with Student's t interval;
@@ -16,7 +16,8 @@ A line gives the RMS error of each method.
 The number in brackets counts the intervals that contain the integral.
 A method is a rival of ``profile`` only if at least 27 of its 30 intervals contain the integral.
 The errors of ``profile`` and ``after`` should be at most 1.2 times the error of the best rival.
-For ``profile`` and ``after``, the last line counts the integrands that meet the limit of 1.2.
+The output ends with two counts, for ``profile`` and for ``after``:
+the number of integrands whose error is at most 1.2 times the error of the best rival.
 """
 
 from __future__ import annotations

@@ -393,7 +393,10 @@ IN_MANY_DIMS = (
 
 
 def measure(group: Group, sampler: str) -> tuple[tuple[int, ...], Array, Array]:
-    """Return counts (N,), reference variances and their standard errors, both (problems, N)."""
+    """Return counts, reference variances, and the standard errors of these variances.
+
+    Counts have the shape (N,). Variances and standard errors have the shape (problems, N).
+    """
     many = _DEAR.get(sampler.partition(" ")[0], group.realizations)
     variances, errors, counts = [], [], ()
     for problem in group.problems:
@@ -436,7 +439,10 @@ class Tally:
 
 
 def main(*flags: str) -> None:
-    """Print a row for each sampler and group, the totals, and calls that repeat the worst cells."""
+    """Print a row for each sampler and group of integrands, then the totals.
+
+    The worst predictions are listed last, each with a call that repeats the prediction.
+    """
     only = tuple(flag.partition("=")[2] for flag in flags if flag.startswith("--group="))
     worst: list[tuple[float, str]] = []
     totals: dict[str, Tally] = {}

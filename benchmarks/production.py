@@ -22,7 +22,7 @@ from mcspectra.rendering.maps import Map
 from mcspectra.samplers import as_sampler
 
 CROP, COUNTS, REALIZATIONS, ROUNDS = (240, 135), (4, 16, 64), 4, 5
-SHARES = (0.5, 0.95, 0.99)  # shares of the pixels whose largest errors are compared
+SHARES = (0.5, 0.95, 0.99)  # quantiles at which the relative errors of pixels are compared
 
 
 def against_raw():
@@ -102,7 +102,7 @@ def estimated():
 
 
 def main(*flags):
-    """Print one of the three comparisons."""
+    """Compare a map with raw renders, or make the comparison that a flag selects."""
     mitsuba = load_mitsuba()
     mitsuba.set_log_level(mitsuba.LogLevel.Error)
     if "--adaptive" in flags:

@@ -115,9 +115,9 @@ def changed(settings: Any, name: str, factor: float) -> Any:
 
 
 def variants() -> Iterator[tuple[str, str, list[CauseSettings]]]:
-    """Yield the class and the name of each setting, and two changed versions of all settings.
+    """Yield for each setting its class, its name and two changed copies of `CauseSettings`.
 
-    In the two versions, the value of the setting is halved or doubled.
+    In the first copy, the value of this setting is halved; in the second copy, it is doubled.
     """
     for part in ("", *NESTED):
         own = getattr(CAUSE_SETTINGS, part) if part else CAUSE_SETTINGS
@@ -283,7 +283,7 @@ def main(*only: str) -> None:
     def right(settings: CauseSettings, *, again: bool) -> str:
         """Return the number of cases for which the right cause is found, as text.
 
-        If settings of poles were changed, the number of correctly recognized poles is added.
+        If `PoleSettings` were changed, the text also has the number of correctly recognized poles.
         """
         count = 0
         for (e, sampler, causes, seed), seen in zip(given, usual, strict=True):

@@ -6,7 +6,7 @@ Efficiency is the time with one worker divided by w times the time with w worker
 Tasks that sleep show the cost of scheduling.
 Real tasks also share Python's lock (threads) and a memory bus.
 Without a study, two processes each loop over half of the cells.
-The speedup of these processes is the largest that two processors of the machine allow.
+The speedup by two plain processes is the upper bound for a study on two processors.
 All methods take turns in several rounds. If times vary, the shortest time is used.
 """
 
@@ -27,7 +27,7 @@ from mcspectra.studies.executors import Cluster, Dask, Threads
 from mcspectra.studies.run import MakeExecutor
 
 SECONDS = 0.5
-LONG = 1.5  # seconds per cell, long compared with the start of a process
+LONG = 1.5  # seconds for each long cell, so that the start of processes matters less
 ROUNDS = 3
 CELLS = 16
 STUDY = """

@@ -77,7 +77,7 @@ def _with_links(text: str, left: dict[str, str]) -> list[nodes.Node]:
 
 
 def _pattern(term: str) -> str:
-    """Return the pattern of a term in any case; abbreviations match in capitals only."""
+    """Return a regular expression for a term. It ignores case, except for abbreviations."""
     return re.escape(term) if term.isupper() else f"(?i:{re.escape(term)})"
 
 

@@ -52,7 +52,7 @@ class Board:
         Schedules a function without arguments in the page's thread, with the lock of the page.
     on_update
         Called once with an empty text in the job's thread, after the first round of results.
-        If the job ends or is canceled during the first round, the function is called at once.
+        If the job ends or is canceled during the first round, `on_update` is called immediately.
         If nothing can be computed, the text is a sentence with the reason.
     on_shown
         Called in the page's thread after results were shown, and after the job has ended.
@@ -77,9 +77,8 @@ class Board:
         # For each job and each part of its results, the last update that the job has sent
         self._newest: dict[tuple[Job, str], Update] = {}
         self._fresh: set[str] = set()  # kinds of figures that the current job has already shown
-        self._drawn: dict[
-            str, tuple[Any, list[str]]
-        ] = {}  # displayed value and figures of each part
+        # For each part of the results, the displayed value and the names of its figures
+        self._drawn: dict[str, tuple[Any, list[str]]] = {}
         self._paired = False
         self._fraction = 0.0
         self._status = Div(sizing_mode="stretch_width", stylesheets=[sheet])

@@ -295,7 +295,10 @@ class Explorer:
         self.roots["head"].tags = [self.state.query()]
 
     def _write_texts(self, refused: str) -> None:
-        """Write the exported texts from cached results; the thread of a job may call this."""
+        """Export the set-up as Python code and as a study file, from cached results.
+
+        Jobs may call this method in their own threads.
+        """
         try:
             texts = (
                 (f"# {refused}",) * 2 if refused else (as_python(self.state), as_toml(self.state))

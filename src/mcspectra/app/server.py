@@ -53,7 +53,7 @@ class Guard(routing.Router):
     Parameters
     ----------
     application
-        Application that answers the forwarded requests.
+        Application that answers requests by the server's own pages.
     port
         Port of the server.
     sessions

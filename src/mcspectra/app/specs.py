@@ -157,7 +157,8 @@ def _plain(name: str, text: object) -> str:
 def _check_call(call: Call) -> None:
     arguments = dict(call.arguments)
     if call.name in RUN_CODE:
-        check_code(call)  # a link cannot allow code
+        # Only the user who starts the explorer can allow code; a link to a page cannot
+        check_code(call)
         arguments = {k: v for k, v in arguments.items() if k not in ("run", "function")}
     if call.name == FORMULA:
         arguments.pop("expression", None)  # a formula may have slashes and dots, but names no file

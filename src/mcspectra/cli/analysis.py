@@ -97,7 +97,7 @@ def analysis_verb(names: Sequence[str], given: Sequence[str] = ()) -> Verb:
     AnalysisError
         If an option has a name that is already in use (`mcspectra.core.analysis.check_names`).
     ParameterError
-        If no analysis has the given split.
+        If ``--split`` is given, but does not name one of the analyses.
     """
     splits: dict[str, tuple[str, type[Analysis]]] = {}
     for each in names:
@@ -374,7 +374,7 @@ def declared(
     flags
         Flags to declare. By default, these are all flags of the option.
     refuse
-        Function that raises an error if the option is given but belongs to another --split.
+        Function that raises an error if the option is given, but only another analysis has it.
     """
     flags = _flags(given) if flags is None else flags
     text = given.extra.get("help", given.meaning).rstrip(".")

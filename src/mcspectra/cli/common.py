@@ -62,7 +62,8 @@ class Read(argparse.Action):
     Parameters
     ----------
     read
-        Function that returns the value from the option's name and text; by default the text.
+        Function that computes a value from the name of the option and its text.
+        By default, the value is the text itself.
     repeated
         Effect of a repeated option: ``"last"`` keeps the last value, ``"once"`` raises an error.
         ``"all"`` collects all values in a list, including the items of tuples.

@@ -71,7 +71,8 @@ def design_(options: argparse.Namespace) -> VerbOutput:
     """Search for a sampler or a density with small variance, and measure the gain.
 
     A sampler is optimized for a class of integrands.
-    The table compares its mean variance with usual samplers, over other integrands of the class.
+    The table compares the variances of the new sampler and of usual samplers.
+    The variances are means over integrands of the class that the search did not use.
     If a usual sampler has less variance, the usual sampler is saved instead.
     Ctrl-C ends the search and keeps the best sampler found.
 
@@ -147,7 +148,7 @@ def _sampler(options: argparse.Namespace, path: str | None) -> tuple[str, dict[s
     }
     if path is not None:
         sets = str(Path(path).with_suffix(".npz"))
-        # The file names the file of the point sets by a path relative to its own folder
+        # The JSON file refers to the .npz file of point sets by its path relative to the JSON file
         stored = spec.replace(repr(sets), repr(Path(sets).name))
         with writing(path):
             Path(path).write_text(json.dumps(data | {"spec": stored}, indent=2) + "\n")

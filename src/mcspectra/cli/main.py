@@ -119,7 +119,7 @@ _LONGEST = 1000  # maximum length of the message of an unexpected error in chara
 _LONGEST_USAGE = 250  # maximum length of an error message of the argument parser in characters
 
 _BEFORE = {"--json": 0, "--quiet": 0, "--debug": 0, "--seed": 1, "--allow-code": 1}
-"""Options of all verbs that may also come before the verb, with their numbers of values."""
+"""Options that may come before or after the verb. The number 1 means that a value follows."""
 
 _HELP = """\
 usage: mcspectra VERB ...     mcspectra VERB --help     mcspectra --version
@@ -290,7 +290,7 @@ def _writer(parser: argparse.ArgumentParser) -> Callable[[Parameter | Function],
             for name in names:
                 analysis = ANALYSES.load(name)
                 if analysis.function == part.name:
-                    # the first analysis of a verb needs no --split
+                    # --split selects an analysis of the verb, and the first is the default
                     word = analysis.verb if name == names[0] else analysis.command()
                     return f"'mcspectra {word}'"
         return str(part)
@@ -362,7 +362,7 @@ def _outside_verbs() -> tuple[dict[str, list[str]], dict[str, str]]:
 
     An analysis is omitted if another analysis has the same function, or the same verb and split.
     Analyses of this package have priority.
-    Analyses that cannot be loaded are in neither dictionary.
+    An analysis that cannot be loaded appears in neither of the two returned dictionaries.
     The command `mcspectra list analyses` states why an analysis could not be loaded.
     """
     if not entry_points(group="mcspectra.analyses"):

@@ -540,7 +540,7 @@ def pixel_(options: argparse.Namespace) -> VerbOutput:
         from mcspectra.report.tables import summary_table, terms_table
         from mcspectra.studies.pixel import analyse_pixel
 
-        # Describe the pixel, and show rates and terms
+        # Describe the pixel; show the rates of its strategies and the terms of the variance
         tree = analyse_pixel(options.scene, x, options.y, **asked)
         head = [f"pixel ({tree.attrs['x']}, {tree.attrs['y']}) of {tree.attrs['scene']}"]
         head += [f"  {name}: {text}" for name, text in pixel_page.about_pixel(tree)]
@@ -745,7 +745,7 @@ def _map_cost(options: argparse.Namespace, parts: Any, subjects: Any) -> VerbOut
     seconds, samples = (sum(getattr(c, k) for c in costs) for k in ("seconds", "samples"))
     # A map has five figures: mean, variance, rate, error of the rate, and the picture.
     # Maps that compare strategies, or that show shares of the variance, have four more figures.
-    # A map of some of the pixels has one more figure, and a comparison of samplers another one
+    # A map of a subset of the pixels has one more figure. So does a comparison of samplers
     figures = 5 + (4 if parts[0].integrator is None or parts[0].chains != 0 else 0)
     figures += (parts[0].pixels is not None) + (len(parts) > 1)
     profile = 0.0

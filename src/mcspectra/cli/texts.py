@@ -34,10 +34,10 @@ _MANY = 10_000  # maximum number of values per variable in --json
 
 
 View = Callable[["xr.Dataset"], VerbOutput]
-"""Function of a result that returns a text, and JSON entries to add to those of `data_of`."""
+"""Function that turns a result into a text, and into JSON entries in addition to `data_of`."""
 
 VIEWS: dict[str, dict[str, View]] = {}
-"""Views by analysis and name. The first view is the default, and --show selects another."""
+"""For each analysis, the views by name. --show selects a view; the first view is the default."""
 
 
 def _view(analysis: str, name: str = "") -> Callable[[View], View]:
@@ -312,7 +312,7 @@ def pcf(result: xr.Dataset) -> VerbOutput:
 def anova(result: xr.Dataset) -> VerbOutput:
     """Prints the variance of each subset of axes, and of all larger subsets together.
 
-    The mean dimension and the effective dimensions follow.
+    The text ends with the mean dimension and the effective dimensions.
     Shares and dimensions have 95 % intervals.
     The intervals may exceed the range from 0 to 1, or the number of axes.
     """

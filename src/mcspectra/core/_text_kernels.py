@@ -73,7 +73,8 @@ def parse_lines(text: Array, values: Array, runs: Array, hard: Array) -> tuple[i
     tuple of int
         Number of lines, and numbers of entries in the three outputs `values`, `runs` and `hard`.
         The number of lines is −1 if the text is not printable ASCII, or has words outside comments.
-        It is also −1 if lines without a comment between them have different numbers of values.
+        The number of lines is also −1 if two lines have different numbers of values,
+        and no comment is between these lines.
     """
     bad = (-1, 0, 0, 0)
     line = count = used = left = 0

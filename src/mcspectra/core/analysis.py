@@ -16,8 +16,8 @@ Therefore results have the same bits for any number of threads and machines.
 
 In some analyses, later draws depend on earlier results, for example to stop at a precision.
 In this case, the method `Analysis.reduction` is a generator.
-The generator yields a list of sums over blocks, which are `Reduction` objects.
-For each sum, it receives the state that results from merging the states of all blocks.
+In each step, the generator yields a list of reductions, which are sums over blocks.
+For each `Reduction`, the generator receives one state: the merged state of all blocks.
 At its end, the generator returns the dataset.
 """
 
@@ -191,7 +191,7 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         For example, a study that computes spectra also computes the points.
     pictured
         Whether the first screen of a report shows the analysis.
-        Studies compute analyses on the first screen before all other analyses.
+        A study computes the analyses on the first screen of its report before all others.
         An interrupted study therefore already has a report.
     """
 
@@ -220,7 +220,7 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         return Need()
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[Any] | Steps:  # noqa: ARG002
-        """Return the sum over blocks to compute, or a generator that yields such sums step by step.
+        """Return the computation: a `Reduction`, or a generator that yields reductions in steps.
 
         Parameters
         ----------
@@ -248,16 +248,16 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         return None
 
     def part(self, subject: Subject, stream: Stream, key: str) -> Reduction[Any]:
-        """Return the sum over blocks of realizations that has the name `key`.
+        """Return the reduction, a sum over blocks of realizations, that has the name `key`.
 
         Workers call this method without running the earlier steps of the analysis.
-        By default, `key` must be the name of a sum in the first step of the analysis.
+        By default, `key` must be the name of a reduction that needs no earlier results.
         Analyses override this method if later steps depend on the merged states of earlier steps.
 
         Raises
         ------
         NotImplementedError
-            If no sum over blocks in the first step has the name `key`.
+            If no reduction in the first step of the analysis has the name `key`.
         """
         found = self.reduction(subject, stream)
         for each in [found] if isinstance(found, Reduction) else next(found):
@@ -364,8 +364,8 @@ class Reduction(Generic[State]):
     blocks
         Number of blocks. A block is the smallest unit of work.
     cost
-        Work of all blocks together, in a unit that all sums of a step share.
-        The sums with the most work start first, and progress is the finished fraction of the work.
+        Work for all blocks together, in any unit that is the same for all reductions of a step.
+        Reductions with more work start earlier. Progress is the finished fraction of the work.
     key
         Name that is unique within the analysis. It identifies stored states.
     result
@@ -383,7 +383,7 @@ class Reduction(Generic[State]):
 Steps: TypeAlias = "Generator[list[Reduction[Any]], list[Any], xr.Dataset]"
 """Type of the generator that computes an analysis step by step.
 
-At each step, the generator yields sums over blocks, and receives their merged states.
+In each step, the generator yields reductions (sums over blocks), and receives merged states.
 At its end, the generator returns the dataset.
 """
 
@@ -448,13 +448,13 @@ def _said(analysis: Analysis) -> str | Function:
 
 
 def steps_of(analysis: Analysis, subject: Subject, stream: Stream) -> Steps:
-    """Return the generator that computes an analysis. A single `Reduction` is wrapped as one step.
+    """Return the generator that computes an analysis. A single `Reduction` becomes the only step.
 
     Raises
     ------
     AnalysisError
         If the analysis has no computation or no result, or if a step has the wrong type.
-        If two sums of the analysis have the same name, or if a sum has no blocks.
+        If two reductions of the analysis have the same name, or if a reduction has no blocks.
     """
     name = type(analysis).__name__
     found: Any = analysis.reduction(subject, stream)
@@ -585,7 +585,7 @@ def driven(steps: Steps, states_of: Callable[[list[Reduction[Any]]], Iterable[An
 
 
 def compute_chunk(reduction: Reduction[State], chunk: Chunk) -> State:
-    """Compute the state of one chunk of a reduction, in this thread."""
+    """Compute the merged state of a chunk of consecutive blocks, in the calling thread."""
     tree: MergeTree[State] = MergeTree()
     first, count = chunk
     for index in range(first, first + count):
@@ -596,8 +596,9 @@ def compute_chunk(reduction: Reduction[State], chunk: Chunk) -> State:
 class MergeTree(Generic[State]):
     """Merges states of blocks, like a binary counter: neighboring nodes of equal size merge first.
 
-    After all blocks are added, `total` merges the remaining nodes, which have different sizes.
-    It begins with the last blocks and ends with the first.
+    A node is a run of consecutive blocks whose states have been merged.
+    The nodes that remain after the last block have different sizes, and `total` merges them.
+    The method `total` begins with the last blocks and ends with the first blocks.
     The tree depends only on the number of blocks, not on the chunks or their order.
     If blocks arrive in order, the tree holds only log₂(blocks) states at the same time.
 
@@ -605,7 +606,7 @@ class MergeTree(Generic[State]):
     ----------
     nodes
         For each node of the tree, its number of blocks and the merged state of these blocks.
-        The key of a node is the number of its first block.
+        The keys of this dict are the indices of the first blocks of the nodes.
     """
 
     def __init__(self) -> None:
@@ -618,9 +619,10 @@ class MergeTree(Generic[State]):
         self._next += blocks
 
     def put(self, chunk: Chunk, state: State) -> int:
-        """Add the state of a run of blocks, and merge it with neighboring runs of the same length.
+        """Add the merged state of consecutive blocks, and merge it with neighboring states.
 
-        After all merges, the blocks belong to one run. The method returns the run's first block.
+        Two neighboring nodes of the tree are merged as long as they have equal numbers of blocks.
+        The method returns the first block of the node that contains the added blocks.
         """
         first, count = chunk
         while count & (count - 1) == 0 and self.nodes.get(first ^ count, (0,))[0] == count:
@@ -649,7 +651,7 @@ def chunks(blocks: int, size: int) -> Iterator[Chunk]:
 def in_step(
     parts: Sequence[Generator[Reduction[Any], State, Result]],
 ) -> Generator[list[Reduction[Any]], list[State], list[Result]]:
-    """Run several generators together: each step contains the next sum of every generator.
+    """Run several generators together: each step computes the next reduction of every generator.
 
     The result is a list with the result of each generator, in the same order.
     """

@@ -200,7 +200,7 @@ class Drawable:
             A sampler has the plots ``points`` and ``spectrum``.
             Densities and integrands have the plot ``integrand``: the function, as a curve or a map.
             An estimator also has the plots ``strata`` (parts of the variance) and ``estimates``.
-            The default is the first kind that is listed here for the component.
+            The default is the first of these plots that the component has.
         n
             Number of points. The default is about 16 in 1-D, and about 64 in more dims.
         sampler
