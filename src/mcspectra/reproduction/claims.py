@@ -299,7 +299,7 @@ def pixel_rate(statement: str, curve: xr.Dataset, expected: float) -> Claim:
 def normal_limit(count: int, freedom: int = 0) -> float:
     """Return a limit that the largest of `count` normal errors rarely exceeds.
 
-    No error exceeds the limit with a probability of 99.98 %, the confidence level of a finding.
+    With probability 99.98 %, the confidence level of a single finding, no error exceeds the limit.
     If `freedom` is given, the errors follow Student's t distribution.
     """
     from scipy.special import ndtri, stdtrit
