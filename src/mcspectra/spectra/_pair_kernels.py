@@ -90,7 +90,7 @@ def count_distances(
         x = coordinates[0, a]
         while end < total and coordinates[0, end] - x <= limit:
             if end >= n and coordinates[0, end] - x == limit:
-                # Two points at the distance `limit` find each other twice on the torus; count them once
+                # On the torus, two points at exactly this distance meet twice; count them once
                 break
             end += 1
         for start in range(a + 1, end, _CHUNK):
