@@ -199,7 +199,7 @@ def _after(found: dict[str, Any]) -> Iterator[_Finding]:
         if asked:
             yield each
     # A Gaussian filter may reverse which of two sets of frames has less variance.
-    # If no filter was given, report the Gaussian that reverses the order of the variances most
+    # If no filter was given, report the Gaussian that most strongly reverses the two variances
     if not asked and opposites:
         yield max(opposites)
 

@@ -329,7 +329,7 @@ def map_summary(result: xr.Dataset) -> dict[str, Any]:
 def _subset(result: xr.Dataset) -> dict[str, float]:
     """Return the number of measured pixels, of all pixels, and a factor for interpolation errors.
 
-    Interpolated variances may be wrong by this factor; its median over these pixels is returned.
+    Variances may be wrong by this factor; its median over all interpolated pixels is returned.
     The interpolation factor is that of the last strategy and the first sampler.
     """
     if "measured" not in result:

@@ -48,8 +48,8 @@ Disks: TypeAlias = tuple[float, int, int, Array, bool, int]
 """Disks, and the grid of cells in which their neighbors are searched.
 
 The entries are the radius, the number of cells per axis, and the reach of a disk in cells.
-The next entries are the steps to all cells that a disk can touch, and whether the domain is
-a torus. The last entry is the number of darts."""
+The next entries are the steps to all cells that a disk can touch, whether the points are on
+the torus, and the number of darts."""
 
 Throw: TypeAlias = Callable[[Any, Any, int, Array], tuple[int, int]]
 """Function that fills an array of points (n, d).
@@ -204,7 +204,7 @@ class DartThrowing(Sampler):
         Minimum distance relative to the densest known packing of n points [Lagae2008]_.
         The relative distance is above 0 and at most 1.
         Dart throwing jams at a ratio of about 0.75 in 1-D, 0.78 in 2-D, and 0.8 in more dims.
-        Long before darts jam, classic rejection becomes slow.
+        Classic rejection becomes slow at distances below these limits of jamming.
 
     References
     ----------

@@ -165,7 +165,7 @@ class PMJ02BlueNoise(_PlaneSequence):
 def pairings() -> Array:
     """Return numbers from which the partner of each point in pmj02 follows: out, uint64 (2, 31).
 
-    In pass k, each new point shares an interval of each axis with an earlier point, its partner.
+    On each axis, each new point of pass k shares an interval with an earlier point, its partner.
     On axis j, the points i and i xor out[j, k] are partners.
     The bits of the index are the coefficients of a polynomial in t over GF(2).
     The basis of the polynomials is 1, t, b, b·t, b², b²·t, … with b = t² + t.

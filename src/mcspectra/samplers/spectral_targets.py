@@ -39,7 +39,7 @@ _REACH = 2.0  # largest |m|/√n at which power is matched
 # These frequencies resolve details of the pair correlation down to 1/8 of the mean distance.
 _PCF_REACH = 4.0
 # Arguments at which the transform of a target is checked for negative values.
-# A target is a power, transformed to a pair correlation, or a pair correlation
+# The transform of a target power is a pair correlation, and vice versa
 _TRIED = np.linspace(0.0, 6.0, 601)
 _LINE = np.linspace(0.0, 2 * _PCF_REACH, 1601)  # tabulated values of |m|/√n
 _NEGATIVE = -1e-6  # Values below this limit count as negative; quadrature errors are 1e-9.

@@ -237,7 +237,7 @@ def wedge_means(spectrum: xr.Dataset, wedges: int = 12) -> xr.Dataset:
         ``wedge_power`` and its standard error ``wedge_power_se``, on the dim angle.
         Angles are in degrees, at the centers of the wedges.
         Values are NaN for wedges without frequencies.
-        Exact standard errors are known only for the number of wedges that `power_spectrum` used.
+        The spectrum has standard errors only for the number of wedges that `power_spectrum` used.
         For a different number of wedges, standard errors are NaN if the points have a density.
         Without a density, errors are computed as if frequencies were uncorrelated.
     """

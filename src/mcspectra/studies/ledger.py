@@ -966,7 +966,7 @@ class Ledger:
         )
 
     def _sound(self, paths: Sequence[str]) -> Iterator[_Change]:
-        """Yield, for each intact row, the change that would write this row to a new ledger.
+        """Yield, for each intact row, the change that would write this row again.
 
         All other rows are listed in `damaged`.
         This method alone decides which parts of a damaged ledger are kept.

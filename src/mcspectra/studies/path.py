@@ -266,7 +266,7 @@ def shares_by_light(f: PathPixel, paths: int, stream: Stream) -> xr.Dataset | No
         The pixel.
     paths
         Number of random paths, each followed once per light.
-        The improved probabilities of selecting lights are computed from the first 1024 paths.
+        The first 1024 paths (the pilot) determine improved probabilities of selecting lights.
         The gain from these probabilities is measured with `paths` new paths.
     stream
         Random numbers.

@@ -177,7 +177,7 @@ def analyse_pixel(
     -------
     xarray.DataTree
         ``convergence``: measured variances by `mcspectra.convergence` on (strategy, sampler, n).
-        ``predict/STRATEGY``: variances by `mcspectra.predict` on (sampler, n), and the methods used.
+        ``predict/STRATEGY``: variances by `mcspectra.predict` on (sampler, n), and their methods.
         ``terms/STRATEGY/VIEW``: variance terms by `mcspectra.variance_terms` in primary space.
         VIEW is ``auto`` (the basis that fits the sampler) or ``fourier``.
         ``techniques``: terms by `mcspectra.technique_terms` for the balance heuristic.

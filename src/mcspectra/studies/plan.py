@@ -128,7 +128,8 @@ class StudyCell:
     def compute(self, seed: int) -> xr.Dataset:
         """Compute the cell in this thread; the result has the same bits on every run.
 
-        Nothing is checked here, because planning has already checked the cell.
+        Unlike `mcspectra.core.analysis.compute`, this method does not check the request.
+        Planning has already checked the requests of all cells.
         """
         steps = steps_of(self.analysis, self.subject, Stream.from_rng(seed))
         result = driven(
