@@ -87,7 +87,7 @@ def render(
     heuristic
         ``"balance"`` or ``"power"`` (β = 2).
     rng
-        Seed in the sense of SPEC 7.
+        Seed of the random numbers, as defined by SPEC 7 of Scientific Python.
     workers
         Number of threads that draw points while other points render. It does not change the result.
 

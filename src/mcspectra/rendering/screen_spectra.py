@@ -11,7 +11,7 @@ In the slides, the integrand f takes the place of the filter K.
 The power is normalized: for white noise it equals the mean squared error of a pixel.
 
 The transform treats a block as periodic, which is right for masks that repeat within the block.
-For all other points, filtered errors are averaged only where the filter stays inside the block.
+If the points do not repeat, filtered errors count only where the filter stays inside the block.
 Spectra of points that do not repeat are computed from blocks with a Hann taper.
 Without a taper, 1 % of the power of blue noise would move to low frequencies,
 because blocks of 64 × 64 pixels end abruptly at their border.
@@ -66,10 +66,11 @@ class ScreenSpectrumSettings:
         Only pixels at least 4 σ away from the border of the block are used.
         Beyond 4 σ, the Gaussian has the weight 6e-5 in one dim: errors change by less than 2.5e-4.
     remembered
-        A moving average over frames also contains frames from before the block with some weight.
-        An average is not used if the weight of frames before the block exceeds `remembered`.
-        All averages are used if the points repeat within the block.
-        If errors are correlated in time, a weight of 0.5 % changes the variance by about 0.5 %.
+        Largest weight that a moving average over frames may give to frames before the block.
+        A moving average is not used if the weight of these earlier frames is larger.
+        If the points repeat within the block, all moving averages are used.
+        If errors are correlated in time, a weight of 0.5 % for frames before the block
+        changes the variance of the average by about 0.5 %.
     """
 
     most_values: int = 2**23
@@ -120,7 +121,7 @@ def screen_spectrum(
     alpha
         Weight of the newest frame in the exponential moving average (EMA) over frames.
     rng
-        Seed in the sense of SPEC 7.
+        Seed of the random numbers, as defined by SPEC 7 of Scientific Python.
 
     Returns
     -------
@@ -132,7 +133,7 @@ def screen_spectrum(
         ``low_share`` is the mean relative power below 1/8 cycle per pixel, 1 for white noise.
         ``slow_share`` is the mean relative power below 1/8 cycle per frame, 1 for white noise.
         By sampler and filter: ``filtered_error``, the mean squared error after a filter.
-        ``filtered_ratio`` is this error divided by that of random points after the same filter.
+        ``filtered_ratio`` is the filtered error divided by the filtered error of random points.
         The intervals ``filtered_ratio_ci`` have 95 % confidence for all samplers together.
         By filter: ``best``, the index of the best sampler, or −1 if intervals overlap.
         ``error_image(sampler, y, x)`` is frame 0 of the first block.
@@ -155,8 +156,9 @@ def screen_spectrum(
     If a block contains the whole mask, its numbers are exact, and their intervals have width 0.
     If only one block exists and it is not the whole mask, intervals are unknown (NaN).
     The filters are ``gaussian`` and ``ema`` of `mcspectra.rendering.frames`.
-    If the points do not repeat after the block, pixels within 4 σ of its border are not used.
-    The first frames are not used either, until the EMA contains less than 0.5 % of its start.
+    If the points do not repeat in space, pixels within 4 σ of the border of the block are not used.
+    If the points do not repeat in time, the first frames of the block are not used:
+    in these frames, the EMA gives more than 0.5 % weight to frames before the block.
 
     References
     ----------
@@ -349,7 +351,8 @@ def _used(
 ) -> tuple[list[tuple[slice, ...]], bool]:
     """Return the part of a block in which filtered values depend only on values inside the block.
 
-    Also return whether the block has too few frames; then all frames are used.
+    The second value is True if the block is too short to omit its first frames.
+    All frames of such a short block are used.
     """
     whole, steady = repeats
     edge = 0 if whole else math.ceil(_SETTINGS.reach * sigma)

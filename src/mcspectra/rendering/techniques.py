@@ -252,8 +252,9 @@ def lane_sums(
     """Sum float32 values over k < `count` in float64, separately in each lane: (lanes, numbers).
 
     A lane is one of many computations that run in parallel.
-    One loop is recorded, so that memory does not grow with `count`.
-    `values(lane_numbers)` returns a function, which computes the k-th values of all lanes from k.
+    Dr.Jit records a single loop over k, so the required memory does not grow with `count`.
+    The function `values` gets the numbers of all lanes and returns another function.
+    Given k, this other function computes the k-th values of all lanes in parallel.
     """
     import drjit
 
@@ -278,9 +279,9 @@ def pixel_sums(
 
     Samples u are (R, n, D), equal for all pixels, or (R, P, n, D).
 
-    Each lane is one realization of one pixel.
-    The argument `values` is a function that gets the pixel of each lane.
-    `values` returns a function from the number of a row of u to the values at this row.
+    Each of the parallel lanes computes one realization of one pixel.
+    The function `values` gets the pixel of each lane and returns another function.
+    Given the index of a row of u, this other function computes the values of the sample in it.
     """
     import drjit
 
@@ -321,7 +322,7 @@ def sample_light(
 
     The third number in [0,1), `extra`, selects the light.
     If `extra` is None, the first coordinate of u selects the light as well.
-    Inactive points get the value 0.
+    The value is 0 at points where the mask `active` is False.
     """
     import drjit
 

@@ -54,7 +54,9 @@ FILMS = ("center", "sampled")
 CHUNK_SAMPLES = 2**20
 """Number of samples per kernel, for about 200 MiB of Dr.Jit's memory; more are not faster."""
 
-_LOOP_SAMPLES = 16  # maximum number of samples per lane; more would leave too few lanes
+# Maximum number of samples that each parallel lane sums.
+# If each lane summed more samples, too few lanes would run in parallel
+_LOOP_SAMPLES = 16
 _MOST_VALUES = 2**26  # maximum number of samples returned one by one (768 MiB)
 
 
@@ -242,7 +244,10 @@ class Wavefront:
         return sums
 
     def _parts(self, strategy: str, pixels: Array, points: Array | NetPoints, each: int) -> Array:
-        """Return sums over runs of `each` samples, one run per lane: float64 (P, n / each, 3)."""
+        """Return sums over runs of `each` successive samples: float64 (P, n / each, 3).
+
+        Each run of samples is summed by one of many lanes, which work in parallel.
+        """
         import drjit
 
         mitsuba, count, at_center = load_mitsuba(), points.shape[-2], self.film == "center"
@@ -274,7 +279,7 @@ class Wavefront:
                 else:
                     at = self._trace(x + blocks[0], y + blocks[1])
                     hits, blocks = Hit(self._scene, at, at.bsdf()), blocks[2:]
-                if strategy == "mis":  # a block of columns for each technique
+                if strategy == "mis":  # each of the two techniques uses one half of the columns
                     half = len(blocks) // 2
                     found = self._technique("mis-light", hits, blocks[:half])
                     found += self._technique("mis-bsdf", hits, blocks[half:])
@@ -296,7 +301,10 @@ class Wavefront:
         return parts
 
     def _trace_centers(self, pixels: bytes) -> Any:
-        """Return first hits through the centers of pixels. Pixels are the bytes of int64 (P, 2)."""
+        """Return the first surface point on the ray through the center of each pixel.
+
+        The results are cached, so `pixels` must be hashable: the bytes of an int64 array (P, 2).
+        """
         import drjit
 
         x, y = corners_of(np.frombuffer(pixels, np.int64).reshape(-1, 2))
@@ -320,7 +328,10 @@ class Wavefront:
 
 
 def _chunks(pixels: int, u: Array) -> Iterator[tuple[slice, slice, Array]]:
-    """Yield slices of pixels and samples, and at most `CHUNK_SAMPLES` samples as float32."""
+    """Split the samples of many pixels into chunks of at most `CHUNK_SAMPLES` samples.
+
+    For each chunk, yield the slice of pixels, the slice of samples, and the samples as float32.
+    """
     width = min(u.shape[-2], CHUNK_SAMPLES)
     height = max(1, CHUNK_SAMPLES // width)
     for row in range(0, pixels, height):

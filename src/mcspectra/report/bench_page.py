@@ -230,7 +230,7 @@ def _plots_of(
             yield BenchFigure(f"Convergence in {d}-D", f"convergence-{d}d", plot, sets)
 
     def of(*names: str, sets: str) -> tuple[dict[str, xr.Dataset], str]:
-        """Return variables of all samplers that have the variable `names[0]`, and a caption."""
+        """Return the named variables of each sampler whose `names[0]` is known, and a caption."""
         dims, kept = point_dims(bench), [*names, sets]
         found = {
             name: each[kept].assign_attrs(n=int(each["pictured_n"]), dims=dims)
@@ -286,10 +286,10 @@ def _plots_of(
 
 
 def _sets_of(group: Group, key: str) -> str:
-    """Return the number of averaged sets, which is the same for most samplers.
+    """Return, as text, the number of averaged sets that is most common among the samplers.
 
-    Samplers with other numbers of sets are listed in brackets.
-    If many samplers have other numbers, the smallest and the largest number are returned instead.
+    Samplers that average a different number of sets are listed in brackets.
+    If there are many such samplers, the text gives the smallest and the largest number of sets.
     """
     counts = {name: int(each[key]) for name, each in group.items() if np.isfinite(each[key])}
     usual = Counter(counts.values()).most_common(1)[0][0] if counts else 0

@@ -44,8 +44,8 @@ _SURE = 2.24
 _HEAVY = 0.5  # tail index above which the variance is infinite
 _CARRIED = 0.05  # fireflies are reported if they hold more than this share of the variance
 _MOST = 0.5  # a cause with more than this share is called the main source of the variance
-# Findings are sorted by effect, so a large effect is assigned to the most important findings.
-# For example, a bias is important because it changes the meaning of all other numbers
+# Effect of findings that come first on the page, which lists findings by decreasing effect.
+# For example, a bias comes first because it changes the meaning of all other numbers
 _SURELY = 100.0
 
 
@@ -199,7 +199,7 @@ def _after(found: dict[str, Any]) -> Iterator[_Finding]:
         if asked:
             yield each
     # A Gaussian filter may reverse which of two sets of frames has less variance.
-    # If no filter was given, report the Gaussian for which the reversal is largest
+    # If no filter was given, report the Gaussian that most strongly reverses the two variances
     if not asked and opposites:
         yield max(opposites)
 
@@ -288,7 +288,10 @@ def _compare(ratio: float) -> str:
 
 
 class _Finding(NamedTuple):
-    """A sentence about frames, and its effect on the variance, by which findings are sorted."""
+    """A sentence about frames, and the size of the effect on the variance that it describes.
+
+    The page lists findings by decreasing effect.
+    """
 
     effect: float
     text: str

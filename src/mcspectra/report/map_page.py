@@ -327,10 +327,10 @@ def map_summary(result: xr.Dataset) -> dict[str, Any]:
 
 
 def _subset(result: xr.Dataset) -> dict[str, float]:
-    """Return the number of measured pixels, of all pixels, and the error of interpolation.
+    """Return the number of measured pixels, of all pixels, and a factor for interpolation errors.
 
-    The error of interpolation is a factor, and its median over interpolated pixels is returned.
-    The factor is taken from the last strategy and the first sampler.
+    Variances may be wrong by this factor; its median over all interpolated pixels is returned.
+    The interpolation factor is that of the last strategy and the first sampler.
     """
     if "measured" not in result:
         return {}
@@ -551,7 +551,10 @@ def _share(values: Array, label: int) -> float:
 
 
 def _sentences(summary: Mapping[str, Any]) -> Iterator[str]:
-    """Yield sentences on parts of the scene that were not measured, and fractions of pixels."""
+    """Yield sentences on parts of the scene that were not measured, and on the results.
+
+    Most results are shares of the pixels, or shares of the variance, in percent.
+    """
     if summary.get("scene_note"):
         yield summary["scene_note"]
     if summary.get("padding"):

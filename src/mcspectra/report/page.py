@@ -173,7 +173,7 @@ class Slider:
     plots
         The plot for each value. Values are given as texts.
     start
-        Value that is shown first, when printed, and without scripts.
+        Value whose plot is shown at first, on paper, and in browsers without scripts.
     """
 
     label: str
@@ -466,7 +466,7 @@ def write_page(
     Parameters
     ----------
     page
-        The page or the deck.
+        The page to write, or the deck of slides.
     file
         Path of the HTML file, in an existing folder. The file is replaced atomically.
     figures
@@ -474,7 +474,7 @@ def write_page(
     with_pdf
         Whether PDF files are written; this takes half of the time of a figure.
     mapped
-        Function that draws the figures in order: ``map``, or that of `process_map`.
+        Function that draws the figures in order: ``map``, or a parallel map from `process_map`.
 
     Raises
     ------

@@ -144,7 +144,8 @@ def _advised(tree: xr.DataTree, *kinds: str) -> tuple[xr.Dataset, xr.Dataset]:
     Otherwise the recommendation is to change nothing.
     If `kinds` are given, only these kinds of changes are considered.
     A recommendation is compared with random numbers if they were measured.
-    Otherwise, or if random numbers are recommended, the comparison is with the unchanged scene.
+    If random numbers were not measured, or if they are recommended themselves,
+    the recommendation is compared with the unchanged scene.
     """
     found = tree["remedies"].to_dataset()
     given = found.sel(remedy="as given")
@@ -230,7 +231,8 @@ def path_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
     elif known.get("lights_note"):
         said.append(("lights", str(known["lights_note"])))
     if "remedies" in tree.children:
-        # Find the fewest leading QMC coordinates that are not significantly worse than all
+        # Find the smallest number of leading coordinates that need QMC points:
+        # random numbers in all other coordinates do not make the variance significantly worse
         tried = tree["remedies"].to_dataset()
         enough = (tried["kind"].values == "padding") & (tried["verdict"].values != "worse")
         fewest = [int(str(name).split()[0]) for name in tried["remedy"].values[enough]]

@@ -298,7 +298,7 @@ def bottleneck_sentence(tree: xr.DataTree) -> str:
             "The bottleneck of MIS (balance heuristic) is undecided: the shares of light and BSDF "
             f"sampling converge with {rates[0]} and {rates[1]}, and the difference may be 0."
         )
-    # Add a note if the slower technique still has the smaller part of the variance
+    # Add a note if the technique with the slower rate has less than half of the variance
     last = found["technique_variance"].isel(n=-1).values
     part, later = float(last[slow] / last.sum()), ""
     if part < 0.5:

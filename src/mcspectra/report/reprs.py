@@ -98,7 +98,8 @@ def _sampler(sampler: Sampler) -> tuple[Pictures, Rows]:
     if _is_costly(sampler) or n * sampler.dims > _MOST_NUMBERS:
         return [], [*rows, ("picture", f"omitted: {n} points would take long")]
     points = sampler.draw(n, rng=0)[0]
-    # The second point of a query is the nearest other point; a single point has the distance ∞
+    # A query for two neighbors finds the point itself first, and the nearest other point second.
+    # If the set has a single point, the distance to the second neighbor is ∞
     tree = KDTree(points, boxsize=np.ones(points.shape[1]))
     least = float(np.min(tree.query(points, k=[2])[0]))
     rows.append(("smallest distance", f"{number(least)} (of these points)"))

@@ -130,7 +130,8 @@ def result_table(
     """Return the columns and rows of a table of a result.
 
     The table has all variables with the given `dims`, and one row per coordinate.
-    By default, `dims` are the dims of most variables. Variables over fewer dims are repeated.
+    By default, `dims` is the most common combination of dims among the variables.
+    The values of a variable with fewer dims are repeated along the missing dims.
     An interval gives two columns, ``_low`` and ``_high``. Scalars alone give one row.
     """
     variables = {str(k): v for k, v in result.data_vars.items() if v.dtype.kind in "fiubUO"}
@@ -223,7 +224,7 @@ def write_result(result: xr.Dataset, out: str | Path, title: str = "Result") -> 
     Parameters
     ----------
     result
-        Result of a function such as `mcspectra.convergence`, or `Profile.dataset`.
+        Dataset from an analysis such as `mcspectra.convergence`, or from `Profile.dataset`.
     out
         Path of the page.
     title
@@ -289,7 +290,11 @@ def _value(result: xr.Dataset, name: str) -> tuple[str, str]:
 
 
 def _curves(result: xr.Dataset, dims: tuple[str, ...]) -> html.Table:
-    """Return a table of values over `dims` in the first channel, and of the methods used."""
+    """Return a table of all variables over `dims`, with one row for each place on these dims.
+
+    If there are several channels, the table shows the first channel.
+    If the method behind each value is known, the table has columns for the method.
+    """
     first = result.isel(channel=0) if "channel" in result.dims else result
     names = [
         str(name)

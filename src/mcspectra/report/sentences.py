@@ -270,7 +270,10 @@ def basis_name(basis: str | None) -> str:
 
 
 def _is_predicted(row: SummaryRow) -> bool:
-    """Whether the ratio comes from `predict` rather than from the sum of terms over frequencies."""
+    """Whether the ratio of predicted to measured variance comes from `predict`.
+
+    If not, the predicted variance is a sum of variance terms over frequencies.
+    """
     return row.ratio is not None and row.ratio != row.captured
 
 
@@ -400,7 +403,7 @@ def _agreement(row: SummaryRow, terms: xr.Dataset) -> str:
     ``agrees`` means that prediction and measurement are close.
     ``less`` and ``more`` mean a prediction that is significantly too small or too large:
     prediction and measurement are not close, and the interval of their ratio excludes 1.
-    Otherwise the comparison is ``open``, or empty if an interval is unknown.
+    ``open`` means that the interval decides nothing; the result is empty if an interval is unknown.
     """
     low, high = row.captured_low, row.captured_high
     if low is None or high is None:

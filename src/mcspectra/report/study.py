@@ -221,7 +221,7 @@ def _written(root: Path, file: Path) -> Path:
         lead=(
             *(_answers(estimates) if len(estimates) > _MOST_ROWS else ()),
             html.Paragraph(text=lead, kind="soft"),
-            *gaps[1:2],  # number of missing analyses, whose table follows the summary
+            *gaps[1:2],  # number of missing analyses; a table of them follows the summary
         ),
         sections=tuple(sections),
     )
@@ -542,7 +542,10 @@ def _shown_before(
 
 
 def _samples(data: xr.Dataset) -> xr.Dataset:
-    """Return a result of points without values of f and p. Other results are unchanged."""
+    """Remove the values of f and p from a result of the analysis ``points``, and keep the points.
+
+    Results of other analyses are returned unchanged.
+    """
     return data[["points"]] if "integrand_value" in data else data
 
 
@@ -571,7 +574,10 @@ def _figures(
 
 
 def _correlated(data: xr.Dataset) -> bool:
-    """Whether the interval of the cross term excludes 0; also true if an older result has none."""
+    """Whether the interval of the cross term excludes 0.
+
+    Older results contain no interval of the cross term; for these results the answer is True.
+    """
     if "cross_term_ci" not in data:
         return True
     ends = data["cross_term_ci"].values.reshape(-1, 2)

@@ -41,7 +41,7 @@ _DRAWN = (
     "spectrum",
     "points",
     "pcf",
-)  # analyses that need no further table
+)  # analyses whose results are shown as figures, without a table of their own
 
 Rows = Iterator[Sequence[str | TableCell]]
 Analyses = Mapping[str, Any]
@@ -60,7 +60,8 @@ def summary_table(
     rows
         Summary of each pair of estimator and sampler.
     analyses
-        For each row, the results of all analyses for its channel. They determine the bottleneck.
+        Results of all analyses for each row, restricted to the channel of the row.
+        The column of bottlenecks is derived from these results.
     links
         Address of a hyperlink on the estimator in each row. Default: no links.
 
@@ -314,7 +315,7 @@ _TABLES: Mapping[
             "Ratio",
             "95 % interval",
             "Rate",
-            # Verdicts do not wrap, because their column is not listed as a column with words
+            # Verdicts do not wrap: only the columns 0, 1 and −1 are listed as columns of words
             "Verdict",
             "What to do",
         ),

@@ -27,7 +27,7 @@ _M = np.arange(33)
 _COUNTS = (2, 4, 8, 16)
 # With this number of realizations, the bias in the figure exceeds ten standard errors
 _DRAWN = 100_000
-_BINS = 4 * N  # the middle half of a stratum is two of four bins
+_BINS = 4 * N  # four bins per stratum, so that its middle half is exactly two bins
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
@@ -167,7 +167,8 @@ def _way_to_the_bias(
 ) -> tuple[Panel, Panel, Panel]:
     """Plot the mean of the sampling function, the means of S_m, and the sum that is the bias.
 
-    `points` are a sampler and a density. The x axes have labels if `below` is true.
+    `points` is a pair: the name of a sampler, and a density.
+    Only the lower row of panels has labels on its x axes (`below` is True).
     """
     name, density = points
     x, weights = _weighted(name, _DRAWN, seed, density)

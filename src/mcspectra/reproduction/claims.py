@@ -185,8 +185,9 @@ class Exhibit:
 
 
 class ExhibitFunction(Protocol):
-    """A function that creates an exhibit: in seconds (`quick`) or at full quality.
+    """A function that computes an exhibit with its figures and claims.
 
+    If `quick` is True, the function takes only seconds, and its numbers are less accurate.
     For the same seed, the function returns the same plots and numbers.
     """
 
@@ -298,7 +299,7 @@ def pixel_rate(statement: str, curve: xr.Dataset, expected: float) -> Claim:
 def normal_limit(count: int, freedom: int = 0) -> float:
     """Return a limit that the largest of `count` normal errors rarely exceeds.
 
-    The largest error is below the limit with the confidence level of a single finding.
+    With probability 99.98 %, the confidence level of a single finding, no error exceeds the limit.
     If `freedom` is given, the errors follow Student's t distribution.
     """
     from scipy.special import ndtri, stdtrit

@@ -1,4 +1,7 @@
-"""The matrix of the third term grows with the number of dims; maps and bands do not need it."""
+"""The third variance term is a sum over a matrix that grows quickly with the number of dims.
+
+Contribution maps and ANOVA bands show the same term, and do not need the matrix.
+"""
 
 from __future__ import annotations
 
@@ -307,7 +310,10 @@ def _map_is_row_sums(dims: int, data: xr.Dataset) -> Claim:
 
 
 def _bands_are_blocks(dims: int, data: xr.Dataset) -> Claim:
-    """Sort the entries before comparing: bands follow their labels, not the order of bit masks."""
+    """Compare covariances of ANOVA bands with sums over blocks of the matrix.
+
+    Both lists are sorted first, because they contain the pairs of bands in different orders.
+    """
     of = subsets(dims, SMALL[dims][1])
     matrix = data["cross_matrix"].values
     blocks = [matrix[np.ix_(of == a, of == b)].sum().real for a in set(of) for b in set(of)]

@@ -143,7 +143,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 if way != "mis"
                 for c, color in enumerate(_COLORS)
                 # Luminance is mostly green, so green sampled by luminance has only small jumps.
-                # Because of the small jumps, the rate for green reaches its limit late
+                # With small jumps, the green channel reaches its asymptotic rate only at large n
                 if (way, color) != ("one", "green")
             ),
             *(

@@ -1,4 +1,8 @@
-"""Answers to the talk's future directions: insights, and methods beyond importance sampling."""
+"""Answers to the questions that the talk leaves open as future directions.
+
+The first question is what an analysis reveals about an integrand.
+The second question is which methods go beyond importance sampling.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +45,7 @@ _TABLE = 8  # cells along each side of the tabulated density for importance samp
 _LATTICE = 64  # number of points of the lattice that is designed for half-spaces
 _HALF_WIDTH = 40
 _BANDS = {"x0": "x₀", "x1": "x₁", "x0x1": "both"}
-# Changes in the picture, by their names in the result
+# Labels in the figure for the samplers that are tried instead of jittered points
 _CHANGES = {
     "latin-hypercube": "Latin hypercube",
     "rank1-lattice | shift": "shifted lattice",

@@ -280,7 +280,7 @@ def reproduce(
         Function that is called with each entry once it is finished.
     workers
         Number of processes, at least 1. The results do not depend on it.
-        With more than one, the main part of a script needs ``if __name__ == "__main__":``.
+        With several processes, the main part of a script needs ``if __name__ == "__main__":``.
 
     Returns
     -------
@@ -407,8 +407,8 @@ Mark: TypeAlias = Literal["yes", "some", "no", "none"]
 def verdict(slide: Slide, findings: Sequence[Finding]) -> tuple[str, str, Mark]:
     """Return the verdict on a slide in one or two words, its condition, and its CSS class.
 
-    A finding that does not agree overrides the texts of the slide.
-    The verdict is "Corrected" only if a correcting finding agrees.
+    If a finding does not agree with its expected value, the verdict is "Not reproduced".
+    The verdict is "Corrected" only if a measurement confirms the correction of the slide.
     """
     if any(finding.agrees is False for finding in findings):
         return "Not reproduced", "a finding does not agree", "no"

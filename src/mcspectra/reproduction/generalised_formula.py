@@ -52,7 +52,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     # The exact terms are sums over all frequencies |m| ≤ HALF_WIDTH
     _, *exact = split(exact_matrix(mcs.integrand(LINE, 1), "jittered", None, HALF_WIDTH))
 
-    # Extrapolate second and third term to all frequencies: up to K, their errors are of order 1/K
+    # Extrapolate the second and the third variance term to all frequencies.
+    # If only frequencies |m| ≤ K are summed, the error of a term is of order 1/K
     near, far = (
         np.array(split(exact_matrix(mcs.integrand(LINE, 1), "jittered", None, k)))
         for k in (256, 512)
@@ -238,7 +239,10 @@ def _plain(panel: Panel) -> Panel:
 
 
 def _conjugates(values: Sequence[float], variances: Sequence[Measured]) -> Panel:
-    """Plot the sums of both products, and the measured variances of f(x) and f(1 − x)."""
+    """Plot the variance terms summed with ⟨S_m conj(S_l)⟩, and summed with ⟨conj(S_m) S_l⟩.
+
+    The measured variances of f(x) and f(1 − x) are plotted next to these two sums.
+    """
     at, scale = np.arange(2.0), 1e-5
     names = dict(zip(at.tolist(), ("⟨Sₘ Sₗ*⟩", "⟨Sₘ* Sₗ⟩"), strict=True))
     value = np.array(values) / scale

@@ -53,9 +53,9 @@ class Coefficients:
         return np.asarray(self.products.sum(axis=0) / (len(self.values) - 1))
 
     def farthest(self) -> tuple[float, float]:
-        """Return the largest covariance in standard errors, and a limit of this maximum.
+        """Return the largest covariance in standard errors, and a limit that tests whether it is 0.
 
-        If all covariances are zero, the maximum of normal errors rarely exceeds the limit.
+        If all true covariances are 0, and errors are normal, the maximum rarely exceeds the limit.
         """
         products, value = self.products, self.covariance
         parts = [

@@ -66,9 +66,10 @@ class TermsCase:
     def exact(self) -> tuple[float, float, float]:
         """Return the exact variance terms, summed over all frequencies.
 
-        After a random shift only the second term remains, so it is the variance of shifted points.
-        The variance of jittered points is 1/(12N³) for the line. For the bar it is 1/(2N²),
-        because each edge halves a stratum.
+        After a random shift, only the second variance term remains.
+        The second term alone is therefore the variance of shifted points.
+        For f(x) = x (``line``), the variance of jittered points is 1/(12N³).
+        For an interval (``bar``), the variance is 1/(2N²), because each edge halves a stratum.
         """
         if self.sampler == "random":
             return self.exact_random()

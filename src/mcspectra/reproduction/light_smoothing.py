@@ -23,7 +23,7 @@ _COUNTS = tuple(side**2 for side in (16, 23, 32, 45, 64))
 DISK, RADIUS = "disk(center=0.47)", 0.25
 WIDTHS = (0.0, 0.02, 0.05, 0.1, 0.2)
 BUDGETS = (64, 256, 1024)
-_OTHERS = 2  # colors that the light already has
+_OTHERS = 2  # the first two colors of the palette are already used for the light
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:

@@ -113,7 +113,8 @@ def variance_panel(
     limits
         Limits of the variance axis. Default: the limits of the data.
     letters
-        Size of slope labels relative to the panel. Two panels side by side have 1.
+        Size of the labels of slopes, relative to the panel.
+        The size is 1 in figures with two panels side by side.
     beside
         Room to the right of the lines, relative to the length of the lines.
         If the room is not 0, slopes are written into it, so that they cover no line or marker.

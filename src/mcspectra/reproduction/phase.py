@@ -49,7 +49,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     bar = mcs.integrand(BAR, 1).fourier(m)
     turned = bar * np.exp(2j * np.pi * m[:, 0] * 0.3 / N)
 
-    # Average the third term over 64 offsets of the strata.
+    # Average the third variance term over 64 offsets of the strata.
     # The average is exact if no two frequencies differ by a multiple of 64 · (number of strata)
     values = [_third(bar, _matrix(displaced(k / 64))[1]) for k in range(64)]
 

@@ -36,8 +36,8 @@ SAMPLERS = {
 RATES = {"f": -2.0, "g": -3.0}
 _SHOWN = 64  # number of points that the figure shows at first
 # Number of frequencies in a sum.
-# For f(x) = x, the omitted frequencies are a fraction 12 N / (4π² 2^16) of the sum,
-# which is 0.5 % at N = 1024.
+# For f(x) = x, the omitted frequencies are a fraction 12 N / (4π² 2^16) of the sum.
+# At N = 1024, the omitted frequencies are 0.5 % of the sum.
 _HIGHEST = 2**16
 
 

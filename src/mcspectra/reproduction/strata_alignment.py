@@ -122,7 +122,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                     "exact "
                     f"variances from N = {counts[0]} to {counts[1]}, minus −2.",
                     slope(counts, np.array(known)) + 2.0,
-                    # Rounding s/3 to whole strata changes the variance by a fraction 1/s²; s = 16
+                    # With s strata per axis, the border at 1/3 is rounded to whole strata.
+                    # The rounding changes the variance by a fraction 1/s², and s is at least 16
                     at_most=1 / 256,
                 ),
             ),

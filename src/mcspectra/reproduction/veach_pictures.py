@@ -36,7 +36,8 @@ _TITLES = {
     "mis": "MIS, N = 2 + 2 spp",
 }
 _SHORT = {"light": "light sampling", "bsdf": "BSDF sampling", "mis": "MIS"}
-# Region, strategy that fails in it, and strategy that works in it
+# Each case names a region of the image, a strategy that fails in this region,
+# and a strategy that works in this region
 _CASES = (
     ("plate-0", "light", "bsdf"),
     ("plate-0", "light", "mis"),

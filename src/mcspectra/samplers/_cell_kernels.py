@@ -413,7 +413,7 @@ def balance(
     Newton's method starts at `weights`, or at weights of 0 if `weights` leave a cell empty.
     The steps end after a given number, or when all areas are right within the tolerance.
     Newton's method also ends if the areas no longer improve, or the work exceeds `most_work`.
-    The work includes the linear solver; `Diagram` defines the unit of work.
+    The computations of the linear solver count as work; `Diagram` defines the unit of work.
     No step is taken if some sites are so close that a cell is empty with equal weights.
 
     The weights maximize a concave function, the dual of a transport cost (see `transport_cost`).

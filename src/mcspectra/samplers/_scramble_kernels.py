@@ -86,7 +86,7 @@ def _six_flips(bits: Any, piece: Any) -> Any:
     # The node that decides on the flip of a bit depends on all higher bits.
     # Nodes are numbered as in a heap: node v has the children 2v and 2v + 1.
     # Bit v of the random word `bits` decides whether node v flips its bit.
-    # Each of the six decisions is shifted to the position of the flipped bit.
+    # The decision bit of each node is shifted to the position of the bit that the node may flip.
     moved = bits << np.uint64(4)
     flips = (moved & np.uint64(32)) | (
         (moved >> (np.uint64(2) + (piece >> np.uint64(5)))) & np.uint64(16)
@@ -420,7 +420,7 @@ def fill_permuted(keys: Array, bases: Array, shift: bool, start: int, out: Array
 def fill_nested(keys: Array, bases: Array, out: Array) -> None:
     """Fill `out` with radical inverses of 0, 1, … after Owen's nested uniform scrambling.
 
-    Any other run of whole numbers would give points with the same distribution.
+    Radical inverses of other consecutive whole numbers would give points of the same distribution.
     Point v + c b^l, with v < b^l and 0 < c < b, shares its first l digits with point v.
     Point v and the b − 1 points v + c b^l all differ in the next digit. Lower digits are uniform.
     Each point is derived from an earlier point only, so the first points do not depend on n.
@@ -458,11 +458,11 @@ def fill_nested(keys: Array, bases: Array, out: Array) -> None:
 def _image(k0: np.uint64, k1: np.uint64, node: Any, digit: int, base: int) -> int:
     # Return the image of a digit under the random permutation of a node.
     # The Fisher-Yates algorithm permutes all digits by swaps.
-    # Here only the given digit is followed through the swaps.
+    # This function only follows the given digit through the swaps of the Fisher-Yates algorithm.
     # A random number below c is the upper word of the product of c and 64 random bits.
     # The lower word of the product serves as the random bits of the next number.
-    # After each random number, fewer of the 64 bits are random.
-    # The 64 bits are replaced by new ones before the product of all bounds c exceeds 2^32.
+    # Each random number below a bound c uses up log2(c) of the 64 random bits.
+    # New bits are drawn before the product of the bounds c since the last draw exceeds 2^32.
     position, used, drawn = digit, 1, 0
     bits = mix_bits(k0, k1, node)
     for t in range(base - 1):

@@ -69,7 +69,7 @@ def add_to_buckets(i: int, x: Array, buckets: Any) -> None:
 def _shell_cell(x: Array, code: int, ring: int, buckets: Any, wrap: bool) -> int:
     # The cells up to `ring` steps from the cell of x form a cube. Return cell number `code` of it.
     # Return −1 if the cell is outside the domain, or less than `ring` steps from the cell of x.
-    # Cells less than `ring` steps away have been visited before, with a smaller `ring`.
+    # Cells less than `ring` steps away belong to smaller rings, which were visited before.
     side, axes = buckets[0], buckets[1]
     cell, reach = 0, 0
     for j in range(axes):

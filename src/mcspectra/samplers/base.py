@@ -209,7 +209,7 @@ class Sampler(Component, ABC):
     def as_chain(self, n: int) -> Sampler:  # noqa: ARG002
         """Return an equivalent sampler for n points, whose randomizations are separate steps.
 
-        This sampler itself is returned if there is no such equivalent.
+        If no equivalent sampler of this form exists, the sampler itself is returned.
         """
         return self
 
@@ -450,7 +450,7 @@ class Randomized(Sampler):
 
     @property
     def randomizations(self) -> tuple[Randomization, ...]:
-        """The randomizations of the chain."""
+        """The randomizations that follow the plain sampler, in the order of application."""
         return self.steps
 
     @property
@@ -463,7 +463,7 @@ class Randomized(Sampler):
         """Whether randomizations of digits keep the structure only if n is a power of the base.
 
         The value is False if neither strata nor elementary intervals of the inner sampler remain.
-        Otherwise the inner sampler gives the value.
+        If strata or elementary intervals remain, the value is the same as for the inner sampler.
         """
         return self.base.powers_only and self.structure in (Structure.STRATA, Structure.DIGITS)
 
@@ -472,7 +472,10 @@ class Randomized(Sampler):
         return self.base.digit_strata(n, base)
 
     def as_chain(self, n: int) -> Sampler:
-        """Return the inner sampler as a chain, followed by the randomizations of this sampler."""
+        """Return an equivalent sampler for n points, whose randomizations are separate steps.
+
+        The steps of the inner sampler come first, then the randomizations of this sampler.
+        """
         chain = self.base.as_chain(n)
         for step in self.steps:
             chain = chain.then(step)

@@ -13,7 +13,7 @@ In the kernels, ``pattern`` bool (T·s, s) is true at the points. Its edges join
 The rows of frame t are t·s … t·s + s − 1; sets and dither masks have one frame.
 ``energy`` float64 (T·s, s) is the sum of Gaussians around the cells that contain a one.
 ``weights`` is a tuple: one Gaussian along an axis of space (2·reach + 1,), and one over time (T,).
-``heads`` int64 (2, T·s) holds the columns of two cells for each row of the pattern.
+For each row of the pattern, ``heads`` int64 (2, T·s) holds the column numbers of two cells.
 The first cell is the tightest cluster: of all cells with a one, it has the highest energy.
 The second cell is the largest void: of all cells with a zero, it has the lowest energy.
 A column number is −1 if the row of the pattern has no ones, or no zeros.
@@ -24,7 +24,7 @@ the point of cell (i, j) is in [i, i+1) × [j, j+1), on the torus.
 
 The width of the Gaussian is 1.5 cells, as in Ulichney's paper.
 If the ones of the pattern are more than three cells apart, a wider Gaussian is used.
-The reason is that voids are found only if the Gaussian of each point reaches the next point.
+If the Gaussian of each point did not reach the next point, voids would not be found.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ _MOST_FRAMES, _MOST_CELLS = 256, 2**22  # the largest masks take about a minute
 _ONES = 0.1  # fraction of ones in the first pattern of a mask, Ulichney (1993)
 _SIGMA = 1.5  # width of the Gaussian in cells, Ulichney (1993)
 # Width of the Gaussian, relative to the mean spacing of the cells that contain a one.
-# If 10 % of the cells contain a one, the width is 1.5 cells.
+# If 10 % of the cells contain a one, the Gaussian is 1.5 cells wide.
 _SIGMA_PER_SPACING = 0.47
 # Width of the Gaussian in time, in frames, as in the authors' program [Wolfe2022]_.
 # A width in proportion to the spacing of the ones in time would cause peaks in the spectrum.
@@ -228,7 +228,8 @@ def _random_grid(k0: np.uint64, k1: np.uint64, ones: int, frames: int, side: int
 
 @kernel
 def _start(grid: Any) -> Any:
-    # Compute energy and heads of a pattern that has ones; return the weights of the Gaussians.
+    # Compute the energy of all cells, and find the tightest cluster and largest void of each row.
+    # The pattern must contain at least one 1. Return the weights of the Gaussians.
     pattern, energy, heads = grid
     (rows, side), cells = pattern.shape, np.flatnonzero(pattern)
     frames = rows // side
@@ -300,8 +301,8 @@ def _relax(grid: Any, weights: Any, steps: int) -> bool:
 
 @kernel
 def _rank_ones(grid: Any, order: Array) -> None:
-    # Clear the pattern, tightest cluster first.
-    # Write the cleared cells to `order` (ones,) from its end: the cell cleared first comes last.
+    # Remove the ones of the pattern, one by one, always at the tightest cluster.
+    # Write the cells to `order` (ones,) in reverse: the cell of the first removed one comes last.
     weights, again = _start(grid), order.size // 2
     for rank in range(order.size - 1, -1, -1):
         order[rank] = _head(_CLUSTER, grid)
@@ -336,7 +337,7 @@ def _rank_all(grid: Any, order: Array) -> None:
 @kernel
 def _jitter_cells(k0: np.uint64, k1: np.uint64, cells: Array, side: int, out: Array) -> None:
     # Fill out (n, 2) with uniform points in cells (n,); one random shift by whole cells moves all.
-    number = side * side  # the first pattern used the first side² random numbers
+    number = side * side  # the first side² random numbers have shuffled the side² cells
     down, across = _mix_below(k0, k1, number, side), _mix_below(k0, k1, number + 1, side)
     for p in range(cells.size):
         number += 2
@@ -450,7 +451,7 @@ def _relax_in_cells(k0: np.uint64, k1: np.uint64, number: int, step: float, poin
 @kernel
 def _snap_line(low: int, chunk: int, line: int, positions: Array, out: Array) -> None:
     # A line of s cells is one cell wide. Divide this width into s intervals, one for each cell.
-    # `positions` (s,) has one number per cell: its point's coordinate perpendicular to the line.
+    # For the point in each cell, `positions` (s,) has the coordinate across the line of cells.
     # `out` (s,) gets, for each cell, the index of the interval that is assigned to it.
     # The intervals of the chunks follow a van der Corput sequence with shifted digits.
     # The number `low` contains the digits of the random shift.
@@ -458,7 +459,8 @@ def _snap_line(low: int, chunk: int, line: int, positions: Array, out: Array) ->
     while chunk << digits < side:
         digits += 1
     for block in range(side // chunk):
-        # All points of a chunk share the low digits: the reversed and shifted digits of its number
+        # All points of a chunk have the same low digits.
+        # The low digits are the digits of the chunk's number, reversed and then randomly shifted
         mine = 0
         for k in range(digits):
             mine |= ((block >> k) & 1) << (digits - 1 - k)

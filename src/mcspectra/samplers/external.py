@@ -103,7 +103,7 @@ class PointSets(dict[int, Array]):
 
     @cached_property
     def laws(self) -> dict[int, Law]:
-        """The recognized law of the sets of each count.
+        """For each number of points, the law that was recognized from the sets.
 
         The largest set must pass a strict test to count as a net with some quality t.
         Smaller sets count as nets if their quality t is at most that of the largest set.
@@ -251,7 +251,10 @@ class GivenPoints(Sampler):
 
     @property
     def most_realizations(self) -> float:
-        """Number of sets of the count with the fewest sets; infinite if sets may be reused."""
+        """Largest number of realizations that can be drawn for every available number of points.
+
+        The number is infinite if sets may be reused.
+        """
         return math.inf if self.cycle else min(map(len, self.sets.values()))
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
@@ -281,9 +284,9 @@ def net_quality(points: Array, like: tuple[int, int] | None = None) -> tuple[int
 
     A (t, m, d)-net has b^m points: b^t points in each elementary interval of volume b^(t − m).
     Every set is a net for t = m, so a set counts as a net only if m − t is large enough.
-    The least m − t is 3 in base 2, and 2 in bases 3 and 5.
-    For sets of fewer than 64 points, the least m − t is 4 in base 2 and 3 in base 3.
-    If m is smaller than the least m − t, the set counts as a net only for t = 0.
+    The difference m − t must be at least 3 in base 2, and at least 2 in bases 3 and 5.
+    For sets of fewer than 64 points, m − t must be at least 4 in base 2, and 3 in base 3.
+    A smaller set, whose m is below this limit, counts as a net only if its t is 0.
     If a larger set of the same file is a net, `like` is the base and the quality t of this net.
     The set then counts as a net in this base if its t is not larger than the t of the larger set.
     Blue noise of 16 points or more is rarely taken for a net: in tests, at most 1 of 200 sets was.
@@ -752,7 +755,7 @@ def allow_code(*names: str) -> None:
     Raises
     ------
     ConfigError
-        If a name has none of these three forms.
+        If a name is neither a whole command, nor a program, nor a function ``'module:function'``.
     """
     allow(code=names)
 

@@ -141,13 +141,14 @@ def nested_lattices(sampler: Sampler, n: int, parts: int, *, at_once: bool = Fal
     Parameters
     ----------
     sampler
-        A `Rank1Lattice` with randomizations. A sampler with a given vector is returned unchanged.
+        A `Rank1Lattice`, with or without randomizations.
+        Any other sampler, or a lattice with a given generating vector, is returned unchanged.
     n, parts
         Number of points n, a multiple of `parts`.
         By default, `parts` is a power of two.
         For each power of two k up to `parts`, the points 0, k, 2k, … form a lattice.
         With `at_once`, only the points 0, parts, 2 parts, … form a lattice.
-        The points 0, parts, 2 parts, … are the default lattice of n/parts points.
+        The points 0, parts, 2 parts, … form the lattice of `Rank1Lattice` for n/parts points.
     """
     plain = sampler.plain
     if not isinstance(plain, Rank1Lattice) or plain.vector is not None:

@@ -7,7 +7,7 @@ The variance of an estimator combines the spectrum of its integrand with the sam
 The covariance C_ml is a property of the sampler's law.
 A sampler states its law once, in `Sampler.law`. All else is computed by functions of the law.
 Functions of a law compute closed forms, exact variances, predictions and rates.
-Another function of a law chooses the orthonormal basis that fits the sampler.
+The orthonormal basis that fits the sampler is also chosen by a function of the law.
 Each function chooses a formula by the outermost class of a law, and calls itself on inner laws.
 No function tests a sampler's name.
 
@@ -171,7 +171,7 @@ class Motif(ABC):
         If points wrap, transforms are valid only at integer frequencies.
     uniform
         Whether every point of the motif is uniform in its cell.
-        If points wrap, the points must instead be uniform on the torus.
+        If points wrap, this states whether every point of the motif is uniform on the torus.
     """
 
     size: ClassVar[int] = 1
@@ -410,7 +410,7 @@ class Fixed(Law):
         Examples are lattices and Kronecker points. Translations preserve their evenness.
     digital
         Whether the digits of the points form a group under addition without carry.
-        In this case, every point has the same relation to the set of all other points.
+        If the digits form a group, every point has the same relation to all other points.
     columns
         Columns of the generator matrices of a digital net in base 2: uint64 (dims, log2 n).
         A column is a 32-bit number with the first digit highest. None if the matrices are unknown.
@@ -463,7 +463,8 @@ class Fixed(Law):
                 return
             for level in range(levels + 1):
                 # Convert the first digits to whole numbers.
-                # Because of `nudge`, k/b^level has the digits of k, even if it was rounded down
+                # A coordinate k/b^level may be rounded down when it is stored as a float.
+                # Adding `nudge` ensures that the result is still k
                 base, scale = bases[axis], float(bases[axis] ** level)
                 nudge = 0.0 if base & (base - 1) == 0 else scale * 2.0**-50
                 digits = np.floor(points[:, axis] * scale + nudge)
@@ -503,7 +504,7 @@ class Choice(Law):
     laws
         The laws to choose from, or a random selection of them if there are many.
     sets
-        Number of laws before a random selection; None if it is unlimited.
+        Number of all possible laws, from which `laws` are selected; None if it is unlimited.
     """
 
     laws: tuple[Law, ...]
@@ -527,7 +528,7 @@ class GroupedAxes(Law):
     Attributes
     ----------
     parts
-        The laws of the groups, each of n points.
+        For each group of axes, the law of its set of n points.
     axes
         The axes of each group; by default the first group takes the first axes, and so on.
     """
@@ -622,12 +623,12 @@ class _Image(Law):
 
     @property
     def fixed(self) -> bool:  # type: ignore[override]
-        """Whether the original set, which is mapped, is fixed."""
+        """Whether the set before the map is the same in every realization."""
         return self.inner.fixed
 
     @property
     def uniform(self) -> bool:  # type: ignore[override]
-        """Whether the points of the original set, which is mapped, are uniform."""
+        """Whether every point of the set before the map is uniform."""
         return self.inner.uniform
 
 
@@ -752,7 +753,7 @@ def scrambled(law: Law, kind: Scramble, bases: Sequence[int], *, shifts: bool = 
 
     The law of stratified points does not change if the sides of the strata are powers of the base:
     scrambling maps strata to strata, and points are already uniform within a stratum.
-    Points that are stratified along single axes also keep their law.
+    Scrambling does not change the law of points that are stratified along single axes either.
     Samplers refuse scrambles that break their strata.
     """
     digits = tuple(map(int, bases))
@@ -783,7 +784,10 @@ def as_scrambled(law: Law) -> Law:
 
 
 def unmoved(law: Law) -> tuple[Law, Array]:
-    """Return the law without its last translations, and the sum of the fixed translations."""
+    """Return the law of the points before their translations, and the sum of fixed translations.
+
+    Only translations that come after all other randomizations are removed from the law.
+    """
     by = np.zeros(law.dims)
     while isinstance(law, Moved | Shifted):
         if isinstance(law, Moved):

@@ -374,7 +374,7 @@ class JoinedPairs(_BinaryNet):
     In contrast, coordinates 3 and 4 of Sobol' points do not form a (0, m, 2)-net for most m.
 
     For Sobol' points, U is upper triangular, so it does not depend on the number of points.
-    Its first ten columns are the best of 3000 random choices.
+    The first ten columns of U are the best of 3000 random choices.
     The ten columns give the least quality parameter t: 1, 2 and 3 for 16, 64 and 256 points.
     For Larcher and Pillichshammer's net of 2^m points, with m up to 16,
     the matrix U is the best of 80 to 3000 random matrices.
@@ -667,7 +667,8 @@ def _matrix(j: int, matrix: tuple[Any, ...], base: int, digits: int | None) -> A
 def _net_of_file(path: str, given: int) -> tuple[int, Array]:
     """Return base and columns (d, m, rows) of a file of matrices; `given` is the default base."""
     with opened(path, "generator matrices") as (stream, size, name, _):
-        check_decoded_size(name, size, 128 * size)  # memory of the decoded text and the integers
+        # The decoded text and the parsed integers take up to 128 bytes for each byte of the file
+        check_decoded_size(name, size, 128 * size)
         lines = stream.read().decode().splitlines()
     kept = [line.partition("#")[0].split() for line in lines]
     kept = [words for words in kept if words]

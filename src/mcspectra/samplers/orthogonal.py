@@ -112,11 +112,12 @@ class OrthogonalArray(Sampler):
     strength
         The strength t, from 2 to 8.
     jitter
-        Position of a point within its stratum (one of s) of each axis.
+        Each axis is divided into s strata. This option determines the position within a stratum.
         ``"jittered"``: uniform in the stratum.
         ``"multi-jittered"``: the points of each stratum are shuffled over its sub-strata.
         Each of n intervals of the axis then contains one point [Tang1993]_.
-        ``"correlated-multi-jittered"``: levels on the next t − 1 axes determine the sub-stratum.
+        ``"correlated-multi-jittered"``: a point's sub-stratum depends on its other coordinates:
+        its strata on the next t − 1 axes determine the sub-stratum.
         A shuffle of sub-strata is drawn for each axis, and all strata of the axis use it.
 
     Notes

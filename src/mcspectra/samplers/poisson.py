@@ -45,7 +45,11 @@ from mcspectra.samplers.law import Law, Stationary, Unknown
 __all__ = ["DENSEST", "BestCandidate", "DartThrowing", "PoissonDisk", "densest_distance", "thrown"]
 
 Disks: TypeAlias = tuple[float, int, int, Array, bool, int]
-"""Disks and grid: radius, cells per axis, reach of a disk, touched cells, torus or not, darts."""
+"""Disks, and the grid of cells in which their neighbors are searched.
+
+The entries are the radius, the number of cells per axis, and the reach of a disk in cells.
+The next entries are the steps to all cells that a disk can touch, whether the points are on
+the torus, and the number of darts."""
 
 Throw: TypeAlias = Callable[[Any, Any, int, Array], tuple[int, int]]
 """Function that fills an array of points (n, d).
@@ -200,7 +204,7 @@ class DartThrowing(Sampler):
         Minimum distance relative to the densest known packing of n points [Lagae2008]_.
         The relative distance is above 0 and at most 1.
         Dart throwing jams at a ratio of about 0.75 in 1-D, 0.78 in 2-D, and 0.8 in more dims.
-        Classic rejection becomes slow at smaller ratios.
+        Classic rejection becomes slow at distances below these limits of jamming.
 
     References
     ----------

@@ -4,7 +4,7 @@ Each pass of a sequence doubles the number of points.
 Before pass k, each of 2^k equal intervals of an axis has one point, in one half of the interval.
 Pass k puts a second point into each interval, in the half that is still empty.
 The rule that assigns new points to intervals determines in which boxes points are stratified.
-The position of a point within its half is random.
+Within its half of the interval, each new point has a random position.
 Random positions make the sequence Owen-scrambled without permutations of digits [Helmer2021]_.
 
 Notation of the kernels: ``keys`` uint64 (R, 2) from `Stream.keys`; ``out`` float64 (R, n, 2).
@@ -117,7 +117,8 @@ class PMJ02(_PlaneSequence):
     sequence: ClassVar[bool] = True
 
     def _law(self, n: int) -> Law:
-        # Sobol' points, Owen-scrambled by construction: the digits of one set represent all sets
+        # The points are Sobol' points, which are Owen-scrambled by construction.
+        # Scrambling the digits of a single set therefore gives the law of all sets
         if not is_power(n, 2):
             return Unknown(n=n, dims=2)
         return scrambled(Fixed(n=n, dims=2, bases=(2, 2)).of(self), "nested", (2, 2))
@@ -134,7 +135,7 @@ class PMJ02BlueNoise(_PlaneSequence):
     Attributes
     ----------
     sweeps
-        Number of passes over all choices, from 1 to 100.
+        Number of sweeps of the optimization, from 1 to 100. Each sweep reconsiders all random bits.
 
     Notes
     -----
@@ -162,9 +163,10 @@ class PMJ02BlueNoise(_PlaneSequence):
 
 @lru_cache(maxsize=1)
 def pairings() -> Array:
-    """Return the partners of points in pmj02 as out, uint64 (2, 31).
+    """Return numbers from which the partner of each point in pmj02 follows: out, uint64 (2, 31).
 
-    On axis j, pass k combines the points i and i xor out[j, k] in one interval.
+    On each axis, each new point of pass k shares an interval with an earlier point, its partner.
+    On axis j, the points i and i xor out[j, k] are partners.
     The bits of the index are the coefficients of a polynomial in t over GF(2).
     The basis of the polynomials is 1, t, b, b·t, b², b²·t, … with b = t² + t.
     The digits of x are the polynomial's coefficients in powers of t.
@@ -173,10 +175,10 @@ def pairings() -> Array:
 
     Multiples of b^m do not change the first m digits of x or y.
     Each block of 4^m points therefore has one point in each of 2^m × 2^m cells.
-    Two points that pass k combines on the first axis differ only in digit k of x.
-    The difference of their polynomials is therefore t^k.
-    Two points that pass k combines on the second axis differ only in digit k of y.
-    The difference of their polynomials is therefore (t + 1)^k.
+    Two partners of pass k on the first axis differ only in digit k of x.
+    The difference of the polynomials of these two points is therefore t^k.
+    Two partners of pass k on the second axis differ only in digit k of y.
+    The difference of the polynomials of these two points is therefore (t + 1)^k.
     """
     even = 0x5555555555555555
     out = np.empty((2, _PASSES), np.uint64)
@@ -201,7 +203,8 @@ def _free_intervals(
     k0: np.uint64, k1: np.uint64, level: int, words: Array, free: Array, starts: Array
 ) -> None:
     # List the intervals of width 2^-(level+1) that points 0 … 2^level − 1 leave free.
-    # The intervals in each of the equal columns are listed together and shuffled.
+    # The axis is divided into columns of equal width.
+    # The free intervals of a column are listed together, in random order.
     # The entries of column c begin at starts[c], where starts has shape (columns + 1,).
     size, columns = 1 << level, starts.size - 1
     width = 2 * size // columns
@@ -246,7 +249,7 @@ def _fill_pmj(keys: Array, out: Array) -> None:
                     coin = np.int64(bits & _ONE) ^ (i >= cells)
                     to[0, i], to[1, i] = column ^ coin, row ^ coin ^ 1
 
-            # Assign the free intervals of these columns and rows to the points
+            # Assign to each new point a free interval of its column, and a free interval of its row
             free, starts = np.empty(size, np.int64), np.empty(columns + 1, np.int64)
             for j in range(2):
                 k = k0 ^ mix_bits(k0, k1, _SHUFFLES + j)
@@ -270,9 +273,9 @@ def _pair_energy(dx: float, dy: float) -> float:
 
 @kernel
 def _gain(i: int, axis: int, bit: Any, members: Any, words: Array, owner: Array) -> float:
-    # Return by how much the energy of point i falls if `bit` is flipped in all words of a strip.
-    # The pair `members` contains the numbers `strip` and `shift`, which define the strip.
-    # A coordinate `word` lies in the strip if its leading bits, word >> shift, equal `strip`.
+    # Return the decrease of the energy of point i if `bit` is flipped for all points of a strip.
+    # A strip contains all points whose coordinates have the same leading bits.
+    # `members` is the pair (strip, shift): the points with word >> shift equal to `strip`.
     # owner (columns, rows) is the point in each cell.
     strip, shift = members
     columns, rows = owner.shape
@@ -321,7 +324,8 @@ def _try_flips(axis: int, level: int, size: int, words: Array, owner: Array) -> 
 
 @kernel
 def _fill_pmj02(keys: Array, xors: Array, sweeps: int, out: Array) -> None:
-    # Fill a (0,2)-sequence; the partner of i on axis j in pass k is i xor xors[j, k].
+    # Fill `out` with points of a (0,2)-sequence.
+    # In pass k, the points i and i xor xors[j, k] share one interval of axis j.
     # With `sweeps`, existing points are spread out before the points of the next pass are made.
     count, n, _ = out.shape
     passes = 0

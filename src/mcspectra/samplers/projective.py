@@ -9,7 +9,7 @@ Of all projections on k axes, the one on the axes of the k smallest gaps has the
 Therefore d conditions on partial sums, g_1² + … + g_k² ≥ r_k², check all 2^d − 1 projections.
 
 The projections on single axes reject most darts, but the coordinates of darts are independent.
-Each coordinate is therefore drawn until it is free on its own axis.
+Each coordinate is therefore redrawn until it is at least r_1 away from all earlier coordinates.
 The projections on two or more axes are checked afterwards.
 Checking in this order saves time and does not change the distribution of the points.
 On the torus the law is invariant under translation, so every point is uniform.

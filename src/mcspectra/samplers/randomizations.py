@@ -150,7 +150,8 @@ class RandomRotation(Randomization):
     Notes
     -----
     If a unit square is rotated by another angle and wrapped, it covers parts of the torus twice.
-    Other parts of the torus stay empty. Taking the points in a window avoids both problems.
+    Other parts of the torus stay empty.
+    If points are taken from a window, no part is empty or covered twice.
     Inside the window, distances are preserved up to a scale of 1 + O(n^-1/2) for random points.
     Distances across the window's border are not preserved.
     The translation moves the window's border to a random place.
@@ -287,7 +288,7 @@ class Mirror(Randomization):
     Reflections at its upper faces extend an integrand f on [0,1)^d to a function g on [0,2)^d:
     for k ∈ {0,1}^d, g(k + x) = f(x reflected in the coordinates with k_j = 1).
     The function g is continuous across all faces and has period 2.
-    A sample x can be placed at k + x for one random image k, or for all images.
+    A sample x can be placed at k + x for one random vector k in {0,1}^d, or for all such vectors.
     Alternatively, the whole set can be stretched over [0,2)^d.
     The randomized points are the arguments at which f is evaluated.
 
@@ -300,7 +301,7 @@ class Mirror(Randomization):
     ----------
     See [Hickernell2002]_ for the baker's transform.
     The modes ``"random"`` and ``"uniform"`` are our interpretation of mirrored samples.
-    The uniform mode is the antithetic variate of [HammersleyMorton1956]_ in each coordinate.
+    The mode ``"uniform"`` uses antithetic variates in each coordinate [HammersleyMorton1956]_.
     """
 
     pointwise: ClassVar[bool] = True
@@ -410,7 +411,7 @@ class Decorrelate(Randomization):
     time
         Change of the blue-noise mask from frame to frame. ``"repeat"``: none.
         ``"golden"``: the shifts of frame t are larger by t times the steps of the R-sequence.
-        In one dim this step is the golden ratio.
+        In one dim, the step of the R-sequence is the golden ratio.
         ``"move"``: the whole mask moves to another place, given by the R-sequence in 2-D.
     advance
         Whether frame t uses the points t·n … (t + 1)·n − 1 of the shared sequence.

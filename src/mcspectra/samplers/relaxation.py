@@ -96,7 +96,8 @@ class Lloyd(_CentroidSampler):
     Notes
     -----
     The start is random, and the method does not depend on the origin, so every point is uniform.
-    Low frequencies decay slowly, since areas equalize by diffusion only; bnot avoids this.
+    The power at low frequencies falls slowly, because areas of cells equalize only by diffusion.
+    The sampler bnot avoids this slow convergence.
 
     References
     ----------
@@ -177,7 +178,8 @@ def transport_cost(points: object) -> float:
     """Return the cost of transporting the uniform density to the points, with equal masses.
 
     The unit square is partitioned into equal parts, one for each point, with the least cost.
-    The cost W₂² is the mean square distance on the torus from a place to the point of its part.
+    Each place in the square is transported to the point to whose part the place belongs.
+    The cost W₂² is the mean squared distance of this transport on the torus.
     In 1-D the cost is computed by sorting, in 2-D by the power diagram with equal areas.
     A square grid has n · cost = 1/6. The lower bound is the cost of a hexagonal grid:
     n · cost = 0.1604 (5/(18√3)).

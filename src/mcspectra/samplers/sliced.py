@@ -37,7 +37,8 @@ class SlicedOptimalTransport(OptimisedSampler):
     Notes
     -----
     For every direction θ, the points are sorted by θ·x.
-    The k-th point of this order moves along θ, toward the quantile (k − ½)/n of the projected cube.
+    The k-th of the sorted points then moves in the direction θ:
+    θ·x moves toward the quantile (k − ½)/n of the cube projected on θ.
     The paper instead projects a ball, and maps the points from the ball to the cube.
     The projection of the cube is the distribution of a sum of d uniform numbers of widths |θ_j|.
     Points near the faces and corners of the cube are not quite uniform, so means are not exact.
@@ -69,7 +70,8 @@ class SlicedOptimalTransport(OptimisedSampler):
             directions = normals.reshape(self.directions, self.dims)
             directions = directions / np.sqrt(np.sum(directions**2, axis=1))[:, None]
 
-            # Move each point by the mean, over directions, of its moves to the quantiles
+            # For each direction, find the vector that moves each point to its quantile.
+            # Then move each point by the mean of these vectors over all directions
             move = np.zeros(points.shape)
             for direction in directions:
                 # np.sum gives the same bits on every machine, unlike a product of BLAS
@@ -88,7 +90,7 @@ def projected_quantiles(direction: Array, n: int) -> Array:
 
     θ·(x − ½) is a sum of independent uniform numbers, one of width |θ_j| for each component θ_j.
     First, the distribution function of the component with the largest width is computed.
-    For each further component, the function is averaged over an interval of the component's width.
+    Each smaller component is added by averaging this function over the width of the component.
     """
     widths = np.sort(np.abs(direction))[::-1]
     end = widths.sum() / 2
@@ -96,7 +98,8 @@ def projected_quantiles(direction: Array, n: int) -> Array:
     below = np.clip(t / widths[0] + 0.5, 0.0, 1.0)
     for width in widths[1:]:
         if width > _NARROW:
-            # Average the distribution function over t ± width/2. Above the table it equals 1
+            # Average the distribution function over t ± width/2.
+            # For arguments above the tabulated range, the distribution function equals 1
             strips = np.cumsum((below[1:] + below[:-1]) * ((t[1] - t[0]) / 2))
             primitive = np.concatenate([[0.0], strips])
             upper, lower = t + width / 2, t - width / 2

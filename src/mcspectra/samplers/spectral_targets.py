@@ -38,7 +38,9 @@ _REACH = 2.0  # largest |m|/√n at which power is matched
 # Largest |m|/√n at which power is matched if the target is a pair correlation.
 # These frequencies resolve details of the pair correlation down to 1/8 of the mean distance.
 _PCF_REACH = 4.0
-_TRIED = np.linspace(0.0, 6.0, 601)  # places at which transforms of targets are checked
+# Arguments at which the transform of a target is checked for negative values.
+# The transform of a target power is a pair correlation, and vice versa
+_TRIED = np.linspace(0.0, 6.0, 601)
 _LINE = np.linspace(0.0, 2 * _PCF_REACH, 1601)  # tabulated values of |m|/√n
 _NEGATIVE = -1e-6  # Values below this limit count as negative; quadrature errors are 1e-9.
 _LARGEST_STEP = 1 / math.sqrt(math.pi)
@@ -282,7 +284,7 @@ class RingLoss:
     n
         Number of points.
     target
-        The function n⟨|S_m|²⟩ of |m|/√n.
+        The target power n⟨|S_m|²⟩, as a function of |m|/√n.
     reach
         The largest |m|/√n that is used.
     """

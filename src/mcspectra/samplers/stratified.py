@@ -434,7 +434,7 @@ class CorrelatedMultiJittered(PlaneSampler):
     The last row is incomplete. Each of n intervals of the second axis contains one point.
     Each cell, and each of a·b intervals of the first axis, contains at most one point.
 
-    Randomizations of digits need a complete last row.
+    Digits can be randomized only if the last row of cells is complete.
     Shuffles are true random permutations, whereas Kensler's code hashes indices.
     Points come in the order of their second coordinate; add shuffle for a random order.
 
@@ -518,9 +518,11 @@ class Hexagonal(PlaneSampler, FixedSet):
     The points form 2b rows of a points; every other row is moved by half a step.
     The set is deterministic.
     On a square torus no hexagonal array is exactly regular, because b = a/√3 would be needed.
-    The chosen b differs from a/√3 by at most ½. There are two distances between neighbors.
-    At the first six counts, the ratio of the distances is 1.41, 1.12, 1.11, 1.12, 1.03 and 1.12.
-    The ratio of the two distances is at most 1.06 for n ≥ 56 and 1.02 for n ≥ 780.
+    The chosen b differs from a/√3 by at most ½. Neighbors therefore have two different distances.
+    The ratio of the two distances between neighbors depends on the count:
+    for n = 2, 4, 12, 16, 30 and 36, the ratio is 1.41, 1.12, 1.11, 1.12, 1.03 and 1.12.
+    The longer of two neighbor distances exceeds the shorter by at most 6 % for n ≥ 56,
+    and by at most 2 % for n ≥ 780.
 
     References
     ----------
@@ -588,8 +590,8 @@ def corners(sides: tuple[int, ...]) -> Array:
 def cell_side(s: int) -> float:
     """Return 1/s minus 2^-52, so that k/s + side·u stays below (k + 1)/s for all u < 1.
 
-    Below 1, the numbers k/s, side·u, their sum and (k + 1)/s are each rounded by at most 2^-54.
-    The subtracted 2^-52 is as large as all four rounding errors together.
+    Four numbers below 1 are each rounded by at most 2^-54: k/s, side·u, their sum, and (k + 1)/s.
+    The sum of these four rounding errors is therefore at most 2^-52.
     """
     return 1.0 / s - _SLACK
 

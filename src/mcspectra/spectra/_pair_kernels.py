@@ -90,7 +90,8 @@ def count_distances(
         x = coordinates[0, a]
         while end < total and coordinates[0, end] - x <= limit:
             if end >= n and coordinates[0, end] - x == limit:
-                break  # count a pair only once if its difference equals the limit
+                # On the torus, two points at exactly this distance meet twice; count them once
+                break
             end += 1
         for start in range(a + 1, end, _CHUNK):
             stop = min(start + _CHUNK, end)

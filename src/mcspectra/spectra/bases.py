@@ -63,7 +63,7 @@ class Basis(IndexGrid, ABC):
     name: ClassVar[str] = ""
 
     def oscillations(self) -> Array:
-        """Smallest half width on each axis that includes each stored function: (stored, dims)."""
+        """Half width that a basis needs, on each axis, for each stored function: (stored, dims)."""
         flat = np.unravel_index(np.arange(self.stored), self.shape)
         return np.stack([self._axis_oscillations()[place] for place in flat], axis=-1)
 
@@ -170,7 +170,7 @@ class _Dyadic(Basis):
     def directions(self) -> Array:
         """Number of oscillations along each axis.
 
-        The index of a basis function is not used as its direction: it also encodes a position.
+        The index of a basis function does not give a direction, because it also encodes a position.
         """
         return self.oscillations()
 

@@ -17,7 +17,7 @@ The transform of a grid of s points is A_s(ν) = (1/s) Σ_{j<s} exp(−2πi νj/
   The mean is ⟨S_ν⟩ = A(ν) ⟨M(ν/s)⟩, and the covariance is
   C_ml = (1/N) A(m − l) [⟨M(m/s) conj M(l/s)⟩ − ⟨M(m/s)⟩ conj⟨M(l/s)⟩].
   For random points, one cell contains n motifs of one point each.
-  For jittered, box-jitter and gaussian-jitter points, each motif is also a single point.
+  For jittered, box-jitter and gaussian-jitter points, each motif is a single point.
   Motifs of antithetic-jittered are pairs of points.
 * Sets that are the same in every realization, and grids with a common offset.
   The coefficients S_ν of fixed sets, and of grids with a given offset, are known.
@@ -35,8 +35,8 @@ The transform of a grid of s points is A_s(ν) = (1/s) Σ_{j<s} exp(−2πi νj/
 Importance-sampled points x = T(u), with weights 1/(n p), are covered for some densities p:
 the density must be a product over the axes, with monotone warps T.
 For warped points, the transform M_t(m) of the warped stratum that starts at t replaces χ.
-The products *same* and *apart* are means over the starts t of the strata.
-If the points are shifted at random, *same* and *apart* are means over all t from 0 to 1.
+The products *same* and *apart* above are then averaged over the strata, each with its own t.
+If the points are shifted at random, the average is taken over all t from 0 to 1.
 On one axis, let A_δ(m) be the coefficient S_m of the grid with offset δ.
 A grid with one random offset δ has C_ml = Π_i ∫ A_δ(m_i) conj A_δ(l_i) dδ − δ_m0 δ_l0.
 """
@@ -467,7 +467,8 @@ def _nested_pairs(law: Fixed, bases: Sequence[int], m: Array, other: Array) -> A
 
     Suppose that two coordinates agree in their first a digits and differ in the next digit.
     Divide [0,1) into b^a strata, and each stratum into b parts.
-    Scrambled coordinates are uniform in two different parts of a random stratum [Owen1997]_.
+    After scrambling, both coordinates are in one random stratum, but in two different parts of it.
+    Each scrambled coordinate is uniform within its part [Owen1997]_.
     """
     n, levels = law.n, [_levels(law.points[:, j], b) for j, b in enumerate(bases)]
     most = max(levels)
@@ -492,7 +493,7 @@ def _nested_pairs(law: Fixed, bases: Sequence[int], m: Array, other: Array) -> A
     for axis in range(law.dims - 1, -1, -1):
         b, row, column = bases[axis], flat[:, axis : axis + 1], far[:, axis : axis + 1]
         by_level = [_level_mates(row, column, b**a, b)[:, 0] for a in range(most)]
-        # The last entry is for pairs of equal coordinates, which scrambling keeps equal
+        # Append the mean for pairs with equal coordinates, which remain equal after scrambling
         by_level.append(_same(row, column, b ** _scrambled_digits(b))[:, 0])
         total = np.einsum("...af,af->...f", total, np.array(by_level))
     return np.asarray(total.reshape(m.shape[:-1]))
@@ -523,7 +524,7 @@ def _place_pairs(net: Fixed, bases: Sequence[int], shifted: bool, m: Array, othe
     If `shifted` is false, a random permutation is applied to the k-th digits.
     The joint law of two changed digits then depends only on whether the digits are equal.
     The changes of digits at different places k are independent, so the means are multiplied.
-    The digits behind the last changed place are replaced by one uniform number per coordinate.
+    All digits after the last changed digit are replaced by one uniform number per coordinate.
     If the digits form a group, the pairs with one given point represent all pairs.
     """
     n, dims, points = net.n, net.dims, net.points
@@ -537,8 +538,8 @@ def _place_pairs(net: Fixed, bases: Sequence[int], shifted: bool, m: Array, othe
             Function("power_spectrum"),
             ", or ask for fewer.",
         )
-    # At each digit place of an axis, a factor depends on the difference of two digits.
-    # Each factor is an array (b, frequencies) of means for all b differences
+    # At each digit place of an axis, the mean depends on the difference of two digits modulo b.
+    # For each place, store an array (b, frequencies) of the means for the b possible differences
     factors = list[list[Array]]()
     for axis, b in enumerate(bases):
         digit, own = np.arange(b), list[Array]()
@@ -603,7 +604,7 @@ def _interval(nu: Array) -> Array:
 def _comb(nu: Array, sides: Any) -> Array:
     """Return A_s(ν) for each coordinate: the transform of the grid {j/s}, which has period s."""
     s = np.asarray(sides, float)
-    # For |rest| ≤ s/2, the transform of the interval at rest/s is not 0, so it can be a divisor
+    # Subtract the nearest multiple of s from ν: then |rest| ≤ s/2, and the divisor is never 0
     rest = nu - s * np.rint(nu / s)
     return np.asarray(_interval(rest) / _interval(rest / s))
 
@@ -625,7 +626,7 @@ def _weighted_covariance(law: Law, name: str, m: Array, other: Array, density: D
     zero = np.all(m == 0, axis=-1) & np.all(other == 0, axis=-1)
 
     # Find out whether the points are shifted, at random or by a fixed offset.
-    # If they are shifted, find the law of the points before the shift
+    # If the points are shifted, find the law of the points before the shift
     n, offset, shifted = law.n, np.zeros(density.dims), False
     while isinstance(law, Shifted | Moved):
         if isinstance(law, Moved):
@@ -678,7 +679,7 @@ def _weighted_covariance(law: Law, name: str, m: Array, other: Array, density: D
 @final
 @dataclass(frozen=True)
 class _StrataAxis:
-    """The starts t of importance-sampled strata or grids on one axis, with weights for means.
+    """Positions t at which importance-sampled strata or grids start on one axis, with weights.
 
     A start t is the lower end of a stratum, or the offset of a grid.
     Each start t has one weight, which is used in all means over starts.

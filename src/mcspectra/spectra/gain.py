@@ -49,8 +49,8 @@ def gain_coefficients(
         Number of points.
     levels
         Largest level of each axis.
-        By default, the level exceeds the number of digits of n in the smallest base by one.
-        If no two points share a coordinate, all gains above the default level are 1.
+        By default, this level is one more than the number of digits of n in the smallest base.
+        If no two points share a coordinate, all gains at even larger levels are 1.
     dims
         Number of dims. It is needed if a spec string does not state it.
 
@@ -59,7 +59,7 @@ def gain_coefficients(
     xarray.Dataset
         The gains, in a variable ``gain`` with a dim of levels for each axis (``level0``, …).
         Levels are counted from 0. If the level is 0 on all axes, the part is the mean of f.
-        The gain of the mean is 0.
+        The gain at level 0 of all axes is 0, because the mean of f is integrated without error.
 
     Raises
     ------
@@ -126,7 +126,7 @@ def nested_variances(
     -------
     ndarray
         float64 (levels + 1, …), or (channels, levels + 1, …). It is 0 at level 0 of all axes.
-        The sum over all levels is the variance of f without the variance at finer levels.
+        The values sum to the variance of f, except for the part of the variance at finer levels.
 
     Raises
     ------

@@ -227,7 +227,8 @@ def closed_form_pair_correlation(sampler: Sampler | str, n: int, r: Any) -> Arra
     Two points of a jittered set are independent, except that they cannot lie in the same cell.
     Let two positions differ by h, and let a cell have the sides 1/s_i.
     The two positions lie in the same cell with probability P = Π max(0, 1 − s_i |h_i|).
-    If an axis has only one cell, its factor in P is 1, even across the border of the torus.
+    If an axis has only one cell, all positions share this cell, even across the torus border.
+    The product P then has the factor 1 for this axis.
     The correlation is g = n/(n−1) · (1 − mean of P over all directions of h).
 
     Examples

@@ -103,8 +103,9 @@ def power_spectrum(
         See `mcspectra.spectra.transforms`.
     eps
         Relative accuracy of the transforms.
-        By default, single precision with an accuracy of 1e-5 or 1e-6 is used if errors are small.
-        Small errors are below 0.02 standard errors on all rings of the first two realizations.
+        By default, single precision with an accuracy of 1e-5 or 1e-6 is used if this is enough:
+        transform errors must be below 0.02 standard errors of the power, on all frequency rings.
+        The first two realizations decide whether transform errors are below this limit.
         If errors of single precision are larger, the default is 1e-9, in double precision.
         The attribute ``transform_error`` is the largest transform error, in standard errors.
         The attribute ``eps`` is the accuracy that was used.
@@ -145,7 +146,8 @@ def power_spectrum(
     Multiply power by n for the convention of UTK, where the power of random points is 1.
     The cost is O(n log^d(1/eps) + M log M) for a pair of realizations with M frequencies.
     Memory does not depend on the number of realizations. A thread takes at most 100 M bytes.
-    Points take up to 64 MB more. In the direct engine, this includes phases.
+    The points take up to 64 MB of additional memory.
+    In the direct engine, these 64 MB include the complex phases exp(−2πi m·x).
     If two sets of points take more than 64 MB, the limit is 100 n d bytes instead.
 
     Examples
@@ -248,7 +250,8 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
             points, weights = weighted_points(source, p, self.n, stream, (0, 2))
             exact = _powers(double, points, weights)
             # Estimate the standard deviation of the power from two realizations.
-            # An exponential distribution has the standard deviation E|X − Y|, with two powers X, Y
+            # Power is exponentially distributed: its standard deviation is the mean of |X − Y|,
+            # where X and Y are the powers of two independent realizations
             spread = polar.rings(np.abs(exact[0] - exact[1])) / self.realizations**0.5
             for single in singles:
                 error = polar.rings(np.abs(_powers(single, points, weights) - exact).mean(axis=0))
@@ -491,7 +494,7 @@ class _PolarMeans:
 
     # Index of the ring and wedge of each frequency of the half grid, int64 (H,).
     # The index is ring · (wedges + 1) + wedge. Frequencies outside all rings have the last index.
-    # The last wedge of a ring holds the frequencies with |m|/step above the half width.
+    # The last wedge of a ring holds corner frequencies: |m|/step is larger than the half width.
     label: Array
     cells: Array  # number of frequencies in each ring and wedge: (rings, wedges + 1)
     radius: Array  # mean |m|/step of each ring

@@ -48,7 +48,7 @@ __all__ = [
 _MAX_SLICE_DIMS = 4
 _LEVEL = 0.95
 # Largest variance over directions, beyond noise, at which the power counts as isotropic.
-# The unit is the squared mean power. For jittered points this variance is 0.001.
+# The unit is the squared mean power. For jittered points, the variance over directions is 0.001.
 _ISOTROPIC = 0.1
 _CLASS_WEDGES = 8
 # Misfit of a single line that is fitted to all directions, as χ² per degree of freedom.
@@ -237,8 +237,8 @@ def wedge_means(spectrum: xr.Dataset, wedges: int = 12) -> xr.Dataset:
         ``wedge_power`` and its standard error ``wedge_power_se``, on the dim angle.
         Angles are in degrees, at the centers of the wedges.
         Values are NaN for wedges without frequencies.
-        The spectrum has standard errors for its own number of wedges only.
-        If `wedges` is another number, and the points have a density, errors are NaN.
+        The spectrum has standard errors only for the number of wedges that `power_spectrum` used.
+        For a different number of wedges, standard errors are NaN if the points have a density.
         Without a density, errors are computed as if frequencies were uncorrelated.
     """
     half = _HalfSpectrum.of(spectrum)
@@ -279,7 +279,7 @@ def low_frequency_exponent(
     axis
         Axis along which to fit. By default all directions are fitted together.
         If the power depends on the direction, each class of directions is fitted separately.
-        The result is the fit with the largest power at the lowest frequency.
+        The result is then the fit of the class with the largest power at the lowest frequency.
 
     Returns
     -------
@@ -303,7 +303,7 @@ def low_frequency_exponent(
     -----
     The fit uses weighted least squares of log power on log |ν|.
     All frequencies of one length (and class of directions) are averaged.
-    If there are k classes, the interval of each class has the level 1 − 0.05/k.
+    If k classes of directions are fitted, each interval has the confidence level 1 − 0.05/k.
     The fitted exponent b depends on the largest frequency |ν| that is fitted.
     For example, the power 1 − sinc² of jittered points has b = 2 at 0 and b = 1.8 at n^(1/d)/4.
 
@@ -422,7 +422,8 @@ class _LowFrequencyFit:
 def _over_directions(half: _HalfSpectrum, label: Array, lengths: Array) -> _LowFrequencyFit:
     """Fit all directions together if they have the same power.
 
-    Otherwise fit the class of directions with the largest power at the lowest frequency.
+    If the power depends on the direction, fit each class of directions separately.
+    Return the fit of the class with the largest power at the lowest frequency.
     """
     whole = _fit_class(half, label, lengths, "all", 1)
     assert whole is not None
@@ -493,7 +494,7 @@ def variance_from_spectrum(spectrum: xr.Dataset, coefficients: Any) -> float:
         The variance of randomly shifted sets, at *integer* frequencies (``frequency_step=1``).
         At integer frequencies, the result is exact up to the truncation of the grid.
         Between the integers, where ⟨S_ν⟩ is not 0, the sum includes the bias of a finite window.
-        Between the integers, the sum is never smaller than this bias of the window [Singh2019]_.
+        Between the integers, the sum is at least as large as the bias of the window [Singh2019]_.
 
     Raises
     ------

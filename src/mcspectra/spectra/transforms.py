@@ -22,7 +22,7 @@ Engines
     In four dims, realizations are transformed one at a time.
 ``direct``
     Direct summation by matrix products, axis by axis. It is exact to rounding, and costs O(n M).
-    It is the reference for tests, and the faster engine if there are few points.
+    Direct summation is the reference for tests, and it is faster if there are few points.
 ``auto``
     The engine is ``nufft``, except in three cases in which the direct engine is used.
     If n M < 4000, the direct engine is about a microsecond faster than FINUFFT.
@@ -402,9 +402,9 @@ class Transform:
         """Rows of the fine grid that hold the frequencies, and factors that undo spreading."""
         dims, side = len(self._fine), self._fine[0]
         # The spreading kernel along an axis also depends on the number of axes.
-        # Therefore measure the kernel on a grid with the same number of axes.
+        # Measure the spreading kernel on a grid that has as many axes as the fine grid.
         # To save time, all axes but the last are as short as possible.
-        # The short axes have odd length if the last axis has odd length.
+        # If the last axis has odd length, all other axes have odd length too.
         # To undo the spreading, transforms are divided by the Fourier coefficients of the kernel
         plan = self._new_plan((_LEAST_FINE + side % 2,) * (dims - 1) + (side,))
         origin = np.zeros((dims, 1), np.zeros(0, self._number).real.dtype)

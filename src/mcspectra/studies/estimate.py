@@ -1,8 +1,8 @@
 """Estimate the time, memory and storage of every cell of a study from short trial runs.
 
-Analyses of scenes measure a few pixels (`Analysis.trial`).
-Any other cell with many realizations is run twice with few realizations, and once with more.
-The difference of the times gives the time per realization.
+For an analysis of a scene, the trial run measures a few pixels (`Analysis.trial`).
+For an analysis with many realizations, two trial runs use few realizations, and a third uses more.
+The time per realization follows from the extra time of the third run.
 The time of a cell without a trial run is estimated in proportion to the cell's cost.
 """
 

@@ -225,7 +225,7 @@ class StudyConfig(_StudyTable, frozen=True, kw_only=True, omit_defaults=True):
 def analysis_tables() -> dict[str, type[Analysis]]:
     """Return the analyses by the keys of their tables.
 
-    Each key is the name of the analysis, except ``maps`` for ``map``, which analyzes a scene.
+    The key is the name of the analysis. For an analysis of scenes, it is the plural (``maps``).
     Analyses that cannot be loaded are left out.
     """
     found = {}
@@ -343,7 +343,7 @@ def study_of(table: Mapping[str, Any], source: str = "study") -> StudyConfig:
     try:
         config = _StudyReader().study(table)
 
-        # Each table has the right types. Check rules that concern several tables
+        # The types in each table have been checked. Now check rules that concern several tables
         if not config.entries:
             scenes = [key for key, each in analysis_tables().items() if each.about == "scene"]
             lists = " or ".join(f"[[{key}]]" for key in ("estimators", *scenes))
@@ -403,7 +403,7 @@ class Slugs:
     """Make a unique group name for each text, of letters, digits, dots and hyphens.
 
     Names have no separator and no leading dot, so they cannot leave the store.
-    The names also differ from the names of the store's own files.
+    Group names also differ from the names of files that the store uses for itself.
     """
 
     def __init__(self) -> None:
@@ -415,7 +415,8 @@ class Slugs:
         base = re.sub(r"[^a-z0-9.]+", "-", text.lower()).strip("-.")[:60].strip("-.") or "x"
         slug = base
         while slug in self._taken:
-            # Continue with the number after the last one: thousands of texts may give the same name
+            # Thousands of texts may give the same name, so do not try all numbers from 2 again:
+            # remember the next free number of each name
             number = self._next.get(base, 2)
             slug, self._next[base] = f"{base}-{number}", number + 1
         self._taken.add(slug)
@@ -691,7 +692,7 @@ def expand_grids(table: dict[str, Any], source: str = "study") -> dict[str, Any]
     """Return a study's table with all combinations of its grids written out.
 
     Estimators, maps and samplers are repeated for each combination of their placeholders.
-    Placeholders in the study's tables of analyses also repeat the estimators.
+    Estimators are also repeated for placeholders in the study's tables of analyses.
     A text that is only a placeholder becomes the value itself, so a list stays a list.
 
     Parameters

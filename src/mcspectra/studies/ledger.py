@@ -6,7 +6,7 @@ SQLite provides atomic commits and recovery after a crash.
 This module adds the schema, the commit interval and the digests.
 Each row has a SHA-256 of its contents, which is checked on every read.
 The row ``tally`` has the number of finished cells and the bitwise XOR of all their digests.
-A missing row is detected because the number or the XOR is then wrong.
+A missing row is detected because the remaining rows do not match the ``tally``.
 If the file is damaged, a resumed run keeps all sound rows on readable pages.
 The run reports damaged rows and computes them again. `Ledger.verify` finds the same damaged rows.
 
@@ -99,8 +99,8 @@ _SCHEMA = (
     "CREATE TABLE results (place INTEGER PRIMARY KEY, payload BLOB)",
     """CREATE TABLE tasks (path TEXT, run TEXT, first INTEGER, blocks INTEGER, digest BLOB,
     payload BLOB, PRIMARY KEY (path, run, first, blocks))""",
-    # The notes are the study's description and its tally. This table has a second copy of both.
-    # Recovery is impossible without the notes, so the copy is on another page of the file
+    # The notes are the study's description and its tally. This table has a second copy of them.
+    # Recovery is impossible without notes, so their second copy is on another page of the file
     "CREATE TABLE notes (kind TEXT, name TEXT, text TEXT, digest BLOB, PRIMARY KEY (kind, name))",
 )
 # Rows from pages of a damaged file, where contradicting pages can give several rows per key
@@ -255,7 +255,7 @@ class StudyTally(msgspec.Struct, frozen=True, kw_only=True):
     holder: Holder | None = None
 
     def plus(self, digest: bytes, size: int) -> StudyTally:
-        """Return the tally of finished cells with one more cell."""
+        """Return the tally (count, size and digest of finished cells) with one more cell added."""
         either = int(self.digest, 16) ^ int.from_bytes(digest, "big")
         return msgspec.structs.replace(
             self, done=self.done + 1, size=self.size + size, digest=f"{either:064x}"
@@ -417,12 +417,12 @@ class Ledger:
 
     @property
     def study(self) -> StudyNote:
-        """The study as noted when the ledger was begun, without its `config`."""
+        """The description of the study from the start of the ledger; `config` has the full text."""
         return self._header.study
 
     @property
     def config(self) -> str:
-        """The whole study as JSON, which has megabytes for a large study.
+        """The whole study as JSON text, which takes several megabytes for a large study.
 
         Raises
         ------
@@ -908,7 +908,8 @@ class Ledger:
         done: dict[str, None] = {}
         digests, found = bytearray(), ("", "")
         with self._guard:
-            self._rows("BEGIN")  # No commit may happen between the two reads
+            # Read the tally and the cells in one transaction, without a commit between them
+            self._rows("BEGIN")
             try:
                 self.tally = self._noted_tally()
                 for path, digest in self._each("SELECT path, digest FROM cells ORDER BY place"):
@@ -929,7 +930,10 @@ class Ledger:
         return paths, done
 
     def _listed_anyway(self) -> list[str]:
-        """Return the paths of all cells by place; an unreadable path becomes ``cell PLACE``."""
+        """Return the paths of all cells in the order of the study.
+
+        An unreadable path is replaced by ``cell PLACE`` with the number of the cell.
+        """
         known = dict(self._each("SELECT place, path FROM cells"))
         return [str(known.get(place, f"cell {place}")) for place in range(self._header.cells)]
 
@@ -946,8 +950,8 @@ class Ledger:
             else:
                 recorded += 1
         # Compare the tally with the finished cells that were found.
-        # Readers skip this test, because they have already checked the list of cells.
-        # Since then, a writer may have changed the tally
+        # Readers skip this test, because they checked the tally when they read the list of cells.
+        # After that check, a writer may have finished more cells and changed the tally
         still = self._lock is not None or self._salvaged
         if still and len(self.damaged) == before and tally.digest != self.tally.digest:
             self.damaged["list of cells"] = "finished cells are missing in it"
@@ -962,8 +966,9 @@ class Ledger:
         )
 
     def _sound(self, paths: Sequence[str]) -> Iterator[_Change]:
-        """Yield each sound row as the change that writes it; list all other rows in `damaged`.
+        """Yield, for each intact row, the change that would write this row again.
 
+        All other rows are listed in `damaged`.
         This method alone decides which parts of a damaged ledger are kept.
         """
         try:
@@ -1038,7 +1043,8 @@ class Ledger:
     def _cell_rows(self, place: int) -> tuple[list[tuple[Any, ...]], list[tuple[Any, ...]]]:
         """Return a cell's rows of tables ``cells`` and ``results``; none if a row is damaged."""
         with self._guard, contextlib.suppress(_Damaged):
-            self._rows("BEGIN")  # A commit between the two reads would look like damage
+            # Read both tables in one transaction: a commit between them would look like damage
+            self._rows("BEGIN")
             try:
                 cells = self._rows("SELECT path, digest FROM cells WHERE place = ?", (place,))
                 return cells, self._rows(_PAYLOADS, (place,))

@@ -65,11 +65,11 @@ PATH_SAMPLERS = ("random", "latin-hypercube", "rank1-lattice | shift", "sobol | 
 """Samplers that are compared by default; they support any count in any number of dims."""
 
 _EFFORTS = {
-    # For each effort, the first value lists the numbers n of paths per estimate.
-    # The second value is the number of estimates for each n.
-    # The third value is the number of realizations for ANOVA.
-    # The fourth value is the number of paths from which the shares of lights are computed.
-    # The fifth value is True if variances are also predicted
+    # Each effort (quick or full) is a tuple of five settings.
+    # An effort sets the numbers n of paths per estimate, and the number of estimates for each n.
+    # It also sets the number of realizations for ANOVA.
+    # The shares of lights are computed from the number of paths in the fourth setting.
+    # The last setting is True if variances are also predicted
     "quick": ((16, 64, 256, 1024), 200, 10_000, 2**14, False),
     "full": ((16, 64, 256, 1024, 4096), 1000, 100_000, 2**17, True),
 }
@@ -149,7 +149,8 @@ def analyse_path(
         ``convergence``: measured variances by `mcspectra.convergence` on (sampler, n).
         ``anova/KIND``: result of `mcspectra.anova_variances` for random paths, up to 64 groups.
         KIND is ``bounce``, ``decision``, ``request`` or ``coordinate``: how axes are grouped.
-        A request is one decision at one bounce. Coordinates are not grouped.
+        With ``request``, a group has the coordinates of one decision at one bounce of the path.
+        With ``coordinate``, each coordinate is a group of its own.
         ``lights``: shares of the variance by `shares_by_light`, for 2 to 64 lights.
         ``remedies``: result of `path_remedies` for the last sampler at the largest n.
         ``predict``: result of `mcspectra.predict` on (sampler, n), only with full effort.
@@ -265,8 +266,8 @@ def shares_by_light(f: PathPixel, paths: int, stream: Stream) -> xr.Dataset | No
         The pixel.
     paths
         Number of random paths, each followed once per light.
-        The first 1024 paths are the pilot that sets the selection.
-        The same number of new paths measures the gain of the selection.
+        The first 1024 paths (the pilot) determine improved probabilities of selecting lights.
+        The gain from these probabilities is measured with `paths` new paths.
     stream
         Random numbers.
 
@@ -279,7 +280,7 @@ def shares_by_light(f: PathPixel, paths: int, stream: Stream) -> xr.Dataset | No
         ``light_probability``, the current selection probability of the light;
         ``light_selection``, its improved selection probability.
         ``selection_ratio``: variance with the improved selection over that with the current one.
-        For this ratio, the variances of both ways to select lights are measured with new paths.
+        For ``selection_ratio``, the variances of both selections are measured with new paths.
         None for one light, for more than 64 lights, or for a pixel without noise.
 
     Raises
@@ -349,7 +350,7 @@ def path_remedies(
     Parameters
     ----------
     f, sampler
-        Paths of the pixel as an integrand, and the sampler that the changes are compared with.
+        Integrand that follows paths through the pixel, and the sampler before any change.
     counts, realizations
         Counts of paths per estimate, ascending, and number of estimates.
         The last count is the budget; at most the five largest counts are measured.
@@ -471,8 +472,8 @@ def path_remedies(
                 f"{ratio:.3g} ({bounds})"
             )
             if high < 0.0 and rate < 0.0:
-                # With the change, an estimate takes n paths, and its pilot takes P paths.
-                # Without the change, n + P paths have the same cost.
+                # A candidate takes n paths for an estimate, after P paths for its pilot.
+                # At the same cost, the unchanged sampler takes n + P paths for an estimate.
                 # At equal cost, errors are equal if the variances have the ratio ((n + P)/n)^rate.
                 # Compute the number n of paths from the ratio that was measured for equal n
                 pays = candidate.pilot / math.expm1(found.log_ratio / rate)

@@ -163,7 +163,7 @@ def analyse_pixel(
         Counts n of samples of each technique, at least two, ascending.
         Number of estimates for each n.
         Number of evaluations at which remedies are ranked, by default twice the largest n.
-        By default, numbers that are not given come from the effort.
+        The default values of these numbers depend on `effort`.
     remedies
         Whether to search for remedies that lower the noise.
     effort
@@ -177,7 +177,7 @@ def analyse_pixel(
     -------
     xarray.DataTree
         ``convergence``: measured variances by `mcspectra.convergence` on (strategy, sampler, n).
-        ``predict/STRATEGY``: `mcspectra.predict` on (sampler, n), with its method.
+        ``predict/STRATEGY``: variances by `mcspectra.predict` on (sampler, n), and their methods.
         ``terms/STRATEGY/VIEW``: variance terms by `mcspectra.variance_terms` in primary space.
         VIEW is ``auto`` (the basis that fits the sampler) or ``fourier``.
         ``techniques``: terms by `mcspectra.technique_terms` for the balance heuristic.
@@ -185,7 +185,7 @@ def analyse_pixel(
         NAME is ``light``, ``bsdf``, or the share of a technique, such as ``balance-light``.
         Steps from float32 rounding are removed from the pictures.
         ``incident``: `incident_light`.
-        ``picture``: ``image`` of the scene on (y, x, channel), small, by few paths.
+        ``picture``: a small image of the scene from few paths, ``image`` on (y, x, channel).
         ``remedies``: remedies by `mcspectra.remedies` for the balance heuristic.
         Attributes of the root describe the pixel and what the pixel shows.
         The attribute ``sampler`` is the sampler of the variance terms.

@@ -70,11 +70,11 @@ MOST_EVALUATIONS = 10**15
 """Maximum number of evaluations of a study without --force: half a year on a hundred cores."""
 
 # Planning times in seconds: _SPEC for each spec, and _WEIGHTED for each estimator with densities.
-# The time for each density is _DENSITY in several dims, and _WARP in one dim.
+# Planning takes _DENSITY seconds for each density in several dims, or _WARP seconds in one dim.
 # A density in one dim takes longer, because its warp is searched for gaps
 _SPEC, _WEIGHTED, _DENSITY, _WARP = 1e-4, 6e-4, 5e-4, 2e-3
 # Planning times in seconds: _PAIR for each pair of estimator and sampler, and _CELL for each cell.
-# Each item of a list in an analysis, such as a number of points, adds the time _COUNT
+# Planning takes _COUNT more seconds for each item of a list, such as the list of counts
 _PAIR, _CELL, _COUNT = 3e-6, 2.5e-5, 3e-6
 NOTED_SECONDS = 5.0
 """Planning time in seconds above which a message announces the wait."""
@@ -96,7 +96,7 @@ class StudyCell:
     path
         Path of the cell in the results: estimator/sampler/analysis.
     analysis
-        Checked analysis with its options.
+        The analysis with its options, which have been checked.
     estimator_name, sampler_spec
         Name of the estimator and spec of the sampler, as written in the study file.
     subject
@@ -106,7 +106,7 @@ class StudyCell:
         Cost and memory of the cell; the cost serves the schedule and the display of progress.
     error
         Reason why the cell fails before it begins; None if it can be tried.
-        For example, its integrand raises an error at the first points.
+        For example, the integrand of the estimator may raise an error at the first points.
     inputs
         Names of the files that the cell depends on: keys of the plan's `inputs`.
     """
@@ -128,7 +128,8 @@ class StudyCell:
     def compute(self, seed: int) -> xr.Dataset:
         """Compute the cell in this thread; the result has the same bits on every run.
 
-        Planning has already made the checks of `mcspectra.core.analysis.compute`.
+        Unlike `mcspectra.core.analysis.compute`, this method does not check the request.
+        Planning has already checked the requests of all cells.
         """
         steps = steps_of(self.analysis, self.subject, Stream.from_rng(seed))
         result = driven(

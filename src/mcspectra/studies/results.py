@@ -309,7 +309,8 @@ def study_status(folder: str | Path, *, verify: bool = False) -> StudyStatus:
                 with contextlib.suppress(*_MALFORMED, RecursionError):
                     note = StudyNote.of(study_of(study), ledger.study.inputs)
                     refusal = ledger.refusal(note, paths)
-                    if note.study_hash != ledger.study.study_hash:  # Forged text or hash
+                    # The hashes differ if someone changed the text of the study, or its stored hash
+                    if note.study_hash != ledger.study.study_hash:
                         found.damaged["the header"] = (
                             "it names another study than the stored text, so that --resume may "
                             "refuse the folder"

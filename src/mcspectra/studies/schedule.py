@@ -120,7 +120,10 @@ class PartialRun(Generic[State]):
         return self._tree.total()
 
     def _aligned(self, first: int, count: int) -> bool:
-        """Whether a chunk is valid: 2^k blocks that start at a multiple of 2^k, or last blocks."""
+        """Whether a chunk has 2^k blocks and starts at a multiple of 2^k.
+
+        A chunk that ends with the last of all blocks may have fewer than 2^k blocks.
+        """
         if count < 1 or first < 0 or first + count > self.reduction.blocks:
             return False
         size = 1 << (count - 1).bit_length()

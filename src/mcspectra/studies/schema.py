@@ -1,7 +1,7 @@
 """Describe study files for readers: JSON Schema, tables of all keys, and a template.
 
-The schema, the tables and the template are made from the structs of `mcspectra.studies.files`
-and from the options of the installed analyses.
+The schema, the tables and the template are made from two sources:
+the structs of `mcspectra.studies.files`, and the options of the installed analyses.
 """
 
 from __future__ import annotations

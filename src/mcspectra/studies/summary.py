@@ -28,8 +28,8 @@ class SummaryRow(msgspec.Struct, frozen=True, kw_only=True):
 
     ``ratio`` is predicted variance divided by measured variance.
     For a result of ``predict``, ``method`` is the method of the prediction, one of `METHODS`.
-    Without a result of ``predict``, ``method`` is the basis of the sum of the variance terms.
-    If the ratio comes from a result of ``terms``, it is the value ``captured`` of this result.
+    Without ``predict``, the prediction is a sum of variance terms, and ``method`` is their basis.
+    The ``ratio`` of such a sum is the same number as ``captured`` in the result of ``terms``.
     """
 
     estimator: str
@@ -205,7 +205,7 @@ def _ratio(found: dict[str, xr.Dataset], row: dict[str, Any]) -> dict[str, Any]:
 
 
 def _by_method(data: xr.Dataset) -> Iterator[tuple[Array, xr.Dataset]]:
-    """Yield predictions along n, each with an array that names the method used for each n."""
+    """Yield predicted variances for all n, with an array of the method used at each n."""
     names = np.asarray(
         data["method"].values if "method" in data.coords else data.attrs["labels_method"]
     )

@@ -91,9 +91,10 @@ class Outcome:
     task
         The task.
     state
-        Sum over the blocks, or dataset of the whole cell, if this process computed it.
+        Result of a task that this process computed:
+        the sum over the blocks of the task, or the dataset of the whole cell.
     payload
-        The sum or dataset as bytes, if another process computed it.
+        Result of a task that another process computed, as bytes.
     error
         Sentence on why the task failed; then `state` and `payload` are None.
     seconds

@@ -124,10 +124,10 @@ def check_sampler(sampler: Sampler | str, *, counts: tuple[int, ...] = (16, 64))
         # Compare the mean number of points per cell with n / (number of cells).
         # There are 35 cells per axis, and 5 × 7 cells per pair of neighboring axes,
         # because few samplers have strata of the same size.
-        # The error of each mean comes from the spread over realizations,
-        # which includes the dependence of the points in a set.
-        # The error is at least the error of a count that varies in one realization only,
-        # even if the count is the same in all realizations
+        # The error of each mean is computed from the spread over realizations,
+        # so the error includes the dependence between the points of a set.
+        # The spread may be 0 by chance, if a cell has the same count in all realizations.
+        # Therefore the spread is at least the value for counts that vary in one realization only
         from scipy.stats import norm
 
         points = source.draw(n, realizations=_REALIZATIONS, rng=20)
@@ -271,7 +271,7 @@ def check_integrand(integrand: Integrand | str, *, dims: int | None = None) -> N
     -----
     Closed forms are compared with means over 32 shifted sets of 4096 points.
     In up to three dims, closed forms may differ from the means by up to seven standard errors.
-    If closed form and mean differ by more, both are also compared with a quadrature.
+    Beyond seven standard errors, closed form and mean are also compared with a quadrature.
     Errors of a closed form below these limits are not detected.
     If f differs from 0 in less than 1e-4 of the domain, points may miss this region.
     `Integrand.landmarks` must then return a point where f is not 0.

@@ -14,7 +14,7 @@ __all__ = ["ImagesDiffer", "ImagesUndecided", "assert_same_image"]
 
 
 class ImagesDiffer(AssertionError):
-    """The new frames differ from the reference. `result` is the result of the gate."""
+    """The new frames differ from the reference. The comparison of the frames is in `result`."""
 
     def __init__(self, message: str, result: xr.Dataset) -> None:
         super().__init__(message)
@@ -22,7 +22,7 @@ class ImagesDiffer(AssertionError):
 
 
 class ImagesUndecided(AssertionError):
-    """The frames do not suffice for a verdict. `result` is the result of the gate."""
+    """There are too few frames for a verdict. The comparison of the frames is in `result`."""
 
     def __init__(self, message: str, result: xr.Dataset) -> None:
         super().__init__(message)
@@ -54,7 +54,7 @@ def assert_same_image(
     Returns
     -------
     xarray.Dataset
-        Result of the gate, whose verdict is ``pass``.
+        The comparison of the frames by `mcspectra.rendering.gate`, with the verdict ``pass``.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def assert_same_image(
     ImagesUndecided
         If the verdict is ``undecided``.
     FileFormatError, ParameterError
-        For the same reasons as in `mcspectra.rendering.gate`.
+        If files or options are not valid for `mcspectra.rendering.gate`.
 
     Notes
     -----
