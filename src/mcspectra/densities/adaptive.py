@@ -61,7 +61,7 @@ _NEGLIGIBLE = 1e-6
 # Largest ratio between the unresolved volumes of successive levels.
 # In 2-D, the ratio is ½ for unresolved cells along a line, and ¼ for unresolved cells at a point
 _SHRINKING = 0.8
-# Number of first subdivision levels that are ignored when the ratio of levels is computed.
+# Number of first levels of cells that are left out when `Quadrature.ratio` is computed.
 # On the first levels, cells near a zero of the density are split even if they do not contain it
 _FIRST_LEVELS = 4
 _WINDOW = 8

@@ -554,8 +554,8 @@ def reciprocal_integral(density: Density) -> float:
     The module `mcspectra.densities.adaptive` describes this quadrature.
     Let p ~ r^a at the distance r from a zero of p.
     From one level of cells to the next, the unresolved part of ∫1/p shrinks by a constant ratio.
-    At a point in 1-D or on a line in 2-D where p is 0, the ratio is 2^{a−1}.
-    At a point in 2-D where p ~ r^a, each level multiplies the unresolved part by 2^{a−2}.
+    If p is 0 at a point in 1-D or on a line in 2-D, the unresolved part shrinks by 2^{a−1}.
+    If p is 0 at a point in 2-D, the unresolved part shrinks by 2^{a−2} from level to level.
     If the unresolved part does not shrink from level to level, ∫1/p diverges.
     Ratios above 0.98 count as divergent, so a > 0.97 cannot be distinguished from 1.
     The remainder of the geometric series is added (Aitken). If p = 0 in a cell, ∫1/p is infinite.
