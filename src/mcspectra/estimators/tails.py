@@ -327,7 +327,7 @@ def unsampled_share(estimator: AbstractEstimator, samples: int) -> float:
     Parameters
     ----------
     estimator
-        The estimator. Without a density, the returned share is 0.
+        The estimator. If it has no density p, no region counts as unsampled, and the result is 0.
     samples
         Number N of samples in all realizations together.
         Under the density, the region of smallest p has the probability 1/N.

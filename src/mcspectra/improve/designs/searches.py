@@ -135,7 +135,7 @@ class SearchSettings:
     features: int = 160
     # Number of exchanges of cells between sets that are tried in a round.
     # The time of a search is proportional to the number of exchanges and of rounds.
-    # With 2^19, 2^20 and 2^21 exchanges, strata designs have variance ratios of 0.035, 0.031, 0.028.
+    # With 2^19, 2^20, 2^21 exchanges, the variance ratio of strata designs is 0.035, 0.031, 0.028.
     trials: int = 2**20
     # Maximum number of rounds of exchanges.
     # The variance ratio of strata designs is 0.037, 0.031 and 0.028 for 12, 24 and 48 rounds.
@@ -363,7 +363,7 @@ def _tables(
         power = power / float(len(x)) ** 2
         yield f" | digital-shift{tail}", hadamard(power)
         # For Owen scrambling, average the power over groups of Walsh functions.
-        # On each axis, the last nonzero digits of all Walsh indices of a group are at the same place
+        # On each axis, the Walsh indices of a group have their last nonzero digit at the same place
         if owen:
             codes = np.arange(len(power))
             level = np.zeros(len(power), np.int64)
