@@ -373,7 +373,7 @@ class NumericalDensity(_ByFunctions):
     Narrower details may be missed, together with their probability mass.
     If mass is missed, `normalize` divides by an integral that is too small.
     If the integral is known, ``normalize=False`` detects missing mass.
-    If a function ``sample=`` gives the warp, no mass is missed: the pdf is not integrated.
+    If a function ``sample=`` is given, the warp is not computed from the pdf: no mass is missed.
 
     Attributes
     ----------

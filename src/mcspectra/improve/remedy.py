@@ -72,7 +72,7 @@ class RemedySettings:
 
 _SETTINGS = RemedySettings()
 # Number of the random stream that searches for changes use.
-# Measurements at the several budgets use the streams with smaller numbers
+# Measurements at the budgets use the streams with smaller numbers
 _SEARCH = _SETTINGS.steps
 
 _DIMS: dict[str, tuple[str, ...]] = {

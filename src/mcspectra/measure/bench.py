@@ -78,9 +78,9 @@ class BenchSettings:
     # With more frequencies, maps of spectra would be shortened when they are printed.
     # In 4 or more dims, no spectra are computed.
     half_widths: tuple[int, ...] = (256, 64, 20)
-    # Number of sets over which measures of quality, such as discrepancies, are averaged.
-    # At 256 points in 2-D, the discrepancies of two scrambled nets differ by 1 to 5 %.
-    # The discrepancies of two sets of random points differ by 11 to 27 %.
+    # Number of sets over which the measures of quality are averaged (see `quality_figures`).
+    # At 256 points in 2-D, the quality of two scrambled nets differs by 1 to 5 %.
+    # The quality of two sets of random points differs by 11 to 27 %.
     # Means of 8 sets are therefore accurate to 2 % for nets and 10 % for random points.
     quality_sets: int = 8
     # Least number of sets for an interval of the pair correlation.

@@ -189,7 +189,7 @@ def design(
     Sampler or Density
         The sampler is unbiased for every integrand. The spec of the sampler creates it again.
         If the sampler has stored sets, the spec names the file of these sets.
-        On new integrands of the class, a usual sampler may have less variance at 95 % confidence.
+        On new integrands of the class, a usual sampler may prove better with 95 % confidence.
         If `settings.return_rival` is true, this usual sampler is returned with a `NoGainWarning`.
 
     Raises
