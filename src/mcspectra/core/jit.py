@@ -49,7 +49,7 @@ def _locked(name: str) -> Iterator[None]:
 
     A process locks a kernel before it locks the kernels that this kernel calls.
     Calls of kernels never form a circle, so two processes cannot block each other forever.
-    After a wait of 60 s, for example for a stopped process, the kernel is compiled without the lock.
+    After a wait of 60 s, for example for a stopped process, a kernel is compiled without the lock.
     """
     try:
         import fcntl
