@@ -322,7 +322,11 @@ def _put_back(descriptor: int, saved: int, held: IO[bytes], name: str) -> None:
 
 
 def _exr_head(name: str) -> tuple[set[str], int, int]:
-    """From a header, return channel names, bytes of all values, and pixels of the largest part."""
+    """Read the header of an OpenEXR file, which may consist of several parts.
+
+    Return the names of all channels, and the memory in bytes that the values of all parts need.
+    Also return the number of pixels of the largest part.
+    """
     OpenEXR = load_openexr()
     head = _exr_file(name, header_only=True)
     listed: set[str] = set()

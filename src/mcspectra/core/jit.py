@@ -47,9 +47,9 @@ def kernel(function: Function) -> Function:
 def _locked(name: str) -> Iterator[None]:
     """Hold a lock that excludes other processes, if the platform has one; a lost lock is harmless.
 
-    Kernels that call each other are locked in the order of the calls.
-    No kernel calls itself through others, so no two processes wait for each other.
-    After the longest wait, for example for a stopped process, the lock is not needed any more.
+    A process locks a kernel before it locks the kernels that this kernel calls.
+    Calls of kernels never form a circle, so two processes cannot block each other forever.
+    After a wait of 60 s, for example for a stopped process, a kernel is compiled without the lock.
     """
     try:
         import fcntl

@@ -63,9 +63,11 @@ _SET_BYTES = 4096
 # UTK text and comma-separated values
 _LONGEST_LINE = 2**22  # largest number of bytes in a line
 _BLOCK = 2**20
-_COMPILED = 2**18  # in bytes; Python reads a shorter text faster than the kernel can be compiled
-# Bytes of memory for each number of a text. The number is stored three times as float64:
-# in the array of its line, in the array of its point set, and in the list of all point sets
+# Texts of at least this number of bytes are read by a compiled kernel.
+# Python reads a shorter text in less time than the compilation of the kernel takes
+_COMPILED = 2**18
+# Bytes of memory for each number of a text, which is stored three times as float64.
+# Each number is in an array for its line, in an array for its point set, and in the final result
 _VALUE_BYTES = 24
 
 # UTK binary
@@ -294,8 +296,8 @@ def _numbers(chunk: bytes) -> tuple[int, list[tuple[int, Array | None]]] | None:
     """Read lines that contain only numbers. Return None if there is any other line.
 
     The result is the number of lines, and a list of pairs.
-    For successive lines of numbers, a pair has the number of the first line, and the points.
-    For each comment line, a pair has the number of this line, and None. Line numbers start at 1.
+    Successive lines of numbers become one pair: the number of the first line, and the points.
+    A comment line becomes the pair of its line number and None. Line numbers start at 1.
     """
     from mcspectra.core._text_kernels import parse_lines
 
@@ -423,7 +425,8 @@ def _sets_of_rows(
     """Convert rows to arrays, one for each set.
 
     A row is a line number and the fields of the line. If the fields are None, a new set begins.
-    A run of rows may also be one array of points, with the line number of the first row.
+    Instead of the fields of one line, a row may have an array with the points of several lines.
+    The line number of such an array is the number of its first line.
     """
     sets: list[Array] = []
     points = array("d")
@@ -508,8 +511,8 @@ def _read_bin(stream: IO[bytes], size: int, name: str) -> Array:
             f"{size - _HEADER_BYTES}."
         )
     # Files of integers need memory for two more copies of the numbers.
-    # The first copy is in the byte order of this machine.
-    # The second copy lacks the bits that do not fit into a double
+    # One copy has the integers in the byte order of this machine.
+    # The other copy has the integers without the bits that do not fit into a double
     copies = 1 if dtype.kind == "f" else 3
     check_decoded_size(name, size, count * (copies * dtype.itemsize + 17) + shape[0] * _SET_BYTES)
     values = np.fromfile(stream, dtype, count).reshape(shape)

@@ -78,8 +78,8 @@ class MeanSums:
     def mean_and_error(self, sets: int | None = None) -> tuple[Array, Array]:
         """Return the mean over realizations and its standard error (NaN for one realization).
 
-        If `sets` is given, the realizations repeat only `sets` different realizations.
-        Every different realization is repeated equally often.
+        If the realizations use the same point sets repeatedly, `sets` is the number of these sets.
+        All sets are used equally often. The standard error assumes `sets` independent values.
         """
         mean, count = self.total / self.count, self.count
         independent = count if sets is None else min(count, sets)

@@ -61,7 +61,7 @@ _NEGLIGIBLE = 1e-6
 # Largest ratio between the unresolved volumes of successive levels.
 # In 2-D, the ratio is ½ for unresolved cells along a line, and ¼ for unresolved cells at a point
 _SHRINKING = 0.8
-# Number of levels at the start that are not used for the ratio of the unresolved parts.
+# Number of first levels of cells that are left out when `Quadrature.ratio` is computed.
 # On the first levels, cells near a zero of the density are split even if they do not contain it
 _FIRST_LEVELS = 4
 _WINDOW = 8
@@ -87,7 +87,7 @@ class Quadrature:
 
     @property
     def isolated(self) -> bool:
-        """Whether `limit` can be used, because the volume of unresolved cells shrinks quickly.
+        """Whether the volume of unresolved cells shrinks so quickly that `limit` can be used.
 
         `isolated` is also true if the integral is infinite or all cells are resolved.
         """
@@ -101,7 +101,7 @@ class Quadrature:
         """Ratio of the unresolved parts of successive levels. It is 0 if everything is resolved.
 
         The ratio compares two sums: over the last k levels, and over the k levels before them.
-        The ratio of two single levels varies with the position of a zero in its cell.
+        Ratios of just two successive levels would depend on where the zero lies in its cell.
         """
         parts = self.unresolved
         half = min(_WINDOW, (len(parts) - _FIRST_LEVELS) // 2)
@@ -231,9 +231,9 @@ def positive_integral(
         If the unresolved part does not shrink, the integral is infinite and the error is 0.
         Poles r^-a with a > 0.97 count as divergent.
         See `mcspectra.densities.reciprocal_integral`.
-        The integral may be the extrapolated limit of a geometric series of levels with ratio r.
-        The error of such a limit is its last change, times the larger of 1 and r/(1 − r).
-        Where poles cross, the levels form only approximately a geometric series.
+        The integral may be extrapolated: the limit of a geometric series of levels with ratio r.
+        The error of an extrapolated limit is its last change, times the larger of 1 and r/(1 − r).
+        If lines of poles cross, the sums of the levels are a geometric series only approximately.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         found = integrate(function, dims, cells=CELLS[dims], most_cells=most_cells)

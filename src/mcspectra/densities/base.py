@@ -145,7 +145,7 @@ class Density(Component, ABC):
     def reciprocal_integral(self) -> float:
         """Return ∫ 1/p over [0,1)^d, which is infinite if the integral diverges.
 
-        For random points, this integral equals 1 + n Var(S_0).
+        For n random points, ∫ 1/p equals 1 + n Var(S_0), where S_0 is the mean of their 1/p.
 
         The value is exact if the class has a closed form; otherwise it comes from a quadrature.
         """
@@ -373,7 +373,7 @@ class NumericalDensity(_ByFunctions):
     Narrower details may be missed, together with their probability mass.
     If mass is missed, `normalize` divides by an integral that is too small.
     If the integral is known, ``normalize=False`` detects missing mass.
-    A density with a function ``sample=`` does not miss mass.
+    If a function ``sample=`` is given, the warp is not computed from the pdf: no mass is missed.
 
     Attributes
     ----------
@@ -389,7 +389,7 @@ class NumericalDensity(_ByFunctions):
     DensityError
         If the integral of the pdf is not 1 (to 1e-9) and `normalize` is False.
         If the pdf is negative, not finite within (0,1)^d, or too rough or steep.
-        In 2-D, jumps or kinks along lines that are not axis-parallel are too rough.
+        In 2-D, a pdf with jumps or kinks along oblique or curved lines is too rough for the warp.
         In 1-D, a density with a pole is too steep, unless the pole is at 0, where floats are dense.
     """
 
@@ -554,9 +554,9 @@ def reciprocal_integral(density: Density) -> float:
     The module `mcspectra.densities.adaptive` describes this quadrature.
     Let p ~ r^a at the distance r from a zero of p.
     From one level of cells to the next, the unresolved part of ∫1/p shrinks by a constant ratio.
-    If p is 0 at a point in 1-D or on a line in 2-D, the ratio of levels is 2^{a−1}.
-    If p is 0 at a point in 2-D, the ratio of levels is 2^{a-2}.
-    If the ratio of levels is 1 or more, ∫1/p diverges.
+    If p is 0 at a point in 1-D or on a line in 2-D, the unresolved part shrinks by 2^{a−1}.
+    If p is 0 at a point in 2-D, the unresolved part shrinks by 2^{a−2} from level to level.
+    If the unresolved part does not shrink from level to level, ∫1/p diverges.
     Ratios above 0.98 count as divergent, so a > 0.97 cannot be distinguished from 1.
     The remainder of the geometric series is added (Aitken). If p = 0 in a cell, ∫1/p is infinite.
     Relative errors are about 1e-7 in 1-D, and 1e-4 in 2-D if p jumps along curves.

@@ -65,7 +65,7 @@ class Bilinear(Density):
     -----
     The round trip ``invert(sample(u))`` may lose digits of u_0.
     Digits are lost if the marginal density between two rows grows by a large factor.
-    If the density grows so fast, rounding of x_1 moves the line on which u_0 is computed.
+    Where the density grows fast, rounding of x_1 changes the conditional cdf that gives u_0.
     """
 
     dims: int = field(default=2, init=False)

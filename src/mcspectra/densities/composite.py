@@ -1,17 +1,17 @@
 """Densities made from other densities: products over groups of dims, mixtures, defensive mixtures.
 
-Selection of a part
--------------------
+Selection
+---------
 The densities p_t of a mixture p = Σ_t w_t p_t [OwenZhou2000]_ are called its parts.
 A point can choose its part in two ways:
 
 * ``"coordinate"``: one coordinate of u chooses the part, and is then stretched and used again.
-  Dims and strata are kept, but the warp and g(u) = f/p jump at the borders of the shares w_t.
+  Dims and strata are kept, but the warp and g(u) = f/p jump where the chosen part changes.
   The jumps of g make the convergence of jittered and low-discrepancy points slower.
 * ``"extra"``: an additional last coordinate chooses the part, which gets all other coordinates.
   The estimator needs a sampler of d+1 dims, and g still jumps along the last dim.
 * A third way is a *deterministic split*, which draws n w_t points of each part.
-  A split is not a warp of one point, but several techniques with the balance heuristic.
+  A deterministic split is not a warp. Its parts are techniques with the balance heuristic.
   See `mcspectra.estimators.split_mixture`.
 """
 
@@ -48,7 +48,7 @@ __all__ = ["Defensive", "Mixture", "Product"]
 
 _MAX_PARTS = 1024
 # Points where a factor density is 0 get arbitrary coordinates on the axes of all other factors.
-# Number of different values that these arbitrary coordinates take in turn
+# From one point to the next, the arbitrary coordinates cycle through this number of values
 _PLACES = 4
 _SELECTIONS = ("coordinate", "extra")
 
@@ -125,7 +125,8 @@ class Product(Density):
     def lifted(self, points: Sequence[Array]) -> Array:
         """Convert points of the factors, k_j points in d_j dims for factor j, to points in d dims.
 
-        Points of a factor get coordinates on all other axes, which take `_PLACES` values in turn.
+        A point of factor j gets arbitrary coordinates on the axes of all other factors.
+        From one point to the next, the arbitrary coordinates cycle through `_PLACES` values.
         """
         found = []
         for own, given in zip(self._domain, points, strict=True):

@@ -17,7 +17,7 @@ _SPREADS = 7.0  # limit in standard errors; a false alarm has probability 7e-8 p
 # Let the mean count of points in a cell be k + q, with an integer k and 0 ≤ q < 1.
 # All 32 point sets have k points in the cell with probability (1 − q)^32: 7e-8 for q = 0.4.
 # If all 32 counts are equal, the mean count may therefore be wrong by 0.4 points.
-# If the counts differ, their standard error limits the error of the mean count.
+# If the 32 counts differ, their spread shows the likely error of the mean count.
 _ALIKE = 0.4
 _ROUND_TRIP = 1e-6
 _INTEGRAL = 1e-4
@@ -62,8 +62,8 @@ def check_density(density: Checkable) -> None:
     Notes
     -----
     * pdf is finite and not negative at 4096 points, and its integral is 1 to 1e-4.
-    * sample stays in [0,1]. invert(sample(u)) = u to 1e-6.
-      The rounding of x also changes u; this change is allowed in addition.
+    * sample stays in [0,1]. invert(sample(u)) equals u to 1e-6 + 1e-15 p(x).
+      The term 1e-15 p(x) allows for the change of u that the rounding of x causes.
     * Samples follow the pdf, which is tested in one of three ways.
 
     In 1-D and 2-D, points of 32 shifted sets of 4096 points are counted in cells.

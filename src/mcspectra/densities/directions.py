@@ -76,7 +76,10 @@ def _polar_from_sphere(theta: Array, turn: Array) -> Array:
 
 
 def _octahedral_to_sphere(u: Array) -> _Pair:
-    """Fold the square to an octahedron of equal area [Clarberg2008]_. Its corners are one pole."""
+    """Map the square to the sphere by an octahedron of equal area [Clarberg2008]_.
+
+    All four corners of the square map to the same pole.
+    """
     a, b = np.abs(2.0 * u[..., 0] - 1.0), np.abs(2.0 * u[..., 1] - 1.0)
     lower = a + b > 1.0
     radius = np.where(lower, (1.0 - a) + (1.0 - b), a + b)
@@ -211,8 +214,8 @@ class HemisphereDensity(_TwoWarps):
 
     Notes
     -----
-    All points with x_1 = 0 are the same direction, for any x_0.
-    With the concentric warp, `invert` returns one point for this direction.
+    All points with x_1 = 0 are the same direction (the pole), for any x_0.
+    With the concentric warp, `invert` returns the same u for all points at the pole.
     """
 
     name: ClassVar[str] = "hemisphere"

@@ -216,10 +216,10 @@ def compensated(
     Notes
     -----
     Gauss rules of 4 nodes per axis compute the means of the other densities over the cells.
-    If all other densities are 0 at one of these nodes, the cell keeps its value λ p.
+    If all other densities are 0 at a Gauss node, nothing is subtracted in the cell of the node.
     Therefore some technique samples f everywhere; `MultipleImportance` checks it again.
     Compensation is optimal only if f is proportional to p.
-    If f has further factors, the estimate is still unbiased.
+    If f also contains other factors, such as a BSDF, the estimate is still unbiased.
 
     Examples
     --------
@@ -283,8 +283,9 @@ def _taken(others: list[Density], shares: Array, shape: tuple[int, ...]) -> Arra
 
 
 def _level(p: Array, taken: Array, share: float) -> float:
-    """Return the number λ for which the mean of max(0, λ p − taken) is `share`.
+    """Return the factor λ that gives the compensated density the mean `share`.
 
+    The compensated density is max(0, λ p − taken).
     The array `taken` has the densities of the other techniques, weighted by their shares.
     """
     inside = p.ravel() > 0
@@ -292,8 +293,8 @@ def _level(p: Array, taken: Array, share: float) -> float:
     ratio = other / own
     order = np.argsort(ratio)
     # Sort the cells by the other techniques' densities `taken`, divided by p.
-    # For each k, compute λ under the assumption that λ p > taken in exactly the first k cells.
-    # The assumption is true if λ p ≤ taken in cell k + 1
+    # For each k, compute λ as if only the first k cells had a compensated density above 0.
+    # Choose the first k for which the compensated density of cell k + 1 is 0
     levels = (share * p.size + np.cumsum(other[order])) / np.cumsum(own[order])
     ends = np.append(ratio[order][1:], np.inf)
     return float(levels[np.flatnonzero(levels <= ends)[0]])

@@ -2,7 +2,7 @@
 
 p(x) = δ + (1 − δ) Π_i q_i(x_i | x_1 … x_{i−1}), where q_i = Σ_m a_m B_m is a quadratic spline.
 The B_m are B-splines of integral 1.
-Their weights a ≥ 0 have the sum 1 and depend on the earlier coordinates, in one of two ways:
+The spline weights a ≥ 0 sum to 1 and depend on the earlier coordinates, in one of two ways:
 
 * *mixtures* of K products: a = Σ_k ω_k c_ki with ω_k ∝ w_k Π_{j<i} Σ_m c_kjm B_m(x_j).
   If K = 1, the density is a product.

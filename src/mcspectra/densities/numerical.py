@@ -111,8 +111,8 @@ class NumericalWarp:
             start=256,
             most=_MOST[1] if self.dims == 1 else _MOST_OF_MARGINAL,
             subject=subject,
-            # In 2-D, the marginal pdf of x_1 is not tested between its nodes.
-            # It has more nodes than the 509 lines of constant x_1 on which cells were tested
+            # In 2-D, the marginal pdf of x_1 is tested only at its quadrature nodes.
+            # The nodes outnumber the 509 values of x_1 for which cells along x_0 were tested
             probes=_PROBES[1] if self.dims == 1 else 0,
         )
         return _Axis.of(cells, density(cells.nodes[..., None]))
@@ -191,7 +191,7 @@ class NumericalWarp:
     def check_rows(self) -> None:
         """In 2-D, compare integrals of rows over the cells with integrals over halved cells.
 
-        The rows are at other x_1 than the rows for which the sizes of the cells were chosen.
+        The tested rows have values of x_1 that were not used to choose the sizes of the cells.
 
         Raises
         ------
@@ -416,7 +416,10 @@ def _halved(low: Array, width: Array) -> tuple[Array, Array]:
 
 
 def _size(values: Array, width: Array) -> float:
-    """Return the largest integral of any row; 1 instead of 0, so that zeros count as resolved."""
+    """Return the largest integral of any row.
+
+    If all integrals are 0, return 1, so that a function that is 0 counts as resolved.
+    """
     total = float((values.mean(axis=1) * width[:, None]).sum(axis=0).max())
     return total or 1.0
 

@@ -1,7 +1,7 @@
 """Piecewise constant densities from a table or a picture, in one and two dims.
 
-Choice of a warp
-----------------
+Four warps
+----------
 In 1-D the inverse of the cdf is the only monotone warp. In 2-D one pdf has many warps.
 The warp T determines where the primary-space integrand g(u) = f(T(u))/p(T(u)) jumps.
 Therefore the choice of the warp determines the rate.
@@ -25,7 +25,7 @@ Therefore the choice of the warp determines the rate.
   u_0 chooses one of h·w bins of equal size, and one of the two cells in the bin.
   The remainder of u_0 gives the position along x_0, and u_1 gives the position along x_1.
   In a table of h × w cells, a line along u_0 crosses up to 2hw − 1 jumps.
-  Each jump can go to any cell of the table.
+  At each jump, x may move to any other cell of the table.
   Point sets remain stratified only in u_1, and only within cells.
   Several bins may map to the whole of a cell, so T is many-to-one and has *no inverse*.
 * ``"hilbert"`` [SteiglederMcCool2003]_: u_0 chooses a cell by the cdf along a Hilbert curve.
@@ -35,7 +35,7 @@ Therefore the choice of the warp determines the rate.
   The jumps are at the turns of the Hilbert curve.
   If the table is a square of side 2^k, each jump stays within two neighboring cells.
   In a table of another size, jumps can be longer, because the curve leaves the table and returns.
-    A line along u_1 crosses no jumps.
+  A line along u_1 crosses no jumps.
   The Hilbert warp suits samplers with n strata in u_0, which become n strata along the curve.
   Samplers with square 2-D strata have only √n strata in u_0, and so along the curve.
 
@@ -301,7 +301,10 @@ class _Marginal:
         _unwarp_rows(self.rows, self.columns, x, u)
 
     def breaks(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Marginal cdf between different rows. If separable, also the cdf at column borders."""
+        """Return the values of the marginal cdf at the borders between rows that differ.
+
+        If all rows are proportional, also return the values of the row cdf at column borders.
+        """
         # Rows are proportional if all rows with mass have equal cdfs
         columns = self.columns[self.cells.any(axis=1)]
         separable = np.abs(columns - columns[0]).max() <= _SAME_ROWS
@@ -366,7 +369,8 @@ class _Hierarchical:
             axes.append(int(bits[0] >= bits[1]))
             bits[1 - axes[-1]] -= 1
         self.cells, self.axes = cells, np.array(axes, np.int64)
-        # Start with the cells. At each level, add neighboring rows (axis 1) or columns (axis 0)
+        # Build the tree upward from the single cells.
+        # Each level adds the masses of pairs of rows (axis 1) or pairs of columns (axis 0)
         levels = [np.empty(0)]
         for depth in range(len(axes) - 1, -1, -1):
             pairs = (table[0::2], table[1::2]) if axes[depth] else (table[:, 0::2], table[:, 1::2])
@@ -492,7 +496,8 @@ def _alias_table(masses: Array) -> tuple[Array, Array]:
     The mean of the masses is 1.
     Cells with masses above the mean fill the bins of cells with masses below the mean.
     Bins of cells with mass 0 are filled first, while other cells still have more than the mean.
-    Therefore empty cells get a share of exactly 0. Rounding affects only masses near the mean.
+    Therefore the share of an empty cell in its own bin is exactly 0.
+    Rounding errors change only the shares of cells whose remaining mass is near the mean.
     """
     n = masses.size
     left = masses.copy()
@@ -571,7 +576,10 @@ class _Hilbert:
         _return_along(self.borders, self.places, self.headings, self.cells.shape, x, u)
 
     def breaks(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Cdf at the cells' borders on the curve. T jumps at turns; elsewhere its slope jumps."""
+        """Return the values of the cdf at the cells' borders along the Hilbert curve.
+
+        The warp T jumps at the turns of the curve. At other borders only the slope of T jumps.
+        """
         return _inner(self.borders), ()
 
 
@@ -632,7 +640,8 @@ def _follow(
 ) -> None:
     height, width = size
     for k in range(u.shape[0]):
-        # The product u_0 · 2^g is exact, so u_0 lies in the interval of [0,1) with this index
+        # Find the interval of the guide table that contains u_0, exactly:
+        # multiplication of u_0 by a power of two causes no rounding
         g = int(u[k, 0] * (guide.size - 1))
         i = last_at_most(borders, guide[g], guide[g + 1] + 1 - guide[g], u[k, 0])
         rest = (u[k, 0] - borders[i]) / (borders[i + 1] - borders[i])

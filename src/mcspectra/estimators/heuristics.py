@@ -58,9 +58,8 @@ _BISECTIONS = 45
 _EDGE = 1e-12  # Breaks within this distance from the ends of [0,1] are dropped
 
 _MOST_SAMPLES = 2**22
-# Densities count as identical if the matrix A has a very small singular value.
-# `_SINGULAR` is the limit for this value, as a fraction of the largest singular value of A.
-# Identical densities share one coefficient α
+# Singular values of the matrix A below this fraction of the largest singular value count as 0.
+# If a singular value is 0, some densities are identical, and identical densities share one α
 _SINGULAR = 1e-10
 # Upper limit of v_t = 1 + μ²/σ², which is infinite if all samples of a technique are equal
 _MOST_FACTOR = 1e8

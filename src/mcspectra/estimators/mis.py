@@ -317,7 +317,11 @@ class OneSampleMIS(Combined):
         return x, weights / x.shape[1]
 
     def primary_breaks(self, technique: int = 0) -> Breaks:  # noqa: ARG002
-        """Return the borders of the selection and the breaks of all g_t, for each primary axis."""
+        """Return the positions on each primary axis where g may jump or bend.
+
+        On one axis, these are the borders between the intervals that select different techniques.
+        On all axes, these are the breaks of all g_t.
+        """
         found: list[set[float]] = [set() for _ in range(self.dims)]
         axis = self.dims - 1 if self.selection == "extra" else 0
         found[axis].update(self._borders[1:-1].tolist())

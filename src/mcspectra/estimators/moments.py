@@ -34,21 +34,22 @@ _LEAST = 10  # Fewer values than this cannot show a tail
 _TAIL = 64
 _LEAST_TAIL = 300  # With fewer values, no tail index is fitted
 _CLUMPS = 4.0  # Values with at most this kurtosis do not count as heavy-tailed
-_LEAST_POINTS = 3000  # With fewer points, no tail is fitted to the 256 farthest values
+_LEAST_POINTS = 3000  # With fewer points, no tail is fitted to the values of g at the points
 # Limits for the share of the variance that comes from values beyond all sampled values.
 # If g is bounded, values beyond the sampled values have a small share of the variance.
-# A tail is fitted to the 16, 64 and 256 farthest values; each of the three fits has its own limit
+# A tail is fitted to the 16, 64 and 256 values farthest from the mean, with a limit for each fit
 _BEYOND = {16: 0.005, 64: 0.02, 256: 0.15}
 # Largest allowed square of the standard error of log s².
-# With a larger error, s² has less than one degree of freedom.
+# If the squared error exceeds 2, the sample variance s² has less than one degree of freedom.
 # The upper end of the interval of the variance would then be above 100 s²
 _MOST_ERROR = 2.0
 # If the tail index is above `_TAILED`, the upper end of the variance accounts for the tail.
 # `_INDEX_ERROR` is the standard error of a tail index that is fitted to 64 values.
 # If the tail index is above `_MOST_INDEX`, the values give no upper bound of their variance.
 # At index ¼ the kurtosis is infinite. Take 1,000 values u^−0.3 as an example:
-# 85 % of the intervals from the kurtosis alone are correct, and 96 % with these limits.
-# The limits do not change the intervals for uniform, normal and exponential values.
+# Intervals that use the kurtosis but not the tail index contain the variance in 85 % of cases.
+# Intervals that also use the tail index contain the variance in 96 % of cases.
+# The tail index does not change the intervals for uniform, normal and exponential values.
 _TAILED, _INDEX_ERROR, _MOST_INDEX = 0.05, 0.16, 0.32
 # Quantile of log(σ²/s²) at 97.5 %, for R values u^−k with uniform u. Rows are R and columns are k.
 # Each entry of the table comes from 1,200 to 20,000 simulated sets
@@ -99,7 +100,7 @@ class Measured:
         return cls(float(data[name]), low, high, log)
 
     def __truediv__(self, other: Measured | float) -> Measured:
-        """Return the ratio to a number without error, or to a variance with an independent error.
+        """Divide by a number without error, or by a variance with an independent error.
 
         With common random numbers both variances vary together, so the interval is too wide.
         If a variance is not positive or has no upper bound, the ratio is NaN.
@@ -401,8 +402,9 @@ class Moments:
         """Index k̂ of a generalized Pareto distribution that is fitted to the farthest values.
 
         An index of 0 means an exponential tail, and ½ means infinite variance.
-        Probability-weighted moments [HoskingWallis1987]_ estimate the index from 63 distances.
-        In the longer tail, these are the distances of the 63 largest values from the 64th largest.
+        The index is fitted to the 64 values of the longer tail that are farthest from the mean.
+        The least extreme of the 64 values is subtracted from the other 63 values.
+        Probability-weighted moments of the differences give the index [HoskingWallis1987]_.
         The two tails are not combined, because one tail may end where the other tail begins.
         The index is NaN for fewer than 300 values, or without `tails`.
         """
@@ -452,7 +454,7 @@ class Moments:
         with np.errstate(invalid="ignore", divide="ignore"):
             kurtosis = np.where(self.m2 > 0, n * self.m4 / self.m2**2, 3.0)
             skewness = np.where(self.m2 > 0, np.sqrt(n) * self.m3 / self.m2**1.5, 0.0)
-        # Move the center of the fourth moment opposite to the skewness.
+        # Take the fourth moment about a point that lies farther from the longer tail than the mean.
         # Add the part of the kurtosis that a small number of values misses
         shift = 0.5 * n**-0.25 * skewness
         kurtosis = kurtosis + 4 * shift * skewness + 6 * shift**2 + shift**4
@@ -475,8 +477,8 @@ def _tail_end(index: Array, count: int) -> Array:
     k = np.clip(index + _INDEX_ERROR, _TAIL_INDICES[0], _TAIL_INDICES[-1])
     columns = np.arange(len(_TAIL_INDICES))
     place, rows = np.interp(k, _TAIL_INDICES, columns), np.log(_TAIL_COUNTS)
-    # Between two rows of the table, interpolate the upper end as a power of the count.
-    # For counts outside the table, use the power that fits the two nearest rows
+    # Between two counts of the table, interpolate the end by a power law in the count.
+    # For counts outside the table, use the power that fits the two nearest counts
     x = math.log(count)
     row = int(np.clip(np.searchsorted(rows, x) - 1, 0, len(rows) - 2))
     part = (x - rows[row]) / (rows[row + 1] - rows[row])

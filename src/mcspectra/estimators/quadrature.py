@@ -88,7 +88,7 @@ _GROWTH_LINES, _STEADY = 4, 0.02
 # Each number k stands for the distance 2^-k
 _FAR, _NEAR, _INSIDE = (30, 60, 90, 120), (20, 30, 40, 50), (8, 14, 20, 26)
 # The 256 largest values at the points of `probe` are stored.
-# In the integral of g², a power law replaces the values whose rank is above 8
+# In the integral of g², a power law through the 8th largest value replaces the largest values
 _TOP, _RANK = 256, 8
 # The largest values follow a power law t^-a if the exponent a is above 0.1,
 # and if log(g_4/g_32) exceeds 0.6 log(g_32/g_256), where g_k has rank k.
@@ -188,11 +188,11 @@ def blindness(g: Integrand, means: Array, squares: Array) -> Array:
     Returns
     -------
     ndarray
-        Difference between the means and the integrals that a second rule computes.
-        If the second rule does not resolve g, the error of this rule is added.
-        The second rule is adaptive (`mcspectra.integrands._quadrature.adaptive_integral`).
-        The second rule also finds regions where g differs from values at the first rule's nodes.
-        The result is 0 if the two rules agree and the second rule resolves g.
+        Difference between the means and the integrals that an adaptive rule computes.
+        If the adaptive rule does not resolve g, the error of the adaptive rule is added.
+        The adaptive rule is `mcspectra.integrands._quadrature.adaptive_integral`.
+        It also finds regions where g differs from the values at the first rule's nodes.
+        The result is 0 if the two rules agree and the adaptive rule resolves g.
         The result is also 0 if the mean over all strata agrees with a closed form of ∫g.
     """
     mean, square = means.mean(axis=0), squares.mean(axis=0)
@@ -207,8 +207,8 @@ def blindness(g: Integrand, means: Array, squares: Array) -> Array:
     square_off = np.abs(square - 2.0 * middle * mean + middle**2 - second) - error - rounding
     largest = np.abs(means - middle).max(axis=0)
     missed = np.maximum(square_off, 0.0) + 2.0 * largest * np.maximum(off, 0.0)
-    # If the adaptive rule does not resolve ∫g², add its error: the first rule may be as wrong.
-    # Also add the error if breaks of g were detected, because g jumps at breaks
+    # If the adaptive rule does not resolve ∫g², the first rule may have an equally large error.
+    # Add the error of the adaptive rule then, and if breaks of g were detected, where g jumps
     hides = (error > _RESOLVED * second) | isinstance(g, _Cut)
     return np.asarray(missed + np.where(hides, error, 0.0))
 
@@ -299,7 +299,7 @@ def beyond_points(g: Integrand) -> Array:
     g grows without bound on lines, or the largest values of |g| follow a power law.
     Let g_k be the k-th largest value. By a power law, g_4/g_32 is about as large as g_32/g_256.
     For a smooth peak, log(g_4/g_32) is only log(g_32/g_256)/8.
-    For N points with values t^-a, ranks above k contribute k g_k² / (N (1 − 2a)) to ∫g².
+    For N points with values t^-a, the k largest contribute k g_k² / (N (1 − 2a)) to ∫g².
     """
     none = np.zeros(max(1, g.channels))
     if g.costly or in_closed_form(g):
@@ -376,7 +376,7 @@ def strata(
     The three arrays have the shapes (strata, channels), (channels,) and (channels,).
     The error is computed by `blindness`.
     If jumps of g are unknown, rules of two orders may give the same variance by chance.
-    Therefore the variances of single strata are compared between the rules.
+    Therefore the variance in each stratum is computed by both rules, and the results are compared.
     Twice the standard error of the mean difference between the rules is added to the error.
     """
     means, squares = stratum_moments(g, sides, offset, rule.order, rule.most)
@@ -495,7 +495,8 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
     ∫g² is infinite if the unresolved part does not shrink.
     ∫g² is finite if g grows as t^-a with a < ½ at the distance t from a plane normal to an axis.
     If both values of ∫g² are finite, the value with the smaller error is used.
-    In more dims, poles that are not on planes normal to an axis at best cause a large error.
+    In three or more dims, only poles on planes normal to an axis are recognized.
+    Any other pole may be missed. At best, the pole makes the estimated error large.
     """
     cache = g._cache
     if cache.square is not None:

@@ -11,7 +11,8 @@ All probes are the same in each run:
   In each of 1024 intervals of u, bisection finds the largest jump. Jumps above 2^-30 count.
 
 A density may be 0 at single points, such as a power at 0 or a tent at its ends.
-No probe lies at these points. In 2-D and more, regions that contain no probe are missed.
+No probe lies at such isolated zeros of a density.
+In 2-D and more, regions that contain no probe are missed.
 The search also misses a gap of the density if the warp has no gap there.
 `mcspectra.densities.NumericalDensity` computes a warp from a pdf.
 The computed warp has a gap wherever the density is 0 on an interval wider than 2^-18.

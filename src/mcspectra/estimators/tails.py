@@ -67,10 +67,12 @@ class TailSettings:
     skewed: float = -0.25
     # The fitted slope must exceed this many standard errors; up to 100 faces are tested
     sure: float = 4.0
-    # f grows if the median at the closest 1/64 of the points exceeds this quantile of all values
+    # f may grow toward a face if the median of f close to the face exceeds this quantile of f.
+    # The median is over a quarter of the fitted points: at most 1/64 of all points
     outermost: float = 0.95
     # Exponents above the first limit make the variance infinite; above the second, ∫f diverges.
-    # In theory the limits are ½ and 1; both are lowered by the error of a fit of 64 points
+    # In theory, the limits of the exponent are ½ and 1.
+    # Both limits are lower here because an exponent that is fitted to 64 points has an error
     no_variance: float = 0.48
     no_integral: float = 0.95
     # Least exponent for which ∫f⁴ is infinite, so that the error of a variance is unknown: ¼
@@ -81,9 +83,9 @@ class TailSettings:
     # Among 2,700 integrals of exp(x + y), five had an exponent above `largest` by chance
     largest: float = 0.46
     surely: float = 0.25
-    # Probability that the integral lies beyond the extended end of its interval.
-    # On the side without growth, the end of the interval comes from Student's t.
-    # The integral hardly ever lies beyond the end that comes from Student's t
+    # If f grows without bound, one end of the interval of the integral is moved outward.
+    # Probability that the integral lies beyond the end that is moved.
+    # The other end comes from Student's t, and the integral hardly ever lies beyond this other end
     beyond: float = 0.04
     # If only 4 values hold half of the variance, most sets miss important regions.
     # Of 8,192 values of a smooth function, 700 or more hold half of the variance.
@@ -128,7 +130,7 @@ class BorderGrowth:
         return self.exponent > settings.largest and self.low > settings.surely
 
     def without_integral(self, settings: TailSettings = TAIL_SETTINGS) -> bool:
-        """Return whether the integral does not exist if f continues to grow like this."""
+        """Return whether ∫f does not exist if f keeps growing with this exponent up to the face."""
         return self.low >= settings.no_integral
 
 
@@ -190,7 +192,7 @@ def growing_interval(
     """Return a 95 % interval of the mean of stratified estimates (R,) if f grows at a border.
 
     The interval is `mean_interval`, but it extends farther on the side toward which f grows.
-    The end on the side of growth is a quantile of Student's t for errors proportional to u^−κ.
+    On this side, the end comes from the simulated Student's t of numbers u^−κ with uniform u.
     If the exponent is close to ½ or above, the interval is infinite.
     """
     low, high = mean_interval(estimates)
@@ -211,7 +213,8 @@ def growing_interval(
 def _growing_quantile(exponent: float, count: int, settings: TailSettings) -> float:
     """Return a quantile of Student's t for the mean of `count` numbers u^−κ, with reversed sign.
 
-    The mean is too low by more standard errors than the result with probability `settings.beyond`.
+    The result q is a number of standard errors.
+    The mean is too low by more than q standard errors with probability `settings.beyond`.
     """
     rng = np.random.default_rng((count, round(1000.0 * (exponent + 1.0))))
     u = rng.random((max(1000, min(settings.samples, 10_000_000 // count)), count))
@@ -288,8 +291,8 @@ def doubt(
     Returns
     -------
     tuple or None
-        A sentence on the tail, and whether the values say nothing about the variance.
-        The values say nothing if the variance may be infinite, or may come from an empty region.
+        A sentence on the tail, and whether the variance is completely unknown.
+        It is unknown if the variance may be infinite, or may come from a region without points.
         The result is None if the values bound the variance.
         If no points are given, growth at the border is not tested.
     """
@@ -324,7 +327,7 @@ def unsampled_share(estimator: AbstractEstimator, samples: int) -> float:
     Parameters
     ----------
     estimator
-        The estimator. Without a density, the returned share is 0.
+        The estimator. If it has no density p, no region counts as unsampled, and the result is 0.
     samples
         Number N of samples in all realizations together.
         Under the density, the region of smallest p has the probability 1/N.

@@ -136,14 +136,14 @@ class CauseSettings:
     # All test cases get the right cause with 4 to 8 dims. With 2 dims, one gets a wrong cause.
     many_dims: int = 4
     # Number of points for which the joint distribution of a sampler's points is examined.
-    # The kind of distribution is the same for all n (tested with 32 and 128).
+    # With 32 and 128 points, the examination gives the same result as with 64 points.
     law_at: int = 64
     # Error of a measured exponent of growth. The variance is infinite for exponents above ½.
     # Exponents above 0.48, which is ½ minus the error, are also reported as infinite variance.
     # In all 18 test cases with a pole, the measured exponent has an error of at most 0.02.
     # All test cases get the right cause with an error from 0.01 to 0.04.
     exponent_error: float = 0.02
-    # Error of the order of a pole inside the cube if the pole is found by lines only.
+    # Error of the exponent of a pole inside the cube if only lines through the cube found the pole.
     # All test cases get the right cause with an error from 0.04 to 0.16.
     bend_error: float = 0.08
     # Tail index of g above which the integral of g does not exist. In theory the limit is 1.
@@ -175,7 +175,7 @@ class CauseSettings:
     # All test cases get the right cause with a fraction from 0.025 to 0.1.
     few_different: float = 0.05
     # Least number of lines from which a profile concludes that g has no problem.
-    # 4 lines miss a feature that half of all lines cross with probability 1/16.
+    # If half of all lines cross a feature of g, 4 lines miss the feature with probability 1/16.
     # All test cases get the right cause with 2 to 8 lines.
     least_lines: int = 4
     # Of the jumps that lines cross, the fraction that seems to lie on planes normal to an axis.
@@ -184,7 +184,7 @@ class CauseSettings:
     # With a limit above 1, no discontinuity is reported as parallel to an axis.
     straight: float = 0.7
     # Least ratio of the number of lines with a jump to the number of lines with a cusp.
-    # With fewer jumps, all lines that seem to cross a jump may cross a cusp instead.
+    # If jumps are much rarer than cusps, each apparent jump may in fact be a cusp.
     # One line in 100 through a cusp of order ½ appears to be a jump by chance.
     jumps_of_cusps: float = 0.05
     # The function oscillates if more than this fraction of places along a line are local extremes.
@@ -221,7 +221,7 @@ class CauseSettings:
     # Least number of sets from which a variance is estimated.
     # With 95 % confidence, 8 sets determine the variance within the factors 0.44 and 4.1.
     few_sets: int = 8
-    # Two numbers of standard errors above which a deviation is not due to chance.
+    # Limits of two tests. A deviation of more standard errors than the limit is not due to chance.
     # The correlation between consecutive sets exceeds 4.5 standard errors with probability 3e-6.
     # The mean over sets deviates by more than 6 standard errors with probability 1e-5,
     # according to Student's t distribution with 19 degrees of freedom.
@@ -240,7 +240,7 @@ class CauseSettings:
     coarse: float = 1e-2
     # A technique of MIS can be a cause if its part of the variance is large.
     # Any technique with more than the fraction `dominant` of the variance is reported.
-    # The technique with the slowest rate is also reported above the fraction `largest_part`.
+    # The technique with the slowest rate is reported if its fraction exceeds `largest_part`.
     # All test cases get the right cause with `dominant` from 0.4 to 1.6.
     # All test cases get the right cause with `largest_part` from 0.25 to 1.
     dominant: float = 0.8
@@ -1007,7 +1007,7 @@ def causes_of(seen: Evidence) -> list[Cause]:
         found = sorted(found, key=lambda c: c.name == "heavy-tail")
     if found:
         return found
-    # Half of all causes can be detected only with lines
+    # Half of all causes can be detected only if g is evaluated on lines through the cube
     looked, least = len(seen.each("axis")), seen.settings.least_lines
     if looked < least:
         return [

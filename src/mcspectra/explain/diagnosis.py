@@ -38,7 +38,7 @@ class DiagnosisSettings:
     odd_dims: int = 4
     # Number of points at which the odd part is measured.
     # With 4096 points, the odd part has an error of about 1 % of the variance.
-    # This precision is enough for the limits `mostly` and `partly`.
+    # An error of 1 % is small enough to compare the odd part with the limits `mostly` and `partly`.
     odd_points: int = 2**12
 
 
@@ -78,8 +78,8 @@ class Diagnosis:
         kind, name, biased
             Attributes of the `mcspectra.improve.answers.Candidate`.
         unbounded, jumps
-            If the change is another warp: whether ∫1/p diverges, and whether g jumps inside.
-            `jumps` is None if jumps were not tested.
+            Used if the change is another warp. `unbounded` is true if ∫1/p diverges.
+            `jumps` is true if g jumps inside the cube, and None if jumps were not tested.
         """
         # Each kind of change to the set-up removes certain causes of noise
         inside = _jumps(self.causes)

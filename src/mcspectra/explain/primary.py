@@ -36,13 +36,13 @@ class PictureSettings:
 
     # Distances from a face at which g is evaluated.
     # 2^−26 is the square root of float64's spacing below 1.
-    # This distance is a compromise between the rounding of u and the change of a smooth g.
-    # The distance 2^−40 is 2^14 times smaller. The number 1 − 2^−40 is exact in float64.
+    # At the distance 2^−26, both the rounding of u and the change of a smooth g are small.
+    # The distance 2^−40 is 2^14 times smaller than 2^−26. 1 − 2^−40 is exact in float64.
     near: float = 2.0**-26
     nearer: float = 2.0**-40
-    # A difference of g between opposite faces is a jump if more than this fraction of it remains
-    # when g is evaluated at the smaller distance from the faces.
-    # The remaining fraction is 1 for a jump, 2^−14 for a smooth g, and 2^−7 for a square root.
+    # The difference of g between opposite faces is measured at both distances from the faces.
+    # g jumps if the difference at 2^−40 exceeds this fraction of the difference at 2^−26.
+    # The ratio of the two differences is 1 for a jump, 2^−14 for smooth g, 2^−7 for square roots.
     stays: float = 0.5
     # g has a pole at a face if it grows by this factor from the larger to the smaller distance.
     # The power t^−a grows by more than this factor if a > 1/14; bounded functions grow less.

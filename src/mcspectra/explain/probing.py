@@ -18,7 +18,7 @@ The random directions follow an ellipsoid that adapts to previous moves ([Hansen
 The climb ends early if the function is bounded.
 A function that grows as r^−a toward a set of codimension k leads the climb to that set.
 At distances r from the end of the climb, the differences g(r) − g(4r) are ∝ r^−a.
-These differences determine the exponent a, whatever constant is added to g.
+The differences g(r) − g(4r) determine the exponent a, whatever constant is added to g.
 Near the pole, |g|^(−2/a) is a quadratic form of the position, with the codimension k as rank.
 If the pole is on faces of the cube, each of these faces adds one to the codimension.
 
@@ -26,7 +26,7 @@ The volume in which |g| > λ is ∝ λ^(−k/a).
 Therefore ∫g² is infinite for a/k ≥ ½, and the integral does not exist for a/k ≥ 1.
 Where several faces meet, g may be a product of powers of the distances to these faces.
 Two exponents are then compared: the largest one at a single face, and the mean over the faces.
-The larger of these two exponents determines the distribution of large |g|.
+The larger exponent, single-face or mean, determines how large values of |g| are distributed.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ class LineSettings:
     kink: float = 1.6
     # Smallest height of a jump, as a fraction of the spread of g.
     # A jump with a height of 1e-4 of the spread of g causes 1e-8 of the variance.
-    # With the numbers of points in a profile, a fraction of 1e-8 is always negligible.
+    # With the numbers of points in a profile, 1e-8 of the variance is always negligible.
     # Values from 5e-5 to 2e-4 give the same results.
     least_jump: float = 1e-4
     # Second differences below this fraction of the spread of g count as rounding.
@@ -115,19 +115,19 @@ class LineSettings:
     grains: float = 32.0
     # Near the end of a line, g is evaluated at decreasing distances from this end.
     # g grows without bound if the last growth of |g| exceeds this multiple of the growth before.
-    # The ratio of growths is 2^−10 for a bounded function, 1 for ln t, and 2^(10a) for t^−a.
+    # The ratio of the last two growths is 2^−10 for a bounded g, 1 for ln t, and 2^(10a) for t^−a.
     # Values from 0.33 to 0.65 give the same results.
     # With the value 1.3, logarithmic growth is missed, and six of 152 test cases fail.
     goes_on: float = 0.65
     # To test whether a jump is normal to an axis, lines are displaced by up to this distance.
-    # An edge with a slope of 1 crosses the displaced line at least 0.0025 farther along the line.
-    # After the last halving, steps are about 100 times smaller than the distance 0.0025.
+    # If an edge has a slope of 1, its crossing with the line then moves by at least 0.0025.
+    # After the last halving, steps are about 100 times smaller than 0.0025.
     # Values from 0.0025 to 0.01 give the same results.
     aside: float = 0.005
     # Number of groups of axes. An oblique line (chord) is displaced along one group at a time.
     # If an edge is normal to an axis, its crossing moves only with displacements along this axis.
     # An edge that is oblique to two axes seems normal to an axis with probability 1/3.
-    # If the edge is oblique to more than two axes, the probability is smaller.
+    # An edge that is oblique to more than two axes seems normal with a smaller probability.
     groups: int = 3
     # Distances from both ends at which g is evaluated on a line along an axis.
     # From the distance 2^−30 to the distance 2^−40, even the function t^−0.08 grows 1.7 times.
@@ -135,7 +135,7 @@ class LineSettings:
     # Half and twice these distances give the same results.
     ends: tuple[float, ...] = (2.0**-4, 2.0**-12, 2.0**-20, 2.0**-30, 2.0**-40)
     # Distance from an end of a line at which g must be computable.
-    # A sample of a few thousand points also has points at this distance from the border.
+    # A sample of a few thousand points also has points at a distance of 2^−12 from the border.
     inside: float = 2.0**-12
 
     @property
@@ -168,7 +168,7 @@ class PoleSettings:
     # Maximum number of halvings of the step of a climb.
     # A climb starts with a step equal to the distance between neighboring points.
     # After 16 halvings, the largest radius in `radii` is 1/16 of the step at the start.
-    # With 8 halvings, 30 of 152 test cases fail, and 10 of 18 poles are wrong.
+    # With 8 halvings, 30 of 152 test cases fail, and 10 of 18 poles are measured wrongly.
     # Values from 16 to 32 give the same results.
     halvings: int = 16
     # Largest number of moves with the same step size before the step is halved.
@@ -176,23 +176,26 @@ class PoleSettings:
     moves: int = 6
     # Number of halvings of the step in a group of halvings.
     # Whether a climb goes on depends on the medians of |g| over its last three groups.
-    # With groups of 2, one of 18 poles is wrong; values from 3 to 6 give the same results.
+    # With 2 halvings in a group, one of 18 poles is measured wrongly.
+    # Values from 3 to 6 give the same results.
     group: int = 3
     # A climb ends if |g| grows less and less after each group of halvings of the step.
     # If the last growth of |g| is below this multiple of the growth before, g counts as bounded.
     # Near a smooth maximum, three halvings multiply the growth of |g| by 4^−3.
-    # Near a pole where g grows like ln r, |g| grows by the same amount after each group.
+    # Near a pole where g grows like ln r, |g| grows equally in each group of halvings.
     # Values from 0.15 to 0.6 give the same results.
     bounded: float = 0.3
     # Number of rays from the top of a climb. The exponent of a pole is the median over the rays.
     # Values from 3 to 12 give the same results.
     rays: int = 6
-    # Weight of each new move when it changes the ellipsoid of directions, from 0 to 1.
-    # Values from 0.2 to 0.4 give the same results; with 0.8, one of 18 poles is wrong.
+    # The climb draws random directions from an ellipsoid, which adapts to successful moves.
+    # Weight of the newest move in the adapted ellipsoid, from 0 to 1.
+    # Values from 0.2 to 0.4 give the same results; with 0.8, one of 18 poles is measured wrongly.
     learning_rate: float = 0.4
-    # Radii along the rays from the top, in units of the climb's last step.
+    # A pole is measured by values of g at these distances (radii) from the top, along each ray.
+    # The unit of the radii is the last step of the climb.
     # Each radius is 4 times the previous radius. The smallest radius is 16 steps.
-    # An error of one step at the top of the climb changes the smallest radius by at most 6 %.
+    # If the top misses the pole by one step, the smallest radius is wrong by at most 6 %.
     # Half and twice these radii give the same results.
     radii: tuple[float, ...] = (2.0**4, 2.0**6, 2.0**8, 2.0**10, 2.0**12)
     # Growth of g toward a single face is measured at this number of radii, from the smallest up.
@@ -203,12 +206,13 @@ class PoleSettings:
     # Values from 0.125 to 0.5 give the same results.
     rising: float = 0.25
     # Distance from all other faces at which growth toward one face is measured.
-    # The unit of this distance is the last step of the climb.
-    # The distance is half the first step of the climb, because the step is halved 16 times.
-    # This distance is 2^7 times the largest radius, 2^8, at which growth toward a face is measured.
+    # The unit of the distance from the faces is the last step of the climb.
+    # A climb halves its first step 16 times, so 2^15 last steps are half of the first step.
+    # Growth toward one face is measured at radii up to 2^8, which are much smaller than 2^15.
     # Values from 2^14 to 2^16 give the same results.
     away: float = 2.0**15
-    # One face alone makes g grow if the exponent of growth toward this face is above this value.
+    # If g grows toward a single face with an exponent above this value,
+    # the pole is measured as a pole of this face or of all faces that meet at the top.
     # Values from 0.025 to 0.1 give the same results.
     alone: float = 0.05
     # Limit for eigenvalues of the quadratic form |g|^(−2/a), divided by its largest eigenvalue.
@@ -223,11 +227,11 @@ class PoleSettings:
     # Before |g| is taken, the median of all known values is subtracted from g.
     # Values from 8 to 32 give the same results.
     compared: int = 16
-    # A climb starts only if the largest and the least compared |g| differ by this fraction.
+    # A climb starts only if the 16 largest values of |g| differ by at least this fraction.
     # Values from 0.05 to 0.2 give the same results.
     stands_out: float = 0.1
     # Growth with an exponent below this value counts as logarithmic.
-    # If the exponent is below minus this value, there is no pole.
+    # An exponent below −0.02 shows that there is no pole.
     # In `test_exponents_and_codimensions_of_poles_are_measured`, exponents have errors up to 0.02.
     # Values from 0.01 to 0.04 give the same results.
     least_exponent: float = 0.02
@@ -236,7 +240,8 @@ class PoleSettings:
 POLE_SETTINGS = PoleSettings()
 """Default settings of the uphill search for a pole, and of measurements at the pole."""
 
-# Distance of the top from a face, if the top is on the face: the spacing of float64 below 1
+# If the top of a climb is on a face of the cube, it is moved to this distance from the face.
+# The distance is the spacing of float64 numbers below 1
 _EDGE = 2.0**-53
 
 Function = Callable[[Array], Array]
@@ -255,14 +260,14 @@ class Lines:
         Exponent a if the second difference at the roughest place is ∝ step^a: (K,).
     kept
         Change of g over the last step after bisections, as a fraction of the change before: (K,).
-        The fraction is 0 for lines whose last step is not bisected.
+        `kept` is 0 for lines whose last step is not bisected.
     place
         Position of the roughest place along the line, from 0 to 1: (K,).
     height
         Size of the change of g over the last step at the roughest place: (K,).
     straight
         Whether the change of g has the same position on a line displaced along other axes.
-        If the position is the same, the discontinuity is normal to one axis: (K,).
+        If both positions are equal, the discontinuity is normal to one axis: (K,).
     growth
         Exponents a of g ~ t^−a at both ends of a line, 0 if g does not grow there: (K, 2).
         NaN for chords.
@@ -441,7 +446,7 @@ def lines_of(
 
     # Halve the steps around the largest second difference.
     # Near an end, second differences are used only if g does not grow toward this end.
-    # Every second line halves its steps around the largest fourth difference instead.
+    # On every second line, steps are halved around the largest fourth difference of g.
     # A fourth difference shows a kink even if g is steep elsewhere
     wide = np.full((2, len(axis)), np.nan)
     wide[:, straight] = np.where(grows, np.nan, outer[..., 1])
@@ -673,7 +678,7 @@ def _measured(
 ) -> Pole | None:
     """Measure a pole along rays, and by a quadratic form.
 
-    Rays and quadratic form start at the highest place that the search for a pole (the climb) found.
+    Both measurements start at the top: the last place of the uphill search for the pole.
     """
     d, radii = len(top), np.array(settings.radii)
     top = np.where(top < 2.0 * step, _EDGE, np.where(top > 1.0 - 2.0 * step, 1.0 - _EDGE, top))
@@ -715,7 +720,8 @@ def _measured(
     table[first, second] = table[second, first] = size
     own = np.diag(table)
     form = 0.5 * (table - own[:, None] - own) + 1.5 * np.diag(own)
-    # A face adds one to the codimension unless the pole extends from the face into the cube
+    # The codimension of a pole increases by one for each face of the cube that contains the pole,
+    # unless the pole extends from this face into the cube
     side &= own > settings.rank * own.max()
     free = np.linalg.eigvalsh(form[np.ix_(~side, ~side)])
     rank = int(side.sum() + (free > settings.rank * own.max()).sum())

@@ -2,11 +2,11 @@
 
 The integrand is evaluated once at R scrambled nets of N points.
 Runs of 2^k successive points that start at multiples of 2^k are scrambled nets themselves.
-Therefore means over such runs of 2^k points have the variance of nets of 2^k points.
+Therefore a mean over one of these runs has the same variance as a net of 2^k points.
 Different nets have independent points in each stratum.
-The variance within strata, estimated from pairs of different nets, is that of jittered points.
+The variance within strata, estimated from pairs of nets, gives the variance of jittered points.
 The variance within slabs across an axis gives the variance of Latin hypercubes.
-The variance within the whole cube is that of random points.
+The variance of g over the whole cube gives the variance of random points.
 Products of values from the same net are omitted, because these values are correlated.
 
 Standard errors come from a jackknife over nets, which includes correlations between all n.
@@ -54,8 +54,8 @@ NETS = "sobol | owen"
 class CurveSettings:
     """Settings of curves of variance from nets, and of fits of rates to these curves.
 
-    "The same results" has the same meaning as in `mcspectra.explain.causes.CauseSettings`:
-    in all cases of ``python -m benchmarks settings`` the right cause of noise is found.
+    "The same results" means that the right cause of noise is found in all test cases.
+    The cases are those of ``python -m benchmarks settings``, as in `CauseSettings`.
     Numbers for rates come from ``python -m benchmarks settings --rates``.
     This benchmark repeats each of five functions with known rates 50 times.
     """
@@ -64,7 +64,7 @@ class CurveSettings:
     # Values from 16 to 64 give the same results.
     # A Latin hypercube of n > 32 points has finer strata than 32 slabs.
     # The variance that is estimated from 32 slabs is therefore an upper bound.
-    # For sums of functions of one axis, this bound is (n/32)² times the true variance.
+    # For sums of functions of one axis, the upper bound is (n/32)² times the true variance.
     slabs: int = 32
     # Largest number of dims in which the variance of jittered points is estimated.
     # Values from 2 to 6 give the same results.
@@ -76,11 +76,11 @@ class CurveSettings:
     # With 6 octaves, intervals contain the true rate in 63 % instead of 93 % of cases.
     octaves: int = 3
     # Fits assume that the rate changes at random from one octave to the next.
-    # Fits are tried with each of these standard deviations of the change.
-    # The value 0.05 is for curves that are nearly straight on logarithmic axes.
-    # The value 0.4 is for curves with the usual bends: the rate changes by 1 to 3 in a few octaves.
-    # If all four standard deviations are halved, intervals contain the true rate in 94 % of cases.
-    # With doubled standard deviations, or with 0.2 alone, intervals contain the true rate in 92 %.
+    # The standard deviation of this change is not known, so each of these values is tried.
+    # The standard deviation 0.05 suits curves that are nearly straight on logarithmic axes.
+    # The standard deviation 0.4 suits bent curves: their rates change by 1 to 3 in a few octaves.
+    # If all values of `drifts` are halved, intervals contain the true rate in 94 % of cases.
+    # With doubled `drifts`, or with 0.2 as the only one, intervals contain the true rate in 92 %.
     drifts: tuple[float, ...] = (0.05, 0.1, 0.2, 0.4)
     # If a rate is not known, the rate −1 is assumed, with this standard error.
     # All rates from −2 to 0 then differ from the assumed rate by at most two standard errors.
@@ -113,12 +113,12 @@ class Curve:
     degrees
         Degrees of freedom of the standard errors.
     drift
-        Estimated standard deviation of the change of the slope in an octave.
-        The same drift is assumed at counts beyond the measured counts.
+        Standard deviation of the changes of the slope from octave to octave, as estimated.
+        The slope is assumed to change in the same way beyond the largest measured count.
     vanishes
         Smallest count at which all sets gave equal estimates.
     level, scatter
-        `level` is the logarithm of the ratio of the fitted line to the variance at the last count.
+        `level` is log(fitted variance / measured variance) at the last count.
         `scatter` is the standard deviation of log variances about the fitted line.
         Curves that are not straight lines are extrapolated with `level` and `scatter`.
     bend
@@ -366,7 +366,7 @@ def _fitted(
     If `rate` is None, the rate is fitted.
     If `exact` is true, a variance of zero means that the true variance is zero.
     If `exact` is false, each variance is a difference of two estimates.
-    If such a difference is zero, the true variance is smaller than the error of the difference.
+    If the difference is zero, the true variance is smaller than the error of the difference.
     """
     degrees = len(left) - 1
     floor = rounding_floor(np.array(size))

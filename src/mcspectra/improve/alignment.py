@@ -402,7 +402,8 @@ class _Offsets:
             if exact:
                 # Raise an error if no closed form is known.
                 # If an edge cuts strata, a closed form of the variance may be missing.
-                # Therefore test offset 0 and about half a side: with one of them, edges cut strata
+                # Therefore test two offsets: 0, and about half of the side of a stratum.
+                # Edges cut strata for at least one of the two offsets
                 for probe, n in itertools.product((0.0, 0.4375), counts):
                     found.at([probe] * estimator.dims, n)
         except NoClosedForm:

@@ -39,7 +39,7 @@ __all__ = [
 class AnswerSettings:
     """Limits of the numbers that an answer reports."""
 
-    # Largest number of necessary evaluations that an answer reports.
+    # If a change needs more evaluations than this for the same error, no number is reported.
     # 10^15 evaluations take 11 days at 10^9 per second.
     many: float = 1e15
     # An undecided change is mentioned if it may lower the variance by this factor or more.

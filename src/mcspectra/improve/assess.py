@@ -51,8 +51,8 @@ class AssessSettings:
     # For 100 normal realizations, adding 20 reduces the scatter of standard errors from 12 to 10 %.
     # With 0 to 40 added realizations, intervals contain the true rate in 93 to 95 % of cases.
     prior: int = 20
-    # If all estimates of a candidate are equal and near the mean of the given set-up, they count
-    # as exact. The limit of the difference is this number of standard errors of the mean.
+    # Equal estimates of a candidate count as exact if they are near the mean of the given set-up.
+    # Their difference from this mean may be at most this number of standard errors of the mean.
     # A normal mean is wrong by more than 4 standard errors with probability 6e-5.
     sigmas: float = 4.0
 
@@ -238,8 +238,9 @@ def estimates_of(
 def _standard_error(influence: Array, prior: int = _SETTINGS.prior) -> float:
     """Return the standard error of an estimate, from the influences of R realizations on it.
 
-    Influences of normal estimates have the variance 2.
-    `prior` realizations with this variance are added to the given realizations.
+    The influence of a realization is R times the change that it causes in the estimate.
+    For normal realizations, influences on the logarithm of a variance have the variance 2.
+    `prior` influences with variance 2 are added to the given influences.
     """
     count = len(influence)
     square = (np.square(influence).sum() + 2.0 * prior) / (count + prior)

@@ -15,9 +15,9 @@ The changes of the following kinds keep the integral, whatever the evaluations o
 * *preintegrated*: g is averaged along lines in the first direction.
   It is assumed that g jumps or becomes nonzero at one point of each line.
   A bracket, which is a short interval around this point, divides the line into three intervals.
-  Each of the three intervals is sampled at one or two points.
-  The position of the short interval depends only on coordinates that are constant on the line.
-  Therefore the expectation of the sum over the three intervals is the expectation of g.
+  One or two samples are taken in each interval: before the bracket, in the bracket and after it.
+  The position of the bracket depends only on coordinates that are constant along the line.
+  Therefore the samples of a line, weighted by the lengths of their intervals, are unbiased.
 
 `Cubic` needs no pilot: it subtracts polynomials from g.
 These polynomials go through the values of g at the centers of cells.
@@ -97,7 +97,7 @@ class ChangeSettings:
     # A change is yielded if less than this fraction of the variance remains after the change.
     # The variance after the change is estimated from a pilot. The cost of the change is ignored.
     # In the smallest pilot, the estimated fraction has a standard error of √(2/64) = 18 %.
-    # A change with an estimate above the limit may therefore be worse than no change.
+    # If the estimated fraction is above 0.8, the true fraction may therefore be above 1.
     most_left: float = 0.8
     # Number of points that are evaluated at once. A table of 256 polynomials then takes 32 MB.
     # Results do not depend on this number.
@@ -124,7 +124,7 @@ class RegressionSettings:
     # Pairs of largest degrees of the polynomials that are tried as a regression of g.
     # The first number of each pair is the largest degree of polynomials of one coordinate.
     # The second number of each pair is the largest total degree of products of two coordinates.
-    # One pair is chosen by evaluations that were not used in the fits.
+    # The best pair of degrees is chosen by evaluations that were not used in the fits.
     degrees: tuple[tuple[int, int], ...] = (
         (1, 0),
         (2, 2),
@@ -343,7 +343,10 @@ class _Basis:
 
     @staticmethod
     def of(dims: int, normal: bool, alone: int, together: int) -> _Basis:
-        """Make products up to degree `alone` in one coordinate, and `together` in two."""
+        """Make polynomials of one coordinate, and products of polynomials of two coordinates.
+
+        The degree is at most `alone` for one coordinate, and at most `together` for a product.
+        """
         terms = [(i, i, a, 0) for i in range(dims) for a in range(1, alone + 1)]
         terms += [
             (i, j, a, b)
@@ -424,7 +427,7 @@ class Cubic(_Changed):
     The r^d cells are the r nearest cells along each axis.
     The mean of the polynomial over each cell is added again, so the integral does not change.
     If r is even, each point is averaged with its mirror image about the center of the cell.
-    Averages with the mirror image cancel odd powers of the position, so r = 2 needs no polynomial.
+    If r = 2, no polynomial is needed, because averages with mirror images cancel linear terms.
     Jittered points in the same cells have a variance ∝ n^(−1 − 2r/d) if g has r derivatives.
 
     Attributes
@@ -560,8 +563,8 @@ class Periodized(_Changed):
 class _Preintegrated(_Changed):
     """Integrand that replaces g by its mean along one axis.
 
-    On each line along the axis, the mean has separate samples on both sides of a point.
-    At this point of the line, g jumps or becomes nonzero.
+    On each line along the axis, g is assumed to jump or to become nonzero at one point.
+    The mean along a line is computed from separate samples on both sides of the jump.
 
     Attributes
     ----------
@@ -570,7 +573,7 @@ class _Preintegrated(_Changed):
     halvings
         Number of times that the interval in which g jumps (the bracket) is halved.
         After 7 halvings the bracket is 2^-7 of the axis, and it is sampled by one point.
-        The sample in this short interval adds at most 2^-16 times the squared jump to the variance.
+        The sample in the bracket adds at most 2^-16 times the squared jump to the variance.
     """
 
     name: ClassVar[str] = "preintegrated"
@@ -732,7 +735,7 @@ def _preintegrated(g: Integrand, seen: Evaluations, settings: ChangeSettings) ->
     """Take means along the best axis, and along the direction in which g varies most.
 
     The variance that remains after taking means along an axis lies between two bounds.
-    The lower bound comes from the terms of a regression that do not depend on the axis.
+    The lower bound is the variance of a regression's terms without the coordinate of the axis.
     The upper bound is the variance without the main effect of the axis.
     The expected variance is the geometric mean of the two bounds.
     Squared coefficients are estimated by products of coefficients from two halves of the pilot.
@@ -789,7 +792,7 @@ def improvements(
 ) -> Iterator[Candidate]:
     """Yield changed estimators with the same integral, without new evaluations of g.
 
-    The yielded ratios of variances are ratios expected with random points.
+    Each change is yielded with the ratio of variances that is expected with random points.
     For *order*, main effects are excluded from the compared variances, because nets remove them.
     All ratios are computed from evaluations that were not used in the fit.
 

@@ -8,7 +8,7 @@ The points x_k are random with the density π. The fit minimizes the following s
 Without the smoothness term, the sum is the relative entropy of |f| and p, up to a constant.
 Both integrals of the relative entropy are estimated from the *same* points.
 If |f| belongs to the family of densities p, the minimum is |f| for any number of points.
-A fit by the mean of log p alone would follow the random density of the points.
+A fit without the first sum would also adapt p to random clusters and gaps of the points.
 The smoothness term is a penalty on second differences of the logarithms of spline weights,
 as in P-splines [Eilers1996]_.
 
@@ -117,8 +117,8 @@ class LearnSettings:
     steps: int = 120
     # Largest change of the logarithm of a spline weight in one step of L-BFGS.
     # With the limit 1, a weight changes by a factor of at most e in a step.
-    # If the limit is 0.5 or 2 instead, one variance of a fitted density falls by 18 %.
-    # The variances of the other fitted densities change by 1 %.
+    # With the limit 0.5 or 2, the variance of one of the fitted densities falls by 18 %.
+    # The variances of all other fitted densities change by 1 % with the limit 0.5 or 2.
     longest: float = 1.0
     # L-BFGS ends if the entropy decreases by less than this number.
     # With values from 2e-10 to 2e-8, variances of fitted densities are the same to three digits.
@@ -131,19 +131,19 @@ class LearnSettings:
     # With 6 sets, the logarithm of a ratio of two variances has a standard error of √(4/5) = 0.9.
     least_replicates: int = 6
     # The check of the result compares the variances with the density and with uniform points.
-    # Each of these two variances is estimated from at least this number of fresh sets.
+    # In the check, each variance is estimated from at least this number of fresh sets.
     # If a ratio of variances of 16 sets is below 1/2.4, the true ratio is below 1 at 95 %.
     least_checks: int = 16
     # Least effective number (Σ|f|)²/Σf² of uniform points, in the fit and in the check.
-    # With 16 effective points, the probability is e^(−16/3) = 0.5 %
-    # that all points miss a peak with a third of ∫|f|.
+    # 16 effective points all miss a peak with a third of ∫|f| with probability e^(−16/3) = 0.5 %.
     # With the limit 4, a fit missed one of three equal peaks, and had 2.3 times the variance.
     least_effective: float = 16.0
     # Weight that is added to every spline at the start of a fit, so that logarithms are finite.
     # With values from 1e-8 to 1e-4, variances of fitted densities differ by 0.3 % at most.
     least_weight: float = 1e-6
     # A density is kept only if it reduces the variance of uniform points to this fraction or less.
-    # Smaller gains are within the error of variances from six sets; uniform points are safe.
+    # Variances from six sets have such large errors that a smaller gain is uncertain.
+    # If the gain is uncertain, uniform points are the safe choice.
     most_ratio: float = 0.5
     # Least number of evaluations for each weight of a flow.
     # With fewer evaluations, weights would follow the noise of the points.
@@ -154,7 +154,7 @@ class LearnSettings:
 
 
 _SETTINGS = LearnSettings()
-_PARTS = 2**16  # random stream of the points that start the parts of a mixture
+_PARTS = 2**16  # number of the random stream that chooses initial parts of mixtures
 
 LEARNED = {"mixture": _SETTINGS.mixture, "spline-flow": _SETTINGS.spline_flow}
 """Kinds of learned densities, each with its candidates."""
@@ -219,7 +219,7 @@ def fit_splines(
     )
 
     # Group points by Lloyd's method, with |f| as the mass.
-    # The groups give the initial parts of the mixture
+    # Each group of points gives one initial part of the mixture
     own = np.zeros(len(points), np.int64)
     if parts > 1:
         known = min(parts, int(np.count_nonzero(w)))
@@ -332,7 +332,7 @@ class _Seen:
             return used, loss
 
         # Let the splines of each axis depend on the earlier axes that change the density most.
-        # A dependence on an earlier axis changes the density much if the loss has a large slope.
+        # An earlier axis changes the density much if the loss has a large gradient in its weights.
         # The number of points limits how many dependences between axes are fitted
         each = self.settings.evaluations_per_gate
         gates, most = np.zeros(shape), self.rho.size // (each * shape[1] * DEGREE)
@@ -418,7 +418,7 @@ def learned_density(
     -------
     Density
         A continuous density with an exact inverse and a continuous warp.
-        The `spec` of the density names its file.
+        The `spec` of the density contains the path of the file in which the density is stored.
         If no candidate halves the variance of uniform points, the density is ``uniform``.
         The density is also ``uniform`` if fresh points do not confirm the gain.
         If the density is ``uniform``, a `NoGainWarning` is issued.
@@ -444,7 +444,7 @@ def learned_density(
     The check must show with 95 % confidence that the variance is less than for uniform points.
     In addition, ∫f²/p must be smaller than ∫f².
     The effective number (Σ|f|)²/Σf² of uniform points must be at least 16.
-    With a smaller effective number, peaks may be missed.
+    With a smaller effective number of points, peaks of f may be missed.
     `mcspectra.improve.learned` describes the method of fitting.
 
     Examples

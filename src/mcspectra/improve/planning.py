@@ -60,7 +60,7 @@ class PlanSettings:
     # `predict` also searches for the asymptotic rate up to 2^16 points.
     octaves: int = 16
     # The variance is predicted at larger and larger n, until it is this factor below the target.
-    # At such n, the upper end of the interval of the variance is also below the target.
+    # If the variance is a quarter of the target, the upper end of its interval is below the target.
     margin: float = 4.0
     # Largest planned number of points. Larger numbers do not fit into a 64-bit integer.
     most: int = 2**62
@@ -99,7 +99,7 @@ class MeasuredPlanSettings:
     # Parts of a set of 8 points give variances at smaller counts, from which a rate is fitted.
     least: int = 8
     # Least number of sets from which a variance is estimated, as in `profile`.
-    # The limit is low for the sake of samplers with few stored sets.
+    # The least number of sets is small because some samplers have only a few stored sets.
     least_sets: int = 3
     # The measurement stops if the ratio of the ends of the interval of n is below this value.
     narrow: float = 1.5
@@ -392,8 +392,8 @@ def _least(
 
     # Bisect between the last count that misses the target and the first count that reaches it.
     # The interval of the bisection may be several octaves, because the curve need not be monotone.
-    # A smaller target variance never gives a smaller n: its search bisects at the same counts.
-    # Where only the larger of two targets is reached, the search for the smaller goes to larger n.
+    # A smaller target variance never gives a smaller n, because bisections test the same counts.
+    # If the variance at a count is between two targets, only the smaller target needs a larger n.
     # For nets there is no bisection, because nets are balanced only at powers of their base
     if not before or _base(estimator.law(sampler, counts[first])):
         return best
@@ -561,7 +561,7 @@ class _Nets:
 
 @dataclass
 class _Own:
-    """Stages of a measurement with sets of the sampler, with powers of a base as counts of points.
+    """A measurement in stages. The sampler draws sets whose numbers of points are powers of a base.
 
     Each stage adds larger counts of points, or further sets of the same counts.
     """

@@ -71,7 +71,8 @@ class RemedySettings:
 
 
 _SETTINGS = RemedySettings()
-# Number of the random stream for searches of changes. Smaller numbers are streams of budgets
+# Number of the random stream that searches for changes use.
+# Measurements at the budgets use the streams with smaller numbers
 _SEARCH = _SETTINGS.steps
 
 _DIMS: dict[str, tuple[str, ...]] = {
@@ -291,7 +292,7 @@ def remedies(
         Maximum number of evaluations of the integrand.
         If the given set-up and its diagnosis need more, an error is raised before any evaluation.
         All kinds of changes have equal shares of the remaining evaluations.
-        If a change needs more than the share of its kind, the change is not tried.
+        If a change needs more evaluations than its kind may use, the change is not tried.
 
     Returns
     -------
@@ -494,7 +495,7 @@ class _Trials:
 
 
 def _affordable(setup: Setup, budget: int) -> dict[int, int]:
-    """Return for each budget, by its step, the largest count of points that the budget allows."""
+    """Return the largest number of points that each budget allows, by the index of the budget."""
     found: dict[int, int] = {}
     for step in range(_SETTINGS.steps):
         n = affordable_count(setup, budget // _SETTINGS.ratio ** (_SETTINGS.steps - 1 - step))

@@ -140,7 +140,7 @@ def smoothing_scan(
     square_ci = np.stack([low, high], axis=-1) ** 2
 
     # For each n, find the width with the least error.
-    # Also find all widths whose error may be as small as the least error, within the intervals
+    # Also find all widths whose error may be the least error, because the error intervals overlap
     mse = measured["variance"].values + np.expand_dims(bias**2, 1)
     mse_ci = measured["variance_ci"].values + np.expand_dims(square_ci, 1)
     total, ci = (mse.sum(axis=2), mse_ci.sum(axis=2)) if f.channels else (mse, mse_ci)

@@ -70,17 +70,18 @@ _SIGMAS = 3.0
 # f is evaluated near the corners of a box, at a distance that is this fraction of the box.
 # The first fraction is for boxes in 1-D, and the second for boxes in more dims
 _INSET = (1e-10, 1e-6)
-_LEAST_INSET = 2.0**-51  # Least distance to a corner, as a fraction of its coordinate
+_LEAST_INSET = 2.0**-51  # Least distance to a corner, as a fraction of the corner's coordinate
 # Near a corner, f may differ from its polynomial by this multiple of the last coefficients.
 # A larger difference indicates a jump
 _SMOOTH = 100.0
-# At least this number of probe points must differ from the polynomials of their boxes.
-# The standard error of these differences then replaces the error that is estimated from the boxes
+# If f differs from the polynomials of the boxes at this number of probe points or more,
+# the error of ∫f is estimated from the differences at these points instead of the boxes
 _LEAST_SEEN = 30
 _LOOKS = 2  # The second set of probe points is this many times as large as the first
 # Smallest size of a box as a fraction of its coordinates, and smallest size next to 0
 _SMALLEST, _TINIEST = 2.0**-44, 2.0**-500
-# Upper limit of the ratio of successive differences, and number of levels for this ratio
+# Later changes of an integral are extrapolated from the ratio of its previous changes.
+# Upper limit of this ratio, and number of levels from which the ratio is computed
 _SLOW, _LEVELS = 0.99, 4
 _HALVES, _UNSETTLED = 0.55, 1.5
 
@@ -133,7 +134,7 @@ class Estimate:
         The value, an estimate of its largest absolute error, and the name of the method.
     unseen
         Part of the error, by channel, from regions that contain test points (`probe`) but no nodes.
-        None if the nodes resolve f at all of these test points.
+        None if the nodes resolve f at all test points.
     """
 
     value: Array
@@ -301,12 +302,12 @@ def adaptive_integral(
     The value with the smaller error is used.
 
     If boxes were divided only because of the probe, other regions may have been missed.
-    In this case, the correction and its error come from 2^18 other points.
+    The correction of ∫ f and its error are then computed from 2^18 other points.
     """
     dims, method = function.dims, "adaptive Gauss-Legendre quadrature with a probe"
     order = _CELL_ORDER[dims]
 
-    # Cut the first cells at the breaks. They have lower corners and sizes (N, d)
+    # Cut the first cells at the breaks. `low` and `size` are corners and sides of cells, (N, d)
     edges = [np.union1d(_uniform(dims), axis) for axis in breaks]
     low = _tensor([e[:-1] for e in edges]).reshape(-1, dims)
     size = _tensor([np.diff(e) for e in edges]).reshape(-1, dims)
@@ -342,7 +343,7 @@ def adaptive_integral(
         fine = (weights @ values * volume[:, None]).reshape(len(coarse), 2**dims, -1)
         better = fine.sum(axis=1)
 
-        # Divide boxes further if their integral changed by more than their share, within the budget
+        # As long as the budget lasts, divide a box again if its integral changed too much
         scale = np.maximum(scale, np.abs(fine).sum(axis=(0, 1)))
         difference = np.abs(better - coarse)
         changed = (difference > _INTEGRAL_TOLERANCE * scale / len(coarse)).any(axis=1)
@@ -443,7 +444,7 @@ def search_breaks(
         low, high, first = t[rows, chosen], t[rows, chosen + 1], step[rows, chosen]
         y_low, y_high = y[rows, chosen], y[rows, chosen + 1]
 
-        # Bisect the largest steps of each line, down to the jump that remains
+        # Bisect the largest steps of each line. Only a step at a jump of f keeps its height
         for _ in range(_CUTS):
             middle = low + _CUT * (high - low)
             y = at(middle)
@@ -513,7 +514,7 @@ def _after(left: list[Array]) -> Array:
     The changes are assumed to form a geometric series.
     If each change is half of the change before, the result is 1.
     Next to a pole, successive changes shrink slowly, and the ratio of changes rises.
-    Therefore, if the ratio of changes exceeds 0.55, the result is increased by half.
+    Therefore, if the ratio of successive changes exceeds 0.55, the estimate is increased by half.
     """
     first, last = np.maximum(left[0], 1e-300), left[-1]
     ratio = np.minimum((last / first) ** (1.0 / max(1, len(left) - 1)), _SLOW)
@@ -609,9 +610,11 @@ def _cell_values(
 def _slivers(values: Array, corners: Array) -> Array:
     """Return a bound of ∫|f| between the outer nodes and the faces of a box: (N, C).
 
-    The bound is divided by the volume of the box. f may jump beyond the outer nodes.
+    The result is the bound of ∫|f| divided by the volume of the box.
+    It is 0 if f does not jump between the outer nodes and the faces.
     There is a jump if f near a corner differs too much from the polynomial through the nodes.
-    The limit is a multiple of the last coefficients of this polynomial, which estimate its error.
+    Differences count if they exceed a multiple of the last coefficients of the polynomial.
+    The last coefficients estimate the error of the polynomial.
     """
     dims = round(math.log2(corners.shape[1]))
     order = round(values.shape[1] ** (1.0 / dims))

@@ -648,7 +648,7 @@ def _quadrature(integrand: Integrand, m: Sequence[Array]) -> Estimate:
     if all((axis == 0).any() for axis in m):
         # Replace the coefficient at frequency 0 by the integral, which is exact or more accurate.
         # Two grids may agree by chance, for instance if a border runs along their diagonals.
-        # The difference from the integral reveals the error of grids that agree by chance
+        # If two grids agree by chance, the integral shows the error of their coefficient at 0
         zero = tuple(int(np.flatnonzero(axis == 0)[0]) for axis in m)
         value, integral = found.value.copy(), integrand.integral
         error = max(found.error, float(np.abs(value[zero] - integral).max()))

@@ -2,7 +2,7 @@
 
 Three functions are discontinuous (quarter disk, triangle, step).
 The other two functions are smooth (Gaussian, bilinear).
-Each is an integrand of this package, under the name that the paper gives it.
+Each function is an integrand of this package and has the same name as in the paper.
 """
 
 from __future__ import annotations

@@ -26,8 +26,8 @@ __all__ = [
     "GenzProductPeak",
 ]
 
-# Range of log s in an integral over s. The right end is increased by log(d + 1).
-# For larger s, e^−s is negligible
+# The integral of the corner peak in d dims is computed as an integral over y = log s.
+# The range of y is from `_LEFT` to `_RIGHT` + log(d + 1). Outside, the integrand is negligible
 _LEFT, _RIGHT = -40.0, 5.0
 
 

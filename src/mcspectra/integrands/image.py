@@ -221,7 +221,10 @@ class Environment(_Picture):
 
     @property
     def breaks(self) -> Breaks:
-        """Pixel borders or centers on axes of up to 64 pixels. A level surface adds the horizon."""
+        """Positions of pixel borders or pixel centers, on axes of up to 64 pixels.
+
+        If the surface is horizontal, the breaks include the horizon.
+        """
         columns, rows = self._lines(1.0 if self.interpolation == "constant" else 0.5)
         return columns, tuple(sorted({*rows, 0.5})) if self._vertical else rows
 

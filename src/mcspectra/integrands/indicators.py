@@ -358,7 +358,7 @@ def _cut_disk_fourier(m: Array, center: Array, radius: float) -> Array:
     """Return coefficients, at m (..., 2), of a disk that the unit square cuts, chord by chord.
 
     The integral along a chord is exact. With x_0 = c_0 + r sin θ, chords are functions of θ.
-    Between the kinks where the circle meets the borders, these functions are smooth.
+    The ends of a chord are smooth functions of θ, except for kinks where the circle meets a border.
     Gauss-Legendre panels between the kinks integrate the highest frequency to rounding accuracy.
     The cost is O(U_0 U_1 (|m| + const)), where U_i is the number of distinct m_i.
     """
@@ -440,7 +440,7 @@ def _half_plane_fourier(m: Array, normal: Array, offset: float) -> Array:
     The region is {x_k < α + β x_j} or its complement.
     The larger component of the normal is on axis k, so |β| ≤ 1.
     For x_j in [a, b] the line lies inside the square, and the integral along x_k is exact.
-    The remaining integral, of exp(−2πi (m_j + β m_k) x_j), is regular for all m.
+    The integral along x_j, of exp(−2πi (m_j + β m_k) x_j), has no singularity at any m.
     """
     k = int(np.argmax(np.abs(normal)))
     mj, mk = m[..., 1 - k], m[..., k]

@@ -30,8 +30,8 @@ from mcspectra.integrands.registry import as_integrand
 __all__ = ["BoxSmoothed", "EdgeSmoothed", "smoothed"]
 
 _METHODS = ("auto", "distance", "box")
-# The mean over edges is an integral over τ. It has 32 Gauss nodes for each 8 cycles of a wave.
-# The error of this mean is at the level of rounding
+# The mean over edges that are moved by τ is an integral over τ, computed in panels of Gauss nodes.
+# A panel has 32 nodes and covers 8 cycles of a wave, so its error is at the level of rounding
 _CYCLES, _ORDER = 8, 32
 _MOST_NODES = 4096
 
@@ -131,13 +131,13 @@ class EdgeSmoothed(Integrand):
 
     @property
     def breaks(self) -> Breaks:
-        """Positions along each axis: at each break of the edge, both ends of the ramp."""
+        """Positions on each axis where the ramp that replaces an edge begins or ends."""
         ends = [self._moved(t).breaks for t in (-0.5 * self.width, 0.5 * self.width)]
         return tuple(tuple(sorted({*a, *b})) for a, b in zip(*ends, strict=True))
 
     @property
     def fourier_source(self) -> str:
-        """Method of the Fourier coefficients: the one for an edge, and the average over edges."""
+        """How Fourier coefficients are computed: the method for one edge, averaged over edges."""
         if self.edge._fourier(np.zeros((1, self.dims))) is None:
             return super().fourier_source
         return f"{self.edge.fourier_source}, averaged over edges by Gauss-Legendre quadrature"

@@ -1,8 +1,9 @@
 """Numba kernels of the variance terms and of pairs of points, without checks of arguments.
 
 The indices are: r for realizations of a block; c for channels; a for bands; k for half widths.
-Index h is for coefficients: half spectra of all techniques, one technique after another.
-Index j is for real and imaginary parts of coefficients; a real coefficient has only one part.
+Index h counts the Fourier coefficients of all techniques, one technique after another.
+Only one of the frequencies m and −m has a coefficient, so each technique has half a spectrum.
+Index j counts real and imaginary parts of coefficients; a real coefficient has only one part.
 `double[h]` is 2 for a coefficient that also stands for −m, else 1.
 All sums over h with conj(f_h) S_h are real because the full spectrum is Hermitian.
 
@@ -70,8 +71,8 @@ def accumulate(s: Array, mean: Array, estimate: Array, squares: Array, cov: Arra
     """Add second moments of a block about its means. Real and imaginary parts count separately.
 
     The inputs are s (R, J), mean (J,), and estimate (R, C) without its mean.
-    Sums over realizations r are added to two arrays, where I is the estimate of a channel:
-    Σ_r (S − S̄)² to squares (J,), and Σ_r (S − S̄)(I − Ī) to cov (C, J).
+    The sum Σ_r (S − S̄)² over realizations r is added to `squares`, (J,).
+    The sum Σ_r (S − S̄)(I − Ī) is added to `cov`, (C, J), where I is the estimate of a channel.
     """
     for low in range(0, s.shape[1], _TILE):
         tile = slice(low, low + _TILE)

@@ -155,8 +155,8 @@ class Anova(Counted, frozen=True, kw_only=True):
             """Return estimates in which a subset of axes is kept and all others are replaced."""
             block = blocks[index]
             kept = e.draw(sampler, n, stream, *block)
-            # Replaced axes come from other sets of the sampler.
-            # If all sets of the sampler are equal, replaced axes come from random points
+            # Coordinates on axes that are not kept are replaced by coordinates of other sets.
+            # If all sets of the sampler are equal, coordinates of random points are used
             if same_always():
                 random = as_sampler("random", sampler.dims)
                 others = e.draw(random, n, stream.child(_UNIFORM), *block)
@@ -200,7 +200,7 @@ class Anova(Counted, frozen=True, kw_only=True):
         """Return the dataset for estimates (S, R, channels), one for each kept subset of axes.
 
         The first subset has all axes.
-        The share of a subset comes from the covariance of its estimates with the first estimates.
+        The share of a subset comes from the covariance of its estimates with those of all axes.
         """
         moments, count = Moments.of(estimates[0], tails=True), estimates.shape[1]
         # Products of deviations, whose means over realizations are covariances: (S, R, channels)
@@ -488,11 +488,11 @@ def anova_variances(
     Notes
     -----
     The cost is O(R n d²) evaluations for order 2 and O(R n d) for order 1.
-    Correlated parts may have a negative c_u.
+    If the parts for different subsets u are correlated, a part c_u may be negative.
     Noise may also make c_u slightly negative, within its standard error.
     The method replaces coordinates of a set by coordinates of a second, independent set.
     A sampler of given sets (`Sampler.from_points`) cannot draw an independent second set.
-    For given sets, the second set consists of random points, so errors are larger.
+    For a sampler of given sets, random points replace the second set, so errors are larger.
 
     Examples
     --------

@@ -1,8 +1,8 @@
 """Comparison of samplers on standard integrands by variance, rank, spectrum, quality and speed.
 
 The module combines `convergence`, `power_spectrum`, `pair_correlation` and `quality_figures`.
-A bench is not an `Analysis`, because analyses must give the same bits every time.
-Measured speeds differ from run to run.
+A bench measures speeds, which differ from run to run.
+It is therefore not an `Analysis`, whose results have the same bits in every run.
 """
 
 from __future__ import annotations
@@ -75,11 +75,12 @@ class BenchSettings:
     # A variance from 16 sets has a relative standard error of 35 %.
     enough_sets: int = 16
     # Half widths of the spectra in 1, 2 and 3 dims, for 513, 16,641 and 68,921 frequencies.
-    # Larger maps are shortened when they are printed. Spectra in more dims are omitted.
+    # With more frequencies, maps of spectra would be shortened when they are printed.
+    # In 4 or more dims, no spectra are computed.
     half_widths: tuple[int, ...] = (256, 64, 20)
-    # Number of sets whose figures of quality are averaged.
-    # At 256 points in 2-D, the figures of two scrambled nets differ by 1 to 5 %.
-    # The figures of two sets of random points differ by 11 to 27 %.
+    # Number of sets over which the measures of quality are averaged (see `quality_figures`).
+    # At 256 points in 2-D, the quality of two scrambled nets differs by 1 to 5 %.
+    # The quality of two sets of random points differs by 11 to 27 %.
     # Means of 8 sets are therefore accurate to 2 % for nets and 10 % for random points.
     quality_sets: int = 8
     # Least number of sets for an interval of the pair correlation.
@@ -440,7 +441,7 @@ def shared_sets(source: Sampler) -> Sampler:
 def free_of(source: Sampler, counts: Sequence[int]) -> tuple[Sampler, str]:
     """Return a sampler whose variance can be measured, and the name of an added randomization.
 
-    Sets that do not vary enough at these counts are randomized.
+    If the sets of the sampler do not vary enough at the given counts, they are randomized.
     Without a randomization the name is empty.
     """
     few = (

@@ -38,22 +38,24 @@ class BlindnessSettings:
 
     # Largest share of one estimate in Σ (estimate − mean)².
     # If one estimate has more than 20 % of Σ (estimate − mean)², the tail is not resolved.
-    # For 1,000 exponential numbers, the median share of the largest square is 4 %.
-    # The share of the largest square exceeds 17 % in one of a thousand samples.
-    # For normal numbers, the median is 1.2 %, and one sample in a thousand exceeds 2.4 %.
+    # In a sample of 1,000 exponential numbers, the median of the largest share is 4 %.
+    # In one of a thousand samples of exponential numbers, the largest share exceeds 17 %.
+    # In a sample of 1,000 normal numbers, the median of the largest share is 1.2 %.
+    # In one of a thousand samples of normal numbers, the largest share exceeds 2.4 %.
     large_share: float = 0.2
-    # For few estimates, the limit of the share is raised above 20 %.
-    # The share of a normal sample exceeds the raised limit with this probability.
+    # For few estimates, the limit of the largest share is raised above 20 %.
+    # Probability that the largest share of normal estimates exceeds the raised limit.
     rarely: float = 1e-3
     # Value of κ − 1 above which ∫g² is computed, to test whether the variance is infinite.
     # κ is the kurtosis of the estimates. κ − 1 is 2 for normal and 8 for exponential estimates.
     # A smaller value only costs time. With a larger value, other tests must detect more poles.
     peaked: float = 9.0
     # Exponent of a pole above which ∫g⁴ diverges.
-    # In theory this exponent is ¼. Here it is 5e-4 lower, because fitted slopes have this error.
+    # In theory, ∫g⁴ diverges at the exponent ¼. The limit is lower by 5e-4, the error of a fit.
     no_kurtosis: float = 0.2495
     # Distance of the mean from the integral, in standard errors, that cannot be due to chance.
-    # For normal estimates, the probability is 6e-7. It is small even if a study has many counts.
+    # The mean of normal estimates is more than 5 standard errors away with probability 6e-7.
+    # False alarms are therefore rare even if a study has many counts.
     far: float = 5.0
 
 
@@ -145,8 +147,8 @@ def blindness(
             agrees = ~missed[at] & (varies[at].any(axis=0) | (e.integral_source == "exact"))
             excess = true / np.where(varies[at], of["variance"], np.nan)
 
-            # For each count, report the first condition that holds.
-            # If the same condition holds at several counts, report its worst value
+            # For each count, report the first of the listed problems that occurs.
+            # If the same problem occurs at several counts, report its worst value
             everywhere = np.ones_like(low)
             for text, where, size in (
                 ("∫g² diverges: infinite variance", everywhere & np.isinf(of_random), excess),
@@ -203,10 +205,11 @@ def blindness_of(
 
 
 def _large_share(realizations: Array) -> Array:
-    """Return the share of the largest square above which the tail counts as unresolved.
+    """Return the limit for the largest share of one estimate in Σ (estimate − mean)².
 
-    The threshold is a fifth of the sum of squares, or more for few realizations.
-    Normal estimates exceed the threshold with probability 0.001 [Grubbs 1950].
+    If the largest share exceeds the limit, the tail of the estimates counts as unresolved.
+    The limit is a fifth, or more for few realizations.
+    Normal estimates exceed the limit with probability 0.001 [Grubbs 1950].
     """
     from scipy.special import stdtrit
 

@@ -5,15 +5,15 @@ The mean of a chain over n draws has the variance
 
     Var = ∫ S(ν) |W(ν)|² dν = (1/n) ∫ S(ν) F_n(ν) dν,    F_n(ν) = sin²(πnν) / (n sin²(πν)),
 
-This variance is a power term: W is the transform of n equal weights, and F_n the Fejér kernel.
-For a stationary chain the dc and cross terms vanish.
+where W is the Fourier transform of n equal weights, and F_n is the Fejér kernel.
+The integral is the power term of the variance. Stationary chains have no dc and cross terms.
 S comes from an autoregression whose order is chosen by AIC, as in [Thompson2010]_.
 The autocovariances are corrected for the subtracted mean.
 If the mean has variance V, subtracting it lowers all autocovariances by V.
 
 The scatter of the chains' means is a second, independent estimate.
-Both estimates of the error are pooled by their degrees of freedom.
-If the two estimates disagree, the chains are in different parts of the distribution.
+The errors from the spectrum and from the scatter are pooled by their degrees of freedom.
+If spectrum and scatter disagree, the chains are in different parts of the distribution.
 The error of the mean then has no upper bound.
 """
 
@@ -47,13 +47,13 @@ class ChainSettings:
     # The largest order of the autoregression is a quarter of the number of draws.
     least_draws: int = 10
     # Largest deviation of the mean chain's power from its expected power, in standard errors.
-    # If the deviation is larger, the chains are correlated.
+    # If the power of the mean chain deviates more, the chains are correlated.
     # A normal law exceeds 5 standard errors with probability 6e-7.
     # A limit of 2.5 gives 2 false alarms in 475 cases.
     # A limit of 10 misses 50 of 50 sets of correlated chains, whose common part has weight 0.3.
     score: float = 5.0
     # Probability that a test reports a fault of chains without faults.
-    # Each quantity has two tests of drift and one of means.
+    # For each quantity, drift is tested twice, and the means of the chains are tested once.
     # A model of 100 quantities therefore has a false alarm in 2 % of runs.
     # A probability of 1e-2 gives 4 false alarms in 475 cases; 1e-6 finds the same faults as 1e-4.
     alarm: float = 1e-4
@@ -63,8 +63,8 @@ class ChainSettings:
     forgotten: float = 8.0
     # Initial parts of a chain, as fractions of its draws.
     # The mean of each initial part is compared with the mean of the last half.
-    # A smaller part would have too few draws for a normal law of its mean.
-    # A larger part would reach into the last half of the chain.
+    # A smaller initial part would have too few draws, and its mean would not be nearly normal.
+    # A larger initial part would reach into the last half of the chain.
     starts: tuple[float, ...] = (0.05, 0.1, 0.2)
     # `settled` is the p-value above which the draws after a burn-in count as stationary.
     # `margin` is the factor by which the burn-in is lengthened after it has been found.
@@ -92,17 +92,19 @@ class ChainSettings:
     # Fractions from 0.05 to 0.1 give the same results.
     # With the fraction 0.2, a run of 110 equal draws among 1,000 is missed.
     run: float = 0.1
-    # Number of different values above which repeated draws are a fault.
+    # If a quantity has more different values than this, repeated draws are reported as a fault.
     # Discrete quantities, such as counts and flags, have few different values and repeat them.
     values: int = 20
     # Draws lie on two levels if more than this share of the variance lies between two groups.
     # One group has the draws above the mean, and the other group the draws below.
-    # The share between groups is 0.64 for a normal law, 0.75 for a uniform law, 1 for two values.
+    # For a normal law, 0.64 of the variance lies between the two groups.
+    # For a uniform law, the share between the groups is 0.75, and for two values it is 1.
     # If the limit is 0.7, 22 of 50 random walks are reported as draws on two levels.
     # If the limit is 0.95, two levels that are 8 standard deviations apart are missed.
     two_levels: float = 0.85
-    # Two levels count as a fault if each chain moves between them at most this number of times.
-    # With 20 moves, the fraction of time on a level has an error of about 1/√20 = 22 %.
+    # Draws on two levels are reported if chains move between the levels at most this often.
+    # The limit is the mean number of moves per chain.
+    # With 20 moves, the fraction of draws on each level has an error of about 1/√20 = 22 %.
     # Results are the same for values from 10 to 40.
     switches: int = 20
     # Tail index above which a tail is heavy. The variance is infinite for indices of at least ½.
@@ -184,9 +186,10 @@ def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
     Notes
     -----
     S(0) from an autoregression has a smaller error than two alternatives.
-    The interval also has a coverage closer to 95 %; see docs/theory.md, "Chains".
+    The autoregression also gives intervals with a coverage closer to 95 % than the alternatives.
+    Measurements are in docs/theory.md, "Chains".
     One alternative, the initial monotone sequence, cannot resolve antithetic or oscillating chains.
-    The second alternative is the mean of the spectrum at the lowest frequencies.
+    The other alternative, the mean of the spectrum at the lowest frequencies, is less accurate.
     The cost is O(n log n).
 
     Examples
@@ -312,7 +315,7 @@ class _ChainFit:
     at_zero: float  # S(0)
     degrees: float  # degrees of freedom of the variance
     spectrum: Array  # spectral density S at the frequencies
-    error: Array  # parts of the variance at the frequencies
+    error: Array  # contribution of each frequency to the variance of a chain's mean
     power: Array  # periodogram at the frequencies
     frequency: Array  # frequencies j / length in cycles per draw, from 0 to ½
 
@@ -379,7 +382,7 @@ def quantity_error(x: Array, w: Array, settings: ChainSettings = CHAIN_SETTINGS)
         drifts = "the chain drifts: its mean still moves after half of the draws"
         return _stationary_error(x, w, _edges(n), drifts, settings)
     rest = _stationary_error(x[:, dropped:], w[:, dropped:], _edges(n), "", settings)
-    if "stuck-chain" in rest["cause"]:  # A chain is stuck even without its burn-in
+    if "stuck-chain" in rest["cause"]:  # A chain is stuck after the burn-in
         return _stationary_error(x, w, _edges(n), "", settings)
     said = (
         f"the first draws depend on where the chains began, so the first {dropped} of {n} of each "
@@ -415,7 +418,10 @@ def _burn_in(z: Array, settings: ChainSettings) -> int:
     fit = _fitted(last)
 
     def chance(start: int, stop: int, first: int = half) -> float:
-        """Return the p-value of the difference of two means, over draws start … stop and first …"""
+        """Return the p-value of the difference between two means of draws.
+
+        One mean is over the draws from `start` to `stop`, the other over the draws from `first` on.
+        """
         spread = fit.at_zero * (1.0 / (stop - start) + 1.0 / (n - first)) / chains
         away = float(mean[start:stop].mean() - mean[first:].mean())
         return float(f.sf(away**2 / spread, 1, fit.degrees))
@@ -472,8 +478,8 @@ def _stationary_error(
     causes: dict[str, str] = {}
 
     # If chains move together, their error is the error of their mean chain.
-    # Whiten the chains and compare the power of the mean chain with the power of all chains.
-    # For m independent chains, the ratio of the two powers is m times a Beta(1, m − 1) variable
+    # Whiten the chains, and divide the power of the sum of all chains by the sum of their powers.
+    # If m chains are independent, the ratio of powers is m times a Beta(1, m − 1) variable
     fit = own = _fitted(z)
     series, remark = z, ""
     if chains > 1:
@@ -586,8 +592,9 @@ def _tail_index(z: Array, least: int) -> float:
     excess = excess[1:] - excess[0]
     if not excess[most // 4] > 0:
         return math.nan
-    # Average over a grid of b = −k/σ, with the shape k and the scale σ of the Pareto law.
-    # Each b is weighted by its posterior density. The first quartile of excesses scales the grid
+    # The Pareto law has the shape k and the scale σ. Average b = −k/σ over a grid of values of b.
+    # The weight of each value of b is its posterior density.
+    # The first quartile of the values, minus the threshold of the tail, sets the scale of the grid
     grid = 30 + int(math.sqrt(most))
     b = 1 - np.sqrt(grid / (np.arange(grid) + 0.5))
     b = b / (3 * excess[int(most / 4 + 0.5) - 1]) + 1 / excess[-1]
@@ -595,7 +602,7 @@ def _tail_index(z: Array, least: int) -> float:
     likelihood = most * (np.log(-b / k) - k - 1)
     weight = np.exp(likelihood - likelihood.max())
     index = float(np.log1p(-(b @ weight) / weight.sum() * excess).mean())
-    # Shrink the index toward ½, as if there were ten further draws with the index ½
+    # Move the tail index toward ½, by a prior that counts as much as ten draws
     return (most * index + 5) / (most + 10)
 
 

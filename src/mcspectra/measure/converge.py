@@ -2,7 +2,7 @@
 
 The number of realizations is given, or grows until the variance is accurate enough.
 The theory is in docs/theory.md, "Intervals of variances, and stopping".
-The number grows in stages that depend only on earlier estimates.
+The number of realizations grows in stages that depend only on earlier estimates.
 Therefore the result has the same bits for any number of workers.
 
 The search ends only if the next stage, at least a quarter longer, confirms the accuracy.
@@ -87,7 +87,7 @@ class StageSettings:
     first: int = 100
     # A stage lengthens the sample by at least the factor `step`, and at most the factor `leap`.
     # If a sample that is a quarter longer is also accurate enough, the search ends.
-    # The next length depends on the kurtosis of the sample.
+    # The length of the next stage depends on the kurtosis of the sample.
     # With four times as many realizations, the kurtosis is twice as accurate.
     # If `step` is 1.1, a search for an error of 10 % stops too early, at an error of 10.3 %.
     # If `step` is 1.25, the same search stops at an error of 9 %.
@@ -445,7 +445,8 @@ def convergence(
         ∫g² may be infinite, or too large for the measured variance of random points.
         Most of ∫g² may lie where no sample falls (`mcspectra.estimators.tails`).
 
-        Tails are not resolved in three cases. One square may be a fifth or more of the variance.
+        Tails are not resolved in three cases.
+        One estimate may have a fifth or more of Σ (estimate − mean)².
         The tail index k̂ of the estimates may be too large for a reliable variance.
         Values of a user's function of one technique may follow a power law.
         Much of the variance may then lie beyond the largest value.
@@ -526,7 +527,7 @@ def realizations_needed(
     Notes
     -----
     The search takes about (κ − 1)/relative_error² realizations, where κ is the kurtosis.
-    The confirmation takes a quarter more realizations.
+    The last stage, which confirms the accuracy, takes another quarter of the realizations.
     The search cannot account for events that are too rare to occur.
     ``skewness`` can be compared with the skewness of the integrand, if that is known.
 

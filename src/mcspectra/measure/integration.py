@@ -9,7 +9,8 @@ For θ near 1, more replicates are best, because they make the quantile t smalle
 A quarter of the budget measures θ with eight replicates.
 The eight replicates are prefixes of randomized sequences. Later sets start with the same points.
 
-If a profile of f is given, θ is known. All points then form one net or lattice.
+If a profile of f is given, it contains θ, so that θ need not be measured.
+With a profile, all points form one net or lattice.
 The net or lattice is divided into R runs of n points, which replace the replicates.
 Each run is a net or a lattice itself.
 The errors of the runs partly cancel: their mean is as accurate as one set of all points.
@@ -18,10 +19,10 @@ For nets, the interval is divided by the square root of R^{(θ−1)/2}.
 For lattices, the interval is not changed, because the rates of lattices vary with n.
 
 Two intervals are computed: one from Student's t, and one that Hall's transform corrects for skew.
-The result is the smallest interval that contains both intervals.
+The result is the smallest interval that contains Student's interval and Hall's interval.
 Intervals of `mean_interval` were tested with 300 seeds at 256 calls.
 `mean_interval` contains the integral of x^−½ in 88 % of cases, and Student's t in 74 %.
-For the integral of e^(x + y), the two intervals contain it in 97 % and 96 % of cases.
+For e^(x + y), `mean_interval` contains the integral in 97 % of cases, and Student's t in 96 %.
 
 If f grows without bound toward a face of the cube, the errors of strata are skewed.
 Quantiles of skewed errors (`estimators/tails.py`) are used if they widen the interval.
@@ -104,7 +105,7 @@ class IntegrationSettings:
     # Least number of replicates.
     # For smooth functions, intervals of 16 replicates are 1.6 to 1.9 times as wide.
     # Intervals of 4 replicates are as wide as intervals of 8 on average.
-    # Four replicates miss events of probability 1/8 more often.
+    # Four replicates miss an event of probability 1/8 more often than eight replicates do.
     least: int = 8
     # One large set can be divided into parts (runs), which replace independent replicates.
     # Largest number of runs into which one set is divided.
@@ -114,10 +115,11 @@ class IntegrationSettings:
     # Least number of replicates of a median. It is odd, so that one replicate is the median.
     # The 95 % interval of the median extends from the second replicate to the last but one.
     # One bad scramble at either end of the sorted replicates therefore has no effect.
-    # Intervals of 7 replicates have the same mean width. Intervals of 21 are 1.5 times as wide.
+    # On average, intervals of 7 replicates are as wide as intervals of 11 replicates.
+    # Intervals of 21 replicates are 1.5 times as wide as intervals of 11 replicates.
     least_of_median: int = 11
     # Number of points for which the law of the sampler (the distribution of its points) is found.
-    # The law is needed for the kind of scramble, which is the same for all numbers of points.
+    # The law shows how the points are scrambled, which is the same for all numbers of points.
     law_at: int = 64
     # The rate is measured with sets that have fewer points than the final sets.
     # Largest ratio of the points of a final set to the points of a set that measures the rate.
@@ -134,9 +136,10 @@ class IntegrationSettings:
     # Number of calls before the width of the interval is first compared with a tolerance.
     # The first calls are 8 replicates of 128 points, whose interval is right for usual functions.
     first: int = 2**10
-    # A round makes this many times the calls that the measured rate requires for the tolerance.
+    # The measured rate gives the number of calls that the tolerance requires.
+    # In each round, the required number of calls is multiplied by this factor.
     # The width of an interval from 8 replicates has a standard error of 25 %.
-    # With 30 % more calls, most tolerances nevertheless take only two rounds.
+    # With 30 % more calls, two rounds are nevertheless enough for most tolerances.
     margin: float = 1.3
     # Largest ratio between the numbers of calls of consecutive rounds.
     # The ratio of calls is limited because the first measured rates are uncertain.
@@ -448,7 +451,7 @@ def _in_one_set(calls: Calls, setup: Setup, stream: Stream, best: Any) -> _Repli
     lattice = isinstance(leaf, Fixed) and leaf.vector is not None
     net = source.sequence and isinstance(source.law(count), Scrambled)
     net &= set(source.digit_bases) == {2}
-    # Take the rate of the profile, and the slowest rate in the interval of this rate
+    # From the profile, take the rate of convergence, and the slowest rate in its interval
     rate, surely = (
         float(np.clip(-each, *_RATES)) if math.isfinite(each) else _RATES[0]
         for each in (best.rate, best.rate_ci[1])
@@ -570,7 +573,9 @@ def _with_profile(
     found: _Estimated,
     sets: _Replicates,
 ) -> tuple[float, tuple[float, float], str | None]:
-    """Combine an estimate with the uncorrelated estimate of a profile. Return an interval.
+    """Combine an estimate of ∫f with the estimate in a profile, whose error is uncorrelated.
+
+    Return the combined estimate, its interval and a note.
 
     The recommended estimator is fitted to evaluations of the profile.
     The estimates have the mean ∫f, whatever estimator the profile recommends.

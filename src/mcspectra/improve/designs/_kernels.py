@@ -37,8 +37,8 @@ def best_multiple(m: Array, power: Array, vector: Array, axis: int, n: int, out:
 
 @kernel
 def span_mean(table: Array, columns: Array, span: Array) -> float:
-    # Return the mean of the table over all codes that are exclusive ors of some of the columns.
-    # The columns are int64 (m,). The array `span`, int64 (2^m,), is overwritten with these codes
+    # Each subset of the columns, int64 (m,), has an exclusive or, which is an index of the table.
+    # Return the mean of the table at the 2^m indices. Store the indices in `span`, int64 (2^m,)
     span[0] = 0
     total, size = 0.0, 1
     total += table[0]
@@ -55,7 +55,7 @@ def span_mean(table: Array, columns: Array, span: Array) -> float:
 def improve_code(table: Array, columns: Array, bits: int, span: Array) -> float:
     # Flip single bits of the columns as long as this lowers the mean that `span_mean` returns
     best = span_mean(table, columns, span)
-    floor = 1e-14 * np.abs(table).max()  # A smaller mean is only rounding error
+    floor = 1e-14 * np.abs(table).max()  # Changes of the mean below this size are rounding errors
     better = True
     while better:
         better = False

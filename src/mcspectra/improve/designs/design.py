@@ -189,8 +189,8 @@ def design(
     Sampler or Density
         The sampler is unbiased for every integrand. The spec of the sampler creates it again.
         If the sampler has stored sets, the spec names the file of these sets.
-        If a usual sampler has less variance over new integrands of the class with 95 % confidence,
-        and `settings.return_rival` is true, the usual sampler is returned with a `NoGainWarning`.
+        On new integrands of the class, a usual sampler may prove better with 95 % confidence.
+        If `settings.return_rival` is true, this usual sampler is returned with a `NoGainWarning`.
 
     Raises
     ------

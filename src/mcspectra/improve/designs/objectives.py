@@ -160,8 +160,8 @@ def _read(given: Any, dims: int | None) -> Objective:
                 found = given(rng)
             except McspectraError:
                 raise
-            # The argument of a user's function is a random generator. If the function
-            # expects points instead, it raises an AttributeError, a TypeError or a ValueError
+            # The argument of a user's function is a random generator.
+            # A function that expects points raises an AttributeError, a TypeError or a ValueError
             except (AttributeError, TypeError, ValueError) as error:
                 raise ParameterError(
                     f"{name} raised {type(error).__name__} of a generator: {error}; give a "
@@ -251,7 +251,7 @@ def _drawn(text: str, dims: int, one: Callable[[np.random.Generator], Integrand]
 def _members(integrands: Sequence[Integrand], x: Array) -> Array:
     """Return the values of all channels, divided by the root of the number of integrands.
 
-    Sums of squares of the results are then means over the integrands.
+    Because of the division, the sum of the squared values is a mean over the integrands.
     """
     rows = []
     for f in integrands:

@@ -4,7 +4,8 @@ Samplers are designed for a class of integrands f, whose members are random func
 Let P(m) = E|f_m|² be the mean power of the class at the frequency m.
 A set that is shifted at random has the variance Σ_{m≠0} P(m) |S_m|².
 For a lattice, the variance is the sum of P over the dual lattice.
-Digital shifts have the same property in the Walsh basis. Let κ be the Walsh series of P.
+For digital shifts, the same formulas hold with Walsh coefficients instead of Fourier coefficients.
+Let κ be the Walsh series of P.
 With a digital shift, the variance is (1/n²) Σ_ij κ(x_i xor x_j).
 For a digital net, this variance is the mean of κ over the points.
 If sets are folded after the shift, the variance is that of g(x) = f(1 − |2x − 1|), not of f.
@@ -83,7 +84,7 @@ class SearchSettings:
     # Only searches of nets, and of lattices in 3 or more dims, measure the variance of samplers.
     # The variance ratio of nets is 0.167 for half or twice as many points.
     # The variance ratio of nets is 0.164 to 0.167 for half or twice as many members of the class.
-    # In 3-D with 128 integrands, a search finds a lattice of ratio 0.313 instead of 0.295.
+    # In 3-D, a search with 128 integrands finds a lattice with the variance ratio 0.313, not 0.295.
     judge_points: int = 2**16
     judge_members: int = 256
 
@@ -92,12 +93,12 @@ class SearchSettings:
     # Number of points of the table from which the spectrum of a class is estimated.
     # In more than three dims, the number of points of the table is doubled.
     # With half or twice as many points, the variance ratio of lattices is 0.020 to 0.021 in 2-D.
-    # In 3-D, half or twice as many points give lattices with ratios of 0.27 to 0.30.
+    # In 3-D, the variance ratio of lattices is 0.27 to 0.30 for half or twice as many points.
     frequencies: int = 2**16
     # Number of generating vectors from which the search of lattices starts in 3 or more dims.
     # One generating vector is built axis by axis, and all others are random.
     # In 3-D the variance ratio is 0.295 with 24 or 48 initial vectors.
-    # With 96 initial vectors, the ratio is 0.274, but the search takes twice as long.
+    # With 96 initial vectors, the variance ratio is 0.274, but the search takes twice as long.
     vectors: int = 48
     # Number of the best generating vectors whose variances are measured at the end of a search.
     # In 3-D the variance ratio is the same for 6 and 24 measured vectors.
@@ -112,7 +113,7 @@ class SearchSettings:
     # With 18 bits, the table of Walsh coefficients has 2^18 values for each integrand.
     table_bits: int = 18
     # Number of generator matrices from which the search of nets starts.
-    # The first matrices are Sobol' matrices. The others are random with the same strength.
+    # The first matrices are Sobol' matrices. All others are random scramblings of Sobol' matrices.
     # The variance ratio of nets is the same for 3 and 12 initial matrices.
     net_starts: int = 6
     # Number of Owen scramblings (trees) in a design of kind ``owen``.
@@ -134,16 +135,17 @@ class SearchSettings:
     features: int = 160
     # Number of exchanges of cells between sets that are tried in a round.
     # The time of a search is proportional to the number of exchanges and of rounds.
-    # For strata designs, the ratio is 0.035, 0.031 and 0.028 with 2^19, 2^20 and 2^21 exchanges.
+    # With 2^19, 2^20, 2^21 exchanges, the variance ratio of strata designs is 0.035, 0.031, 0.028.
     trials: int = 2**20
     # Maximum number of rounds of exchanges.
     # The variance ratio of strata designs is 0.037, 0.031 and 0.028 for 12, 24 and 48 rounds.
     rounds: int = 24
     # Number of rounds after which the search continues with the best start only.
-    # For kind ``points`` and class ``half-spaces``, the ratio is 0.735 with 2, 4 and 8 rounds.
+    # Designs of kind ``points`` for ``half-spaces`` have the variance ratio 0.735
+    # with 2, 4 and 8 rounds before the search continues with the best start.
     first_rounds: int = 4
     # The search ends after a round that lowers the variance by less than this fraction.
-    # The variance ratio of strata designs is the same for half or twice this fraction.
+    # With 0.0015 or 0.006 as this fraction, the variance ratio of strata designs is the same.
     least_gain: float = 0.003
     # Whether the search for sets of cells also starts from the cosets of a digital net.
     # With 64 points in 4-D, a search from cosets ends with less variance than from random sets
@@ -161,7 +163,7 @@ class SearchSettings:
     # Number of points in the table from which the spectrum is estimated.
     # With more points, each gradient takes more time.
     # For designs of kind ``points`` with n = 5000, the variance ratio is 0.082.
-    # With half as many points in the table, the ratio is 0.20; with twice as many, it is 0.078.
+    # With half as many points in the table, the variance ratio is 0.20; with twice as many, 0.078.
     torus_frequencies: int = 2**14
 
 
@@ -203,7 +205,8 @@ def _fourier_power(
     Of the frequencies m and −m, only one is listed. In up to 3 dims, frequencies form a grid.
     In more dims, a grid would have few frequencies along each axis.
     Functions that are not periodic have most of their power along the axes.
-    Therefore a hyperbolic cross and a ball of frequencies are used, estimated on a lattice.
+    Therefore the frequencies are those in a hyperbolic cross and in a ball.
+    Their coefficients are estimated from values of f at the points of a lattice.
     If the lattice cannot distinguish several frequencies, only the lowest is kept.
     """
     if dims <= 3:
@@ -360,7 +363,7 @@ def _tables(
         power = power / float(len(x)) ** 2
         yield f" | digital-shift{tail}", hadamard(power)
         # For Owen scrambling, average the power over groups of Walsh functions.
-        # In a group, the last nonzero digits of all functions have the same position on each axis
+        # On each axis, the Walsh indices of a group have their last nonzero digit at the same place
         if owen:
             codes = np.arange(len(power))
             level = np.zeros(len(power), np.int64)
@@ -392,7 +395,7 @@ def _nets(
     def code(columns: Array) -> Array:
         """Combine the digits of each column into one integer. The columns (d, m) are int64.
 
-        The integer contains the leading bits of the column on all axes.
+        The integer of a column contains the leading bits of this column on all axes.
         """
         top = columns >> rows - bits
         return np.asarray(sum(top[j] << (dims - 1 - j) * bits for j in range(dims)))
@@ -576,7 +579,7 @@ def _cosets(
 
     # The codes of the net's cells are all exclusive ors of a few basis vectors.
     # In the codes of all cells, clear the leading bit of each basis vector by an exclusive or.
-    # The codes that remain are equal for all cells of a coset
+    # The modified codes of two cells are equal if both cells are in the same coset of the net
     rest, left = np.arange(sides.prod()), codes
     while left.max() > 0:
         vector = left.max()
