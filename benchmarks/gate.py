@@ -302,9 +302,10 @@ def _power(whole: Array, light: Array, trials: int) -> None:
 def _shares(hits: Array) -> str:
     """Return the percentage of trials in which an error was detected, for each test level.
 
-    The array `hits` has the shape (trial, level).
+    The array `hits` has the shape (trial, level). Equal percentages are written once.
     """
-    return " / ".join(f"{100 * share:.0f}" for share in hits.mean(axis=0))
+    shares = [f"{100 * share:.0f}" for share in hits.mean(axis=0)]
+    return " / ".join(shares) if len(set(shares)) > 1 else f"all {shares[0]}"
 
 
 def _half(whole: Array, pairs: int) -> None:
