@@ -393,7 +393,7 @@ class Transform:
 
     @functools.cached_property
     def _fine(self) -> tuple[int, ...]:
-        """Shape of the fine grid for the FFT. In four dims, the grid covers only the last three dims."""
+        """Shape of the fine grid for the FFT. In four dims, it has only the last three dims."""
         from scipy.fft import next_fast_len
 
         side = max(math.ceil(self._oversampling * self.grid.shape[0]), _LEAST_FINE)

@@ -153,7 +153,7 @@ def analyse_path(
         With ``coordinate``, each coordinate is a group of its own.
         ``lights``: shares of the variance by `shares_by_light`, for 2 to 64 lights.
         ``remedies``: result of `path_remedies` for the last sampler at the largest n.
-        ``predict``: variances predicted by `mcspectra.predict`. This result requires full effort.
+        ``predict``: result of `mcspectra.predict` for each sampler and n, only with full effort.
         Attributes of the tree's root: the pixel, the integrator, and names of the coordinates.
         ``lights_note`` gives the reason if shares of lights are unknown.
 

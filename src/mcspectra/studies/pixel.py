@@ -176,8 +176,9 @@ def analyse_pixel(
     Returns
     -------
     xarray.DataTree
-        ``convergence``: variances measured by `mcspectra.convergence` for each strategy.
-        ``predict/STRATEGY``: variances predicted by `mcspectra.predict` for each sampler and n.
+        ``convergence``: variances from `mcspectra.convergence` for each strategy, sampler and n.
+        ``predict/STRATEGY``: predicted variances and their methods, for each sampler and n.
+        The predicted variances are results of `mcspectra.predict`.
         ``terms/STRATEGY/VIEW``: result of `mcspectra.variance_terms` in primary space.
         VIEW is ``auto`` (the basis that fits the sampler) or ``fourier``.
         ``techniques``: result of `mcspectra.technique_terms` for the balance heuristic.
