@@ -47,7 +47,7 @@ __all__ = ["FILTERS", "ScreenSpectrumSettings", "screen_spectrum"]
 @final
 @dataclass(frozen=True, kw_only=True)
 class ScreenSpectrumSettings:
-    """Limits of spectra of error images.
+    """Limits that `screen_spectrum` uses for block sizes, low frequencies, tapers and filters.
 
     Attributes
     ----------
@@ -105,7 +105,8 @@ def screen_spectrum(
     Parameters
     ----------
     samplers
-        A source of the points of pixels, or a list; see `mcspectra.rendering.as_screen_sampler`.
+        One screen-space sampler, or a list of screen-space samplers.
+        Accepted types are described in `mcspectra.rendering.as_screen_sampler`.
     integrand
         Integrand of every pixel, with one channel.
     n
@@ -151,7 +152,7 @@ def screen_spectrum(
 
     Notes
     -----
-    Intervals come from independent seeds.
+    Confidence intervals are computed from blocks with independent seeds.
     A file with a mask has no seeds; different parts of the mask are different blocks.
     If a block contains the whole mask, its numbers are exact, and their intervals have width 0.
     If only one block exists and it is not the whole mask, intervals are unknown (NaN).

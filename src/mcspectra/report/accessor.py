@@ -65,7 +65,7 @@ class Result:
         ax
             Another name for `axes` if the figure has one panel, as in pandas and xarray.
         overlay
-            Result of `predict` for the same samplers.
+            Predicted variances of the samplers in this result: the result of `predict`.
             The plot ``convergence`` then also shows the predictions and the theoretical slopes.
 
         Returns

@@ -53,7 +53,8 @@ _ROWS = 44  # lines of text per PDF sheet
 _ABREAST = 6  # with more samplers, each one is a row of a table instead of a column
 _IN_OVERLAY = 10  # largest number of samplers per plot
 _MOST_AXES = 10
-# If more samplers than this have an unusual number of sets, the caption gives a range
+# The caption states how many sets each sampler averages, and names samplers that differ.
+# If more than two samplers differ from the usual number of sets, the caption states a range
 _MOST_NAMED = 2
 _CURVES = ["points_made", "variance", "variance_ci", "rate", "rate_ci", "rank", "rank_ci"]
 

@@ -298,7 +298,7 @@ class _Finding(NamedTuple):
 
 
 def _lost(share: float) -> float:
-    """Return the effect of a cause of noise from its share of the variance."""
+    """Return −ln(1 − share): the effect of a source of noise with this share of the variance."""
     return -math.log1p(-min(max(share, 0.0), 1.0 - 1e-9))
 
 
@@ -404,7 +404,7 @@ def _doubts(found: dict[str, Any]) -> Iterator[_Finding]:
         # Report fireflies only if their number exceeds that of normal noise by four standard errors
         if count and count > expected + 4 * expected**0.5 and share > _CARRIED:
             yield _Finding(
-                # Fireflies come first only if they make most of the variance
+                # Fireflies are listed last, unless they cause more than half of the variance
                 _lost(share) if share > _MOST else 0.0,
                 f"Fireflies: at {count} pixels one frame is far brighter than the others "
                 f"({number(expected, 2)} pixels expected for normal noise). These pixels cause "

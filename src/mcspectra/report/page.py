@@ -171,7 +171,7 @@ class Slider:
     label
         Name of the parameter.
     plots
-        The plot for each value. Values are given as texts.
+        One plot for each value of the parameter. The keys are the values, written as text.
     start
         Value whose plot is shown at first, on paper, and in browsers without scripts.
     """

@@ -88,7 +88,8 @@ def path_tables(tree: xr.DataTree) -> dict[str, html.Table]:
         columns = [found[v].values for v in ("anova_share", "total_share", "truncation_share")]
         columns[0] = columns[0][: len(names)]
         shown = list(zip(names, *columns, strict=True))
-        # A decision recurs at many bounces, so decisions have no order and no cumulative share
+        # A kind of decision, such as the choice of a light, recurs at many bounces of a path.
+        # Decisions therefore have no order, and the table shows no cumulative share for them
         if kind == "decision":
             shown = [(name, alone, total, np.nan) for name, alone, total, _ in shown]
         for name, *shares in shown:

@@ -1,4 +1,4 @@
-"""Cards of samplers for the page of a bench or as Markdown.
+"""Summary cards of samplers: a part of the page of a benchmark, or Markdown text.
 
 A card shows one sampler's points, spectrum, projections, rates, quality, cost and sources.
 """

@@ -29,7 +29,7 @@ __all__ = [
     "headline",
 ]
 
-_DOMINANT = 0.9  # share of dc + power above which the dc term is mentioned
+_DOMINANT = 0.9  # mention the dc term above this share of the sum of dc and power terms
 _AWAY = 4.0  # two means differ if they are more than 4 standard errors apart
 _LENGTH = "|\u2060m|\u2060"  # word joiners prevent a line break after a bar
 _CLOSE = 0.1  # prediction and measurement are close up to this relative difference
@@ -168,7 +168,8 @@ def explain(row: SummaryRow, terms: xr.Dataset | None = None) -> str:
     Returns
     -------
     str
-        Sentences about the rate, the prediction, the terms and the captured share.
+        Sentences about the rate of convergence, the predicted variance and the variance terms.
+        One sentence gives the share of the measured variance that the spectrum accounts for.
         The text is empty if nothing is known about this estimator with this sampler.
 
     Raises
@@ -328,7 +329,7 @@ def _term_sentences(row: SummaryRow, terms: xr.Dataset) -> Iterator[str]:
     if row.dc is None or row.power is None or row.predicted is None or row.measured is None:
         return
     uniform = row.dc <= NEGLIGIBLE * row.power or terms.attrs.get("space") == "primary"
-    # Name the dc term if its share of dc + power is large beyond sampling errors
+    # Mention the dc term if it makes most of the sum of the dc term and the power term
     if not uniform and row.dc > _DOMINANT * (row.dc + row.power):
         yield (
             f"Without the cross term, {percent(row.dc / (row.dc + row.power))} of the variance is "
@@ -425,7 +426,10 @@ def _cross_share(row: SummaryRow) -> str:
 
 
 def _median_frequency(row: SummaryRow, terms: xr.Dataset) -> float | None:
-    """Return the |m| below which half of the power term lies; None if the basis has no |m|."""
+    """Return the median |m|: half of the power term comes from lower frequencies.
+
+    The result is None if the functions of the basis have no frequency |m|.
+    """
     scale = {"fourier": 1.0, "cosine": 0.5}.get(row.basis or "fourier")
     if scale is None or "power_contribution" not in terms:
         return None

@@ -64,7 +64,7 @@ _DETAILS: Mapping[str, tuple[str, ...]] = {
 }
 """Titles of collapsed blocks, and the kinds of figures in each of them."""
 
-_MOST_ROWS = 40  # largest number of estimators with rows of pictures (about 10 MB)
+_MOST_ROWS = 40  # show pictures for at most this many estimators: a page of about 10 MB
 _MOST_GAPS = 50  # largest number of rows in the table of missing analyses
 _LONGEST_KEY = 60  # largest number of characters in a group's name in the store
 _NOT_DONE = "not computed yet"

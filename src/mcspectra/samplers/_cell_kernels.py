@@ -8,9 +8,9 @@ Removing or inserting a point changes only the adjacent cells.
 Notation for farthest points: n points in 2 dims. Buckets are described in `_spacing_kernels`.
 Voronoi cells are stored like the cells of power diagrams (below).
 Each row of the array holes (n, 4) belongs to one point and its Voronoi cell.
-The first two numbers of the row are the coordinates of the cell's corner farthest from the point.
-The third number of the row is the squared distance between the point and the farthest corner.
-The fourth number of the row is the squared distance between the point and its nearest neighbor.
+Numbers 1 and 2 of each row are the coordinates of the cell's corner farthest from the point.
+Number 3 of each row is the squared distance between the point and the farthest corner of its cell.
+Number 4 of each row is the squared distance between the point and its nearest neighbor.
 
 Power diagrams: the cell of site i contains all x that satisfy the inequality
 |x − x_i|² − w_i ≤ |x − x_j|² − w_j for all sites j and their images.
@@ -20,10 +20,11 @@ No more sites are taken when the remaining sites are too far away to cut the cel
 Notation for power diagrams: n sites in 2 dims; points (n, 2) in [0,1), weights w (n,).
 The array sites (n, 3) holds points and weights in the order of the grid.
 A cell (K, 4) is a counterclockwise polygon relative to its site.
-Each row describes a corner of the cell, and the edge from this corner to the next corner.
-The first two numbers of the row are x and y of the corner.
-The third number of the row is the distance between the site and the neighbor site across the edge.
-The fourth number is the index of the neighbor site, or −1 for an image of the cell's own site.
+Each row of a cell has four numbers about one corner, and the edge from there to the next corner.
+The first two numbers of each row of a cell are the coordinates x and y of the corner.
+The third number of each row of a cell is the distance from its site to the site across the edge.
+The fourth number of each row of a cell is the index of the site across the edge.
+The index is −1 if the site across the edge is an image of the cell's own site.
 While a cell is cut, the array `spare` (K, 4) holds a copy of its corners.
 
 Gaussian blue noise: the energy of all pairs of points, and the gradient of the energy.
@@ -156,7 +157,7 @@ def _measure(i: int, points: Array, buckets: Any, cell: Array, spare: Array, hol
 
 @kernel
 def measure_all(points: Array) -> Any:
-    """Return filled buckets, and the farthest corner of every Voronoi cell as holes (n, 4)."""
+    """Return filled buckets, and an array (n, 4) with the farthest corner of every Voronoi cell."""
     n = points.shape[0]
     buckets, holes = empty_buckets(n, 2, max(1, int(np.sqrt(n)))), np.empty((n, 4))
     cell, spare = np.empty((_CORNERS, 4)), np.empty((_CORNERS, 4))

@@ -4,7 +4,7 @@ There are three groups of kernels.
 Dart throwing uses a grid whose cells contain at most one point; see `samplers.poisson`.
 Buckets are cells over the first axes of the domain, each with a chain of its points.
 Buckets help to find the distance from any place in the domain to the nearest point.
-Darts, best candidates and largest empty disks are found with this distance.
+Darts, best candidates and largest empty disks are all found by distances to the nearest point.
 
 Notation: R realizations, n points, d dims; ``out`` float64 (R, n, d), ``keys`` uint64 (R, 2).
 The argument ``at`` is the index of the next random number of a realization.

@@ -268,7 +268,10 @@ class Sampler(Component, ABC):
         """Make realizations first … first + count − 1: float64 (count, n, dims)."""
 
     def _before(self, randomization: Randomization) -> Sampler:
-        """Return the sampler that `randomization` is applied to; given sets may then be reused."""
+        """Return the sampler that `randomization` is applied to: by default, this sampler itself.
+
+        A sampler of given sets may return a version of itself that uses each set repeatedly.
+        """
         del randomization
         return self
 
@@ -462,8 +465,8 @@ class Randomized(Sampler):
     def powers_only(self) -> bool:
         """Whether randomizations of digits keep the structure only if n is a power of the base.
 
-        The value is False if neither strata nor elementary intervals of the inner sampler remain.
-        If strata or elementary intervals remain, the value is the same as for the inner sampler.
+        False if the randomizations preserve neither strata nor elementary intervals.
+        If they preserve strata or elementary intervals, the inner sampler determines the value.
         """
         return self.base.powers_only and self.structure in (Structure.STRATA, Structure.DIGITS)
 

@@ -9,7 +9,8 @@ Two cells of one frame repel each other by a Gaussian in space.
 Two cells at one place repel each other by a Gaussian in time; other cells do not interact.
 Every frame is then blue in space, and every pixel is blue in time.
 
-In the kernels, ``pattern`` bool (T·s, s) is true at the points. Its edges join as on a torus.
+The array ``pattern`` bool (T·s, s) is true for each cell that contains a point, called a one.
+Opposite edges of the pattern are joined, as on a torus.
 The rows of frame t are t·s … t·s + s − 1; sets and dither masks have one frame.
 ``energy`` float64 (T·s, s) is the sum of Gaussians around the cells that contain a one.
 ``weights`` is a tuple: one Gaussian along an axis of space (2·reach + 1,), and one over time (T,).
@@ -336,7 +337,8 @@ def _rank_all(grid: Any, order: Array) -> None:
 
 @kernel
 def _jitter_cells(k0: np.uint64, k1: np.uint64, cells: Array, side: int, out: Array) -> None:
-    # Fill out (n, 2) with uniform points in cells (n,); one random shift by whole cells moves all.
+    # Fill out (n, 2) with one uniform point in each of the listed cells (n,).
+    # One random shift by whole cells, modulo the side, moves all points together.
     number = side * side  # the first side² random numbers have shuffled the side² cells
     down, across = _mix_below(k0, k1, number, side), _mix_below(k0, k1, number + 1, side)
     for p in range(cells.size):

@@ -67,7 +67,7 @@ PLACEHOLDER = re.compile(r"\{(\w*)\}")
 """Pattern of a placeholder of a command, such as {n}."""
 
 _PLACEHOLDERS = ("n", "seed", "dims")
-_COORDINATE_BYTES = 64  # largest size of a printed number with its separator
+_COORDINATE_BYTES = 64  # largest number of bytes of a printed coordinate and its separator
 
 SEED_BITS = 31
 """Number of bits of a seed for a program, which reads the seed as int."""
@@ -288,7 +288,7 @@ def net_quality(points: Array, like: tuple[int, int] | None = None) -> tuple[int
     For sets of fewer than 64 points, m − t must be at least 4 in base 2, and 3 in base 3.
     A smaller set, whose m is below this limit, counts as a net only if its t is 0.
     If a larger set of the same file is a net, `like` is the base and the quality t of this net.
-    The set then counts as a net in this base if its t is not larger than the t of the larger set.
+    With `like`, a set is a net in the larger set's base if its t is at most the larger set's t.
     Blue noise of 16 points or more is rarely taken for a net: in tests, at most 1 of 200 sets was.
     """
     n, dims = points.shape
@@ -574,7 +574,8 @@ class CommandSampler(_OfCode):
         Program and arguments; no shell is used. There are three placeholders:
         ``{n}`` stands for the number of points, and ``{dims}`` for the number of dims.
         ``{seed}`` stands for the seed of the realization, a whole number from 0 to 2^31 − 1.
-        Without ``{seed}`` all realizations are one set, and the program runs once per draw.
+        Without ``{seed}``, the program prints the same set for all realizations.
+        The program then runs only once for each call of `draw`.
     dims
         Number of coordinates that the program prints per point, separated by blanks or commas.
     timeout

@@ -386,8 +386,8 @@ def _append(re: Array, im: Array, basis: tuple[Array, Array], i: int, cr: Array,
 
 @kernel
 def _draw(k0: np.uint64, k1: np.uint64, m: Array, basis: tuple[Array, Array], out: Array) -> None:
-    # Draw one realization by rejection. Proposals that were not rejected are kept for later points:
-    # the tests for an earlier point are also needed for a later point.
+    # Draw one realization by rejection. Proposals that were not rejected are kept for later points.
+    # A later point must pass the tests of all earlier points too, so no test has to be repeated.
     n, dims = out.shape
     x, most, within = np.empty((_BATCH, dims)), np.empty(_BATCH), np.empty(_BATCH)
     re, im = np.empty((_BATCH, n)), np.empty((_BATCH, n))
@@ -418,7 +418,7 @@ def _draw(k0: np.uint64, k1: np.uint64, m: Array, basis: tuple[Array, Array], ou
                     within[p] += _add_block(re[p], im[p], vr, vi, cr[p, block], ci[p, block])
 
         # Accept the remaining proposals in order. Each accepted point adds a vector to the basis.
-        # Then project the proposals that follow in this batch onto the new basis vector.
+        # For each new basis vector, update the projections of the later proposals in the batch.
         for p in range(_BATCH):
             if i == n or within[p] >= most[p]:
                 continue

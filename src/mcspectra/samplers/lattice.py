@@ -21,7 +21,9 @@ from mcspectra.samplers.law import Fixed, Law
 
 __all__ = ["Fibonacci", "Korobov", "Kronecker", "Rank1Lattice", "golden_steps", "nested_lattices"]
 
-_EVALUATIONS = 2**24  # largest number of kernel values per component; takes 0.1 s
+# Largest number of kernel values in the search for one component of a generating vector.
+# A search with this number of kernel values takes 0.1 s
+_EVALUATIONS = 2**24
 _LEAST_CANDIDATES = 16
 _BITS = 64
 _S11, _UNIT = np.uint64(11), 2.0**-53

@@ -9,7 +9,7 @@ A sampler states its law once, in `Sampler.law`. All else is computed by functio
 Functions of a law compute closed forms, exact variances, predictions and rates.
 The orthonormal basis that fits the sampler is also chosen by a function of the law.
 Each function chooses a formula by the outermost class of a law, and calls itself on inner laws.
-No function tests a sampler's name.
+The name of a sampler never decides which formula is used.
 
 A law is a small tree of frozen classes. Leaves describe how points are drawn:
 
@@ -160,7 +160,9 @@ class Independent(Law):
 
 
 class Motif(ABC):
-    """Abstract motif: the points in one cell of `Strata`, in units of cells.
+    """Abstract base class of motifs. A motif is the group of points in one cell of `Strata`.
+
+    The coordinates of the points are in units of cells.
 
     Attributes
     ----------
@@ -305,9 +307,9 @@ class Strata(Law):
 Relation: TypeAlias = Literal["apart", "same", "mates"]
 """Relation of two points on one axis.
 
-Points that are *apart* are independent and lie in two different strata.
-Points that are *same* are independent and lie in one stratum.
-Points that are *mates* are uniform in two different parts of one stratum."""
+Two points with the relation *apart* are independent and lie in two different strata.
+Two points with the relation *same* are independent and lie in one stratum.
+Two points with the relation *mates* are uniform in two different parts of one stratum."""
 
 
 @final
@@ -366,7 +368,8 @@ def paired_axes_of_array(s: int, dims: int, *, shared_out: bool) -> PairedAxes:
     """Return the law of an orthogonal array of strength 2 with s² points and random level names.
 
     There are s²(s² − 1) ordered pairs of different points.
-    On each axis, s²(s − 1) of these pairs have equal levels. No pair has equal levels on two axes.
+    On each axis, s²(s − 1) ordered pairs of points have equal levels.
+    No pair of points has equal levels on two axes.
     Each level of an axis is a stratum with s points.
     With `shared_out`, each stratum has s parts with one point each.
     Without `shared_out`, the points in a stratum are independent.

@@ -100,14 +100,16 @@ class Sobol(_BinaryNet):
     A file has one line per dim: number of the dim, degree s, polynomial a, numbers m_1 … m_s.
     Headings and text after ``#`` are ignored.
     In base 2, the number a encodes the inner coefficients of the polynomial, as in [JoeKuo2008]_.
-    Degree 0 is van der Corput's sequence; it is inserted if the numbers of the dims begin at 2.
+    A line with degree 0 stands for the van der Corput sequence.
+    If the first line of a file has the number 2, the van der Corput sequence is inserted before it.
     In base 3, the number a encodes all coefficients of the polynomial: its digits p_i.
     Digit p_i is the coefficient of x^i.
     The recurrence m_k = m_(k−s) − Σ_j 3^j p_(s−j) m_(k−j) holds digit by digit, modulo 3.
 
     References
     ----------
-    [JoeKuo2008]_: table new-joe-kuo-6, its first 1,111 dims; [Ostromoukhov2024]_: base 3
+    [JoeKuo2008]_, for base 2: the first 1,111 dims of the table new-joe-kuo-6;
+    [Ostromoukhov2024]_, for base 3
     """
 
     sequence: ClassVar[bool] = True
@@ -358,7 +360,7 @@ _LARCHER_LINKS: tuple[tuple[int, ...], ...] = (
 @final
 @dataclass(frozen=True, kw_only=True)
 class JoinedPairs(_BinaryNet):
-    """Two copies of a binary net in two dims, joined to points in four dims.
+    """Points in four dims whose coordinates are two copies of a binary net in two dims.
 
     Attributes
     ----------
@@ -410,7 +412,7 @@ class LarcherPillichshammer(PlaneSampler, _BinaryNet):
     """Larcher and Pillichshammer's (0, m, 2)-net of n = 2^m points, deterministic (2-D).
 
     The first coordinate is i/n. The matrix of the second coordinate is the upper triangle of ones.
-    The star discrepancy is smaller than the star discrepancy of hammersley.
+    The star discrepancy of this net is smaller than the star discrepancy of hammersley.
     Randomize with owen or digital-shift.
 
     References

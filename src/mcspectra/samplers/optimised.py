@@ -132,7 +132,7 @@ def _source(cls: type) -> str:
 
 
 def _exact(value: object) -> object:
-    """Return an equal value whose text shows all numbers; the text of a long array omits some."""
+    """Convert an array to a list, because the printed text of a long array omits some numbers."""
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 

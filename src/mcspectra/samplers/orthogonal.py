@@ -180,7 +180,8 @@ def _orthogonal(n: int, dims: int, strength: int, jitter: str, keys: Array) -> A
     return out
 
 
-# Four arrays are cached: an analysis uses few n, and an array takes half the memory of a set.
+# Four arrays are cached, one for each n, because an analysis uses only a few values of n.
+# An array takes half as much memory as a set of n points
 @lru_cache(maxsize=4)
 def _slots(s: int, dims: int, strength: int, jitter: str) -> Array:
     """Return the stratum of each point on each axis before shuffles: int32 (s^t, dims), read-only.

@@ -10,7 +10,7 @@ Starting a new set keeps the distribution invariant under translation.
 Darts are thrown only where they can be accepted, in the cells of a grid.
 The cells have diagonal r, so that each cell has at most one point.
 Cells that may have room for a point are kept in a list.
-From time to time, the cells of the list are halved along every axis.
+From time to time, all cells that may have room are halved along every axis.
 Cells that a disk covers completely are removed from the list [Ebeida2012]_.
 Accepted darts are still uniform on the uncovered region, so the law does not change.
 The set is maximal when no cell remains.
@@ -203,8 +203,8 @@ class DartThrowing(Sampler):
     radius_
         Minimum distance relative to the densest known packing of n points [Lagae2008]_.
         The relative distance is above 0 and at most 1.
-        Dart throwing jams at a ratio of about 0.75 in 1-D, 0.78 in 2-D, and 0.8 in more dims.
-        Classic rejection becomes slow at distances below these limits of jamming.
+        Dart throwing jams at relative distances of about 0.75 (1-D), 0.78 (2-D) or 0.8 (more dims).
+        Classic rejection becomes slow already below the distance at which dart throwing jams.
 
     References
     ----------

@@ -149,7 +149,7 @@ class PMJ02BlueNoise(_PlaneSequence):
 
     The papers choose the best of some candidates for each point in turn.
     The candidates for a new point hardly differ, because they lie in narrow free intervals.
-    If the bits of all points in a strip are flipped, the points can move farther.
+    Flips of whole strips can move points farther than such a choice among candidates.
 
     References
     ----------
@@ -294,7 +294,8 @@ def _gain(i: int, axis: int, bit: Any, members: Any, words: Array, owner: Array)
             there = np.float64(word) * _UNIT_53
             far = np.float64(words[1 - axis, other]) * _UNIT_53 - across
             before = _pair_energy(there - here, far)
-            # If the other point of the pair also lies in the strip, the flip moves both points
+            # If both points of a pair lie in the flipped strip, the flip moves both points.
+            # The pair is then counted twice, so half of the gain is added each time
             if word >> shift == strip:
                 there = np.float64(word ^ bit) * _UNIT_53
                 gain += 0.5 * (before - _pair_energy(there - moved, far))

@@ -133,14 +133,14 @@ class StrataShift(Randomization):
 @final
 @dataclass(frozen=True, kw_only=True)
 class RandomRotation(Randomization):
-    """Random rotation: by right angles with reflections, or by any angle through a window (2-D).
+    """Random rotation by right angles, with reflections; or by any angle, cut to a window (2-D).
 
     Attributes
     ----------
     boundary
         ``"toroidal"``: one of the d!·2^d symmetries of the cube, which permute and reflect axes.
         The torus has no other rotations.
-        These symmetries preserve distances on the torus, and strata of equal sides.
+        The symmetries of the cube preserve distances on the torus, and strata with equal sides.
         Elementary intervals map to elementary intervals, whose shapes are permuted.
         ``"clipped"`` (2-D): the periodically repeated points are rotated by a uniform angle.
         Only the points in a square window at a random place are kept.
@@ -322,7 +322,10 @@ class Mirror(Randomization):
         return Randomization.fit(self, sampler)
 
     def law_of(self, law: Law, n: int) -> Law:
-        """Return the law of the mirrored points; predictions change the integrand instead."""
+        """Return the law of the mirrored points.
+
+        To predict variances, the integrand is mirrored instead of the points.
+        """
         if self.mode == "fold":
             return Folded(n=n, dims=law.dims, inner=law)
         return Mirrored(n=n, dims=law.dims, inner=law, mode=self.mode)  # type: ignore[arg-type]
@@ -422,7 +425,7 @@ class Decorrelate(Randomization):
     The realizations of one seed are the pixels of one image.
     All pixels share one point set. With a mask, the shifts of all pixels come from one pattern.
     Variances over the pixels are variances within an image.
-    Variances over the pixels do not converge to variances over seeds.
+    With more pixels, the variance within an image does not converge to the variance over seeds.
 
     At each pixel, a mask gives one number per dim.
     One number per dim is enough for shift, and for digital-shift in base 2.

@@ -148,7 +148,8 @@ def _from_object(source: Any, dims: int | None) -> Sampler:
 def _built(registry: Registry, call: Call, dims: int | None = None) -> Any:
     """Build a sampler or a randomization from a call.
 
-    The error explains if a spec has a sampler in the place of a randomization, or the reverse.
+    If a spec has a randomization in the place of a sampler, the error message says so.
+    A sampler in the place of a randomization also has its own error message.
     """
     first = registry is SAMPLERS
     if first and call.name in RUN_CODE:

@@ -47,15 +47,15 @@ _EXACT = 1e-9
 # Largest accepted relative error of the areas if rounding prevents a smaller one.
 # If the areas have this error, the transport cost has an error of 1e-6
 _CLOSE = 1e-4
-# Largest amount of work (see `kernels.Diagram`) for a transport cost; takes some seconds.
-# The amount of work is 2^24 for 8192 random points.
-# If all points lie in one quarter of the square, the amount of work is more than 2^30.
+# Largest amount of work for a transport cost, in the unit of work that `kernels.Diagram` defines.
+# The largest amount of work takes some seconds. For 8192 random points, 2^24 units are enough.
+# If all points lie in one quarter of the square, more than 2^30 units of work are needed.
 _MOST_WORK = 2**32
 _REPORTS = 50
 _CHUNK = 4096  # number of moves between reports of progress
 _CUTOFF = 6.0  # cutoff distance of the Gaussian, in σ; its value there is exp(−18) = 1.5e-8
 _SERIES_END = 6.0  # cutoff of the Fourier series in many dims: terms below e^(−½ 6²) are dropped
-_CELLS = 4  # number of cells along a cutoff distance
+_CELLS = 4  # length of the cutoff distance, measured in cells of the grid
 
 
 class _CentroidSampler(PlaneSampler, OptimisedSampler):
@@ -193,8 +193,8 @@ def transport_cost(points: object) -> float:
     ------
     DomainError
         If there are more than 2 dims, no points, or points outside [0,1).
-        The error is also raised if Newton's method takes more than 100 steps or some seconds,
-        because the points are far from uniform. Uniform random points take about 10 steps.
+        If the points are so uneven that Newton's method takes over 100 steps or some seconds.
+        For uniform random points, Newton's method takes about 10 steps.
 
     References
     ----------

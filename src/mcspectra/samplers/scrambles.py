@@ -26,7 +26,8 @@ from mcspectra.samplers.radical import RadicalInverses
 
 __all__ = ["DigitalShift", "Lms", "Owen", "Permute"]
 
-# XOR with this number turns the random keys of the shift into the random keys of the jitter
+# The jitter and the digital shift use different random numbers.
+# The random keys of the jitter are the keys of the digital shift XOR this constant
 _JITTER = 0x6A09E667F3BCC908
 _BELOW_ONE = 1.0 - 2.0**-53
 
@@ -144,7 +145,10 @@ def _places(n: int, base: int) -> int:
 
 
 def _powers_possible(sampler: Sampler, base: int, exponents: range) -> Iterator[int]:
-    """Yield the powers of `base` that are counts of the sampler, in ascending order."""
+    """Yield, in ascending order, the powers of `base` that are possible numbers of points.
+
+    The sides of the sampler's strata must then also be powers of `base`.
+    """
     powers = (base**k for k in exponents if base**k <= MAX_COUNT)
     return (n for n in powers if n in sampler._counts_near(n) and sampler.digit_strata(n, base))
 

@@ -126,7 +126,7 @@ class Skip(Randomization):
     Notes
     -----
     The sampler must be a sequence (sobol, halton, kronecker, random, …), or sets of given points.
-    Other sets are refused, because without their first points they cover only a part of the domain.
+    Other samplers are refused: without its first points, a set covers only a part of the domain.
     If only the origin is omitted, the balance of a net is lost.
     In base b, a run of b^m points is a balanced net only if `count` is a multiple of b^m.
     Skipped points are computed and discarded.

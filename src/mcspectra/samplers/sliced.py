@@ -27,8 +27,8 @@ class SlicedOptimalTransport(OptimisedSampler):
     Attributes
     ----------
     iterations
-        Number of iterations. In each iteration, every point makes one move:
-        the mean of its moves along all random directions.
+        Number of iterations. In each iteration, every point moves once.
+        A point moves by the mean of its displacements along all random directions.
     directions
         Number of random directions per iteration.
     sets

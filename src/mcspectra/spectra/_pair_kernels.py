@@ -80,7 +80,8 @@ def count_distances(
     coordinates (d, N) holds the n points, in ascending order of the first coordinate.
     Copies of the first points follow, moved by one along the first axis.
     `limit` is the largest difference of two points along the first axis.
-    counts (4, bins + 1) holds four partial counts, to be added. The last bin has larger distances.
+    The array counts (4, bins + 1) holds four partial histograms; their sum is the full histogram.
+    The last bin of a histogram counts all distances that are larger than those of other bins.
     """
     total = coordinates.shape[1]
     work = _scratch()

@@ -474,7 +474,7 @@ def _nested_pairs(law: Fixed, bases: Sequence[int], m: Array, other: Array) -> A
     most = max(levels)
     shares = (law.agreements(bases, most) - 1.0) / n
     # `shares` are fractions of the pairs of points that agree in a or more digits.
-    # Differences of shares are the fractions of pairs that agree in exactly a digits
+    # Subtract successive fractions to get the fraction of pairs that agree in exactly a digits
     for axis in range(law.dims):
         shares = np.moveaxis(shares, axis, 0)
         shares = np.concatenate([shares[:-1] - shares[1:], shares[-1:]])
@@ -506,7 +506,7 @@ def _scrambled_digits(base: int) -> int:
 def _levels(x: Array, base: int) -> int:
     """Return the least number of digits that distinguishes all coordinates.
 
-    The least number of digits is at most the number of scrambled digits.
+    If more digits are needed than are scrambled, return the number of scrambled digits.
     """
     most = _scrambled_digits(base)
     different = len(np.unique(x))
@@ -610,7 +610,7 @@ def _comb(nu: Array, sides: Any) -> Array:
 
 
 def _product(values: Array) -> Array:
-    """Return the product of the values of all axes."""
+    """Return the product over the last array axis, which has one value per coordinate."""
     return np.asarray(np.prod(values, axis=-1))
 
 
@@ -682,7 +682,7 @@ class _StrataAxis:
     """Positions t at which importance-sampled strata or grids start on one axis, with weights.
 
     A start t is the lower end of a stratum, or the offset of a grid.
-    Each start t has one weight, which is used in all means over starts.
+    Means over the starts of strata or grids are weighted; each start t has one weight.
     """
 
     density: Density
@@ -691,7 +691,7 @@ class _StrataAxis:
     weights: Array
 
     def mean_product(self, of: Callable[[Array], Array], m: Array, other: Array) -> Array:
-        """Return the weighted mean of `of(m)` · conj `of(other)` over all starts."""
+        """Average `of(m)` · conj `of(other)` with weights over all starts of strata or grids."""
         known, back = np.unique(np.stack([m, other]), return_inverse=True)
         row, column = back.reshape(2, -1)
         if float(self.starts.size) * max(row.size, known.size * self.sides) > _MAX_STRATA_WORK:

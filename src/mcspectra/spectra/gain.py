@@ -5,7 +5,7 @@ The part ν_l depends on the first l_j digits of coordinate j.
 See docs/theory.md, "Gains of scrambled nets".
 (In Owen's notation, u is the set {j: l_j > 0}, and k_j is l_j − 1.)
 In base 2, ν_l is the part of f in the Walsh functions with indices 2^(l_j − 1) ≤ m_j < 2^l_j.
-Under nested scrambling, all these Walsh functions have the expected power Γ_l / n.
+Under nested scrambling, the Walsh functions of a part ν_l all have the expected power Γ_l / n.
 A digital shift keeps the power of a Walsh function, which is 1 on the dual net and 0 elsewhere.
 The dual net contains the indices that are orthogonal to all columns of the generator matrices.
 """
@@ -98,7 +98,7 @@ def gains_at(net: Fixed, bases: Sequence[int], levels: int) -> Array:
     """Return the gains (levels + 1, …) of a set after scrambling in the given bases.
 
     The kernel counts pairs of points whose leading digits agree, for each number of digits.
-    The gains are weighted differences of the numbers of pairs at successive levels of an axis.
+    A gain is a weighted difference between the counts of pairs at two successive levels.
     The function raises the same errors as `gain_coefficients`.
     """
     gains = net.agreements(bases, levels)

@@ -221,7 +221,11 @@ def _type_3(frequencies: Array, eps: float) -> Listed:
 
 
 def _direct(frequencies: Array) -> Listed:
-    """Return a transform that uses shared factors if there are few, else a phase per frequency."""
+    """Return a transform that computes the sum over all points directly for each frequency.
+
+    If there are few different components, frequencies share the factors of equal components.
+    Otherwise the phase of each frequency is computed separately.
+    """
     rows, axes = np.nonzero(frequencies)
     values = frequencies[rows, axes]
     start = np.searchsorted(rows, np.arange(len(frequencies) + 1))

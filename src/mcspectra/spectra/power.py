@@ -3,8 +3,8 @@
 For each realization, power is summed by frequency, and over rings and wedges of frequencies.
 Frequencies of one set are not independent:
 with a density, random changes of the weights affect all frequencies.
-Means over many frequencies are therefore also summed for each realization.
-The spread of the means over realizations gives their standard errors.
+Means over rings and wedges of frequencies are therefore computed for each realization.
+The spread of such a mean over the realizations gives its standard error.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ __all__ = [
     "weighted_points",
 ]
 
-_BLOCKS = 8  # smallest number of blocks, which threads and machines can share
+_BLOCKS = 8  # realizations are split into this many blocks or more, for several threads or machines
 _MOST_COORDINATES = 2**26  # largest number of coordinates of a set: half a GiB
 _EPS = 1e-9  # tolerance of transforms in double precision
 _SINGLE_EPS = 1e-5, 1e-6  # tolerances of transforms in single precision, cheapest first
@@ -238,7 +238,10 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
 
         @functools.cache
         def chosen() -> tuple[Transform, float | None]:
-            """Return the cheapest accurate transform, and its error in standard errors."""
+            """Return the cheapest transform that is accurate enough, and its largest error.
+
+            The error is relative to the standard error of a ring mean; None in double precision.
+            """
             if self.eps is not None or self.realizations < _TRIED_FROM:
                 return double, None
             singles = [
@@ -384,7 +387,7 @@ def _picture_shape(dims: int) -> tuple[int, ...]:
 def _pictures(estimator: Any, density: Density | None) -> dict[str, tuple[tuple[str, ...], Array]]:
     """Return values of f and p on a grid of axes 0 and 1; all other coordinates are 1/2.
 
-    If no single density warps the points, g = f/p of the first technique is returned instead of f.
+    If `density` is None, values of f/p are returned instead of f, with p of the first technique.
     There is no picture of integrands that are costly or fail on the grid.
     """
     f = estimator.primary_integrand() if density is None else estimator.domain_integrand

@@ -131,7 +131,7 @@ def radial_statistics(spectrum: xr.Dataset) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        All variables are on the dim radius, for rings of one frequency step.
+        All variables have the dim ``radius``. Each ring of frequencies is one frequency step wide.
         Anisotropies are NaN if a ring has only one direction, or has no power.
         ``radial_power`` is the mean, and ``radial_power_se`` is its standard error.
         The standard error is copied from the spectrum.
@@ -179,7 +179,9 @@ def radial_statistics(spectrum: xr.Dataset) -> xr.Dataset:
 
 
 def slices(spectrum: xr.Dataset) -> xr.Dataset:
-    """Cut the spectrum along the axes and all diagonals of planes and of space, in up to four dims.
+    """Cut the spectrum along the axes and all diagonals, in up to four dims.
+
+    Diagonals are directions whose components are −1, 0 or 1, in a plane or in more dims.
 
     Returns
     -------
@@ -238,8 +240,8 @@ def wedge_means(spectrum: xr.Dataset, wedges: int = 12) -> xr.Dataset:
         Angles are in degrees, at the centers of the wedges.
         Values are NaN for wedges without frequencies.
         The spectrum has standard errors only for the number of wedges that `power_spectrum` used.
-        For a different number of wedges, standard errors are NaN if the points have a density.
-        Without a density, errors are computed as if frequencies were uncorrelated.
+        For other numbers of wedges, errors are computed as if frequencies were uncorrelated.
+        For importance-sampled points, frequencies are correlated, so these errors are NaN.
     """
     half = _HalfSpectrum.of(spectrum)
     wedges = as_integer("wedges", wedges, least=1, most=MAX_WEDGES)
@@ -367,7 +369,7 @@ def low_frequency_exponent(
     approximate = spectrum.attrs.get("engine") == "nufft"
     least = 10 * spectrum.attrs.get("eps", 0.0) if approximate else 0.0
     if "transform_error" in spectrum.attrs:
-        # In single precision, small powers are only rounding
+        # In single precision, very small powers are only rounding errors
         least = _SINGLE_ROUNDING
     empty = int(np.count_nonzero(power <= max(least, 1e-14) ** 2))
     reason = None

@@ -61,7 +61,8 @@ __all__ = [
 ENGINES = ("auto", "nufft", "direct")
 _DIRECT_BELOW = 4000
 _DIRECT_NUMBERS = 2**22  # number of phases in memory at a time: 64 MiB
-_SPARSE = 1 / 16  # if there are fewer points per frequency, points are spread in groups
+# Below 1/16 point per frequency, FINUFFT spreads the points to its grid in groups of 1024
+_SPARSE = 1 / 16
 _SPREAD_POINTS = 1024
 # Time of the FFT per cell of the grid, divided by the time to add a point to one cell; measured.
 _CELL_COST = 50.0
@@ -253,8 +254,8 @@ class Transform:
         self._packs = engine == "nufft" and grid.dims <= 3
         self.single = single and self._packs
         # A finer grid is more accurate. Its transform takes longer, but spreading takes less time.
-        # In double precision, the finer grid spreads a point to 11 cells per axis.
-        # The coarser grid spreads a point to 15 cells per axis
+        # In double precision, a point is spread to 11 cells per axis of a finer grid.
+        # On a coarser grid, a point is spread to 15 cells per axis
         spreading = 0.0 if self.single else density * (15.0**dims - 11.0**dims)
         finer = self.eps < 1e-9 or spreading > _CELL_COST * (2.0**dims - 1.25**dims)
         coarse = 1.12 if self.single and self.eps >= 1e-5 else 1.25
@@ -319,9 +320,10 @@ class Transform:
             mean[-1] = mean_at_zero
 
     def _packed(self, points: Array, weights: Array | None) -> Iterator[tuple[Array, bool]]:
-        """Yield flat full-grid transforms S1 + i S2 of pairs of sets, or S1 of a last set alone.
+        """Yield transforms of the sets on the full grid, and whether each one is of two sets.
 
-        Each array is valid until the next one is requested.
+        The transform of two sets is S1 + i S2, and the transform of a single set is S1.
+        Each transform is a flat array, which is valid until the next one is requested.
         For a single set, only half of the grid needs to be filled.
         """
         sets, n, dims = points.shape
@@ -391,7 +393,7 @@ class Transform:
 
     @functools.cached_property
     def _fine(self) -> tuple[int, ...]:
-        """Shape of the fine grid. It covers all dims, but in four dims only the last three."""
+        """Shape of the fine grid for the FFT. In four dims, it has only the last three dims."""
         from scipy.fft import next_fast_len
 
         side = max(math.ceil(self._oversampling * self.grid.shape[0]), _LEAST_FINE)

@@ -7,8 +7,9 @@ The analysis defines the keys, types, defaults and meanings of its table.
 Unknown keys, wrong types and values out of range are errors that name the place.
 Relative paths in specs are relative to the folder of the file.
 
-A study is read in four steps. The first two apply changes of the command line and expand grids.
-The last two steps check types, and rules that concern several keys.
+A study is read in four steps. First, changes from the command line are applied.
+Next, grids are expanded, and then the types of all values are checked.
+Finally, rules that concern several keys are checked.
 """
 
 from __future__ import annotations
@@ -333,7 +334,7 @@ def decode_study(text: str, source: str = "study", overrides: Sequence[str] = ()
 
 
 def study_of(table: Mapping[str, Any], source: str = "study") -> StudyConfig:
-    """Return the study of a table without grids; this is the inverse of `plain_study`.
+    """Convert a table of plain values without grids to a study; the inverse of `plain_study`.
 
     Raises
     ------
@@ -386,7 +387,7 @@ def plain_study(config: StudyConfig) -> dict[str, Any]:
     """Return a study as plain values, with the keys of a file and expanded grids.
 
     Keys of the study and of estimators are left out if they have their default value.
-    All options of analyses are kept.
+    Options of analyses are kept even if they have their default value.
     Therefore the returned values are the same if other analyses are installed or removed.
     """
     plain: dict[str, Any] = msgspec.to_builtins(as_study(config))

@@ -41,7 +41,7 @@ def within(seconds: float, job: Callable[[], Result]) -> Result:
     TookTooLong
         If the job does not finish within `seconds`.
     BaseException
-        If the job raises this exception.
+        Any exception that the job raises is raised again.
     """
     result: concurrent.futures.Future[Result] = concurrent.futures.Future()
 
@@ -66,7 +66,7 @@ def probed(function: Callable[[Any], Any], *, dims: int, limit: float | None = N
     function, dims
         Same as in `Integrand.from_function`. The function is called at a few points.
     limit
-        Seconds allowed for the calls at a few points, at most 30.
+        Time limit in seconds for the calls of the function at a few points, at most 30.
 
     Raises
     ------

@@ -103,7 +103,8 @@ _SCHEMA = (
     # Recovery is impossible without notes, so their second copy is on another page of the file
     "CREATE TABLE notes (kind TEXT, name TEXT, text TEXT, digest BLOB, PRIMARY KEY (kind, name))",
 )
-# Rows from pages of a damaged file, where contradicting pages can give several rows per key
+# Tables for rows that are copied from a damaged file. These tables have no primary keys:
+# if pages of the file contradict each other, several rows can have the same key
 _COPIED = (
     "CREATE TABLE cells (place INTEGER, path TEXT, digest BLOB)",
     "CREATE TABLE results (place INTEGER, payload BLOB)",
@@ -202,7 +203,7 @@ class StudyNote(msgspec.Struct, frozen=True, kw_only=True):
 
     @staticmethod
     def of(config: StudyConfig, inputs: Mapping[str, str]) -> StudyNote:
-        """Make the note of a study computed by this process, without the study's time limit.
+        """Return a description of a study that this process computes, without its time limit.
 
         The time limit does not affect results, so the stored files do not depend on it either.
         """
@@ -379,12 +380,13 @@ class Ledger:
         ----------
         outdated
             Paths of cells to compute again because their input files changed.
-            If the list is empty, changed files are an error.
+            If no paths are given, an input file that has changed is an error.
 
         Raises
         ------
         StoreError
-            Same as in `create`; or if the ledger has another study, format or package version.
+            For the same reasons as in `create`.
+            If the ledger belongs to another study, format or version of this package.
             If the ledger is too damaged to identify its study.
 
         Warns
@@ -981,7 +983,7 @@ class Ledger:
                     self.damaged[f"note of the {name}"] = _DAMAGE
 
         # Yield results with right digests. Results whose digests were lost may also be right.
-        # To test these results, use the tally: it has the XOR of the digests of all results
+        # Results without digests are tested by the tally, which holds the XOR of all digests
         left, unproven = int(self.tally.digest, 16), list[tuple[str, int, bytes]]()
         made = 0
         for place, path in enumerate(paths):

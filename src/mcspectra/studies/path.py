@@ -146,14 +146,14 @@ def analyse_path(
     Returns
     -------
     xarray.DataTree
-        ``convergence``: measured variances by `mcspectra.convergence` on (sampler, n).
+        ``convergence``: variances measured by `mcspectra.convergence` for each sampler and n.
         ``anova/KIND``: result of `mcspectra.anova_variances` for random paths, up to 64 groups.
         KIND is ``bounce``, ``decision``, ``request`` or ``coordinate``: how axes are grouped.
         With ``request``, a group has the coordinates of one decision at one bounce of the path.
         With ``coordinate``, each coordinate is a group of its own.
         ``lights``: shares of the variance by `shares_by_light`, for 2 to 64 lights.
         ``remedies``: result of `path_remedies` for the last sampler at the largest n.
-        ``predict``: result of `mcspectra.predict` on (sampler, n), only with full effort.
+        ``predict``: result of `mcspectra.predict` for each sampler and n, only with full effort.
         Attributes of the tree's root: the pixel, the integrator, and names of the coordinates.
         ``lights_note`` gives the reason if shares of lights are unknown.
 

@@ -176,17 +176,18 @@ def analyse_pixel(
     Returns
     -------
     xarray.DataTree
-        ``convergence``: measured variances by `mcspectra.convergence` on (strategy, sampler, n).
-        ``predict/STRATEGY``: variances by `mcspectra.predict` on (sampler, n), and their methods.
-        ``terms/STRATEGY/VIEW``: variance terms by `mcspectra.variance_terms` in primary space.
+        ``convergence``: variances from `mcspectra.convergence` for each strategy, sampler and n.
+        ``predict/STRATEGY``: predicted variances and their methods, for each sampler and n.
+        The predicted variances are results of `mcspectra.predict`.
+        ``terms/STRATEGY/VIEW``: result of `mcspectra.variance_terms` in primary space.
         VIEW is ``auto`` (the basis that fits the sampler) or ``fourier``.
-        ``techniques``: terms by `mcspectra.technique_terms` for the balance heuristic.
+        ``techniques``: result of `mcspectra.technique_terms` for the balance heuristic.
         ``pictures/NAME``: pictures by `mcspectra.explain.primary_picture`; only in 2 dims.
         NAME is ``light``, ``bsdf``, or the share of a technique, such as ``balance-light``.
         Steps from float32 rounding are removed from the pictures.
         ``incident``: `incident_light`.
         ``picture``: a small image of the scene from few paths, ``image`` on (y, x, channel).
-        ``remedies``: remedies by `mcspectra.remedies` for the balance heuristic.
+        ``remedies``: result of `mcspectra.remedies` for the balance heuristic.
         Attributes of the root describe the pixel and what the pixel shows.
         The attribute ``sampler`` is the sampler of the variance terms.
         The text ``diagnosis_STRATEGY`` describes the causes of the noise with this sampler.

@@ -288,7 +288,7 @@ class _Planner:
             subject = Subject(estimator, sampler)
             for name, analysis, of_analysis in asked:
                 need = Need(cost=0.0)
-                if error is None:  # Refuse impossible analyses, and too much memory
+                if error is None:  # Refuse analyses that are impossible or need too much memory
                     try:
                         asked_for = needed(analysis, subject)
                         need = self._needs.setdefault(asked_for, asked_for)

@@ -8,7 +8,8 @@ A cell that is expected to take no longer than one chunk becomes a single task.
 
 The sizes and the order of chunks affect speed only.
 Chunks are added up in the order of a fixed binary tree (`mcspectra.core.analysis`).
-The result therefore has the same bits for any sizes and order, also with chunks of an earlier run.
+The bits of a result therefore do not depend on the sizes and the order of chunks.
+This also holds if some chunks were computed in an earlier run.
 """
 
 from __future__ import annotations

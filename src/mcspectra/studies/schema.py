@@ -33,7 +33,8 @@ _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 _PLACEHOLDER = {"type": "string", "pattern": r"^\{[A-Za-z_][A-Za-z0-9_]*\}$"}
 _NO_TEXT = ("integer", "number", "boolean")
 _NO_PLACEHOLDER = ("grid", "seed", "time_limit")  # Keys that must not contain "{placeholder}"
-# Values of required options in the template. An option for counts has the value "16,64" instead.
+# Example values of two required options, for the template of a study.
+# Other options get their first choice; without choices, "16,64", 64, 0.5 and a name are tried.
 _EXAMPLES = {"target_error": ("0.01",), "budget": ("4096",)}
 _TEMPLATE = Path(__file__).with_name("template.toml")
 # Line of the template that is replaced by a list of all analyses that are not in the template.
@@ -152,7 +153,7 @@ def _type(value: dict[str, Any]) -> str:
     words = {"object": "table", "boolean": "true or false", "string": "text"}
     rules = [f"≥ {value['minimum']:g}"] if "minimum" in value else []
     rules += [f"> {value['exclusiveMinimum']:g}"] if "exclusiveMinimum" in value else []
-    # Omit very large limits, which only make numbers fit into 64 bits
+    # Leave out limits of 2^31 or more, which only ensure that numbers fit into 64 bits
     high = value.get("maximum", 2**31)
     rules += [f"≤ {high:g}"] if high < 2**31 else []
     return " ".join([words.get(kind, kind), ", ".join(rules)]).rstrip()

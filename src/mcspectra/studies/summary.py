@@ -112,7 +112,8 @@ def asked_of(study: Mapping[str, Any]) -> dict[str, Sequence[str]]:
 def rows_of(estimator: str, sampler: str, found: Mapping[str, xr.Dataset]) -> list[SummaryRow]:
     """Make the rows of one pair of estimator and sampler: one row per channel.
 
-    The results are given by analysis. Without convergence and terms, the list is empty.
+    The dict `found` holds the result of each analysis, by the name of the analysis.
+    The list is empty if there are no results of `convergence` or of `terms`.
     """
     read = {name: found[name] for name in _READ if name in found}
     first = read.get("convergence", read.get("terms"))

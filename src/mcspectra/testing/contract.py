@@ -47,7 +47,7 @@ __all__ = [
 
 _FALSE_ALARM = 1e-6
 # Largest allowed deviation in standard errors.
-# The deviation of a correct component exceeds this with probability 7e-8 (Student's t).
+# A correct component deviates by more than 7 standard errors with probability 7e-8 (Student's t).
 _SPREADS = 7.0
 _SAME = 1e-9  # largest relative difference of values and integrals that counts as rounding
 _REALIZATIONS, _CELLS = 640, 35  # numbers of realizations and of cells for the uniformity test
@@ -58,7 +58,7 @@ _RECIPROCAL = 1e-3
 _ROUNDING = 1e-12
 _REMAINDER = 3.5  # limit for the error of a quadrature, as a multiple of its estimate
 _QUADRATURE_DIMS = 3
-# A region that contains no point is assumed to have at most this expected number of points.
+# If no point falls into a region, the expected number of points is assumed to be at most 20.
 # A region with 20 expected points is empty with probability e^-20.
 _MISSED = 20.0
 _FREQUENCIES = ((1,), (-3,), (0, 2), (1, -1), (4, 7), (2, 1, 0), (0, -1, 3))
@@ -274,7 +274,7 @@ def check_integrand(integrand: Integrand | str, *, dims: int | None = None) -> N
     Beyond seven standard errors, closed form and mean are also compared with a quadrature.
     Errors of a closed form below these limits are not detected.
     If f differs from 0 in less than 1e-4 of the domain, points may miss this region.
-    `Integrand.landmarks` must then return a point where f is not 0.
+    For such a small region, `Integrand.landmarks` must return a point where f is not 0.
 
     Examples
     --------
@@ -339,17 +339,17 @@ class _Restricted(Integrand):
 
     @property
     def dims(self) -> int:  # type: ignore[override]
-        """Number of dims of the restricted integrand."""
+        """Number of dims, the same as without the restriction to a box."""
         return self.inner.dims
 
     @property
     def channels(self) -> int:  # type: ignore[override]
-        """Number of channels of the restricted integrand."""
+        """Number of channels, the same as without the restriction to a box."""
         return self.inner.channels
 
     @property
     def spec(self) -> str:
-        """Spec of the restricted integrand."""
+        """Spec of the integrand without the restriction to a box."""
         return self.inner.spec
 
     def landmarks(self) -> Array:

@@ -114,7 +114,7 @@ def counts(given: Sampler | str, *, most: int = 256) -> SearchStrategy[int]:
 def point_sets(*, dims: int = 2, most: int = 64, stacked: bool = False) -> SearchStrategy[Any]:
     """Strategy for float64 point sets in [0,1)^dims: (n, dims), or (R, n, dims) if `stacked`.
 
-    Coordinates are repeated, 0, or close to 1 more often than in random points.
+    Zeros, values close to 1 and repeated coordinates are more frequent than in random points.
     """
     d = as_integer("dims", dims, least=1, most=MAX_DIMS)
     largest = as_integer("most", most, least=1, most=2**16)
