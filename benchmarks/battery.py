@@ -236,7 +236,7 @@ def cases() -> Iterator[Case]:
         ("deterministic-set",),
         "sobol",
     )
-    # One of the two techniques does not sample the peak of the integrand well
+    # One of the two techniques misses the peak of the integrand
     yield Case(
         "a technique that does not see the peak",
         mcs.MultipleImportance(

@@ -90,7 +90,7 @@ def tasks() -> Iterator[Task]:
 def values_of(
     task: Task, run: Callable[[Callable[[Array], tuple[float, Array]], Array], object], seed: int
 ) -> Array:
-    """Return the smallest value that a minimizer has found after each evaluation, (evaluations,)."""
+    """Return the smallest value that a minimizer has found by each evaluation, (evaluations,)."""
     found = []
 
     def counted(x: Array) -> tuple[float, Array]:

@@ -197,7 +197,7 @@ class Unbounded:
             apart = [(n * h.mean**2 - h.between(n, at)) / (n - 1) for at in starts]
             return float(h.square**d / n + (1 - 1 / n) * math.prod(apart) - h.mean ** (2 * d))
         # Two points of a net share some leading bits on each axis, also after nested scrambling.
-        # The shared leading bits fix an interval, and each half of it contains one of the two points
+        # The shared leading bits fix an interval. Each half of it contains one of the two points
         levels = int(math.log2(n))
         siblings = []
         for level in range(levels):
