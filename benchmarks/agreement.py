@@ -42,7 +42,8 @@ from mcspectra.estimators import AbstractEstimator, as_estimator
 from mcspectra.measure.setup import Setup, affordable_count
 
 BUDGET = 4096
-ESTIMATES, RENDERED = 1000, 200  # estimates by brute force for each function, and for each scene
+# Brute force draws this many independent estimates: ESTIMATES for a function, RENDERED for a scene
+ESTIMATES, RENDERED = 1000, 200
 REALIZATIONS = 100  # realizations of each candidate in remedies
 KINDS = (
     *("sampler", "unshifted", "mirrored", "regression", "preintegrated", "fitted", "periodized"),
@@ -53,7 +54,7 @@ SIGMAS = 1.96
 
 @dataclass(frozen=True)
 class Case:
-    """An estimator with its given sampler."""
+    """A test case of this benchmark: an estimator, and the sampler with which it is used."""
 
     name: str
     estimator: AbstractEstimator

@@ -1,7 +1,7 @@
 """Latency of the explorer in Chromium: time from a slider's move to the updated figures.
 
 The explorer shows its default page, with 256 jittered points and 129² frequencies.
-A key moves the slider of the strata shift.
+Key presses move the slider that shifts the strata of the jittered points.
 After each move, the server updates all figures in rounds with more and more realizations.
 The page records when bokeh receives new data for the first figure.
 The page also records when the first round of realizations has updated the last figure.

@@ -3,7 +3,7 @@
 Each case has a function or estimator with a sampler, and its true integral.
 A case also lists the causes that the profile may report first.
 A profile has a budget of 8,192 evaluations.
-A case checks these points:
+The benchmark checks four properties of the profile of each case:
 
 * The interval of the profile contains the integral.
 * The first reported cause is an expected cause.
@@ -226,8 +226,7 @@ def cases() -> Iterator[Case]:
         many,
     )
 
-    # Further cases have the same points in every realization, a technique that misses a peak,
-    # or the payoff of a call option
+    # In these two cases, the sampler draws the same points in every realization
     yield Case("the same set", lambda x: np.exp(x[:, 0]), 1, e, ("deterministic-set",), "regular")
     yield Case(
         "the same set in 2-D",
@@ -237,6 +236,7 @@ def cases() -> Iterator[Case]:
         ("deterministic-set",),
         "sobol",
     )
+    # One of the two techniques misses the peak of the integrand
     yield Case(
         "a technique that does not see the peak",
         mcs.MultipleImportance(
@@ -248,6 +248,7 @@ def cases() -> Iterator[Case]:
         float(mcs.integrand("gaussian(width=0.05)", dims=2).integral),
         ("slow-technique", "none"),
     )
+    # The payoff of a call option has a kink
     yield Case(
         "call option",
         lambda x: _call(np.exp(0.2 * _normal(x[:, 0]) - 0.02), 1.0),

@@ -1,4 +1,4 @@
-"""Measure frames of Blender's Cycles: sampling patterns, filters, sequences, and the gate.
+"""Test frames of Blender's Cycles: sampling patterns, filters, sequences, and `mcspectra gate`.
 
 Run ``python -m benchmarks blender``, or ``python -m benchmarks blender --quick``.
 The benchmark needs Blender 5.0: the program ``blender`` on the path, or the package bpy.
@@ -166,7 +166,10 @@ def _sequences(command: list[str], place: Path) -> None:
 
 
 def _gate(command: list[str], place: Path, *, quick: bool) -> None:
-    """Print false alarms of the gate for frames of other seeds, and verdicts for changed scenes."""
+    """Print how often `mcspectra gate` rejects frames that differ only in their seeds.
+
+    Also print the verdicts of `mcspectra gate` for frames of changed scenes.
+    """
     import numpy as np
 
     from mcspectra.rendering import gate

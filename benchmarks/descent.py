@@ -1,8 +1,8 @@
 """Compare SciPy's L-BFGS-B, QR and eigensolver with our own minimizer, QR and eigensolver.
 
-The command ``python -m benchmarks descent`` runs L-BFGS-B and our descent.
-L-BFGS-B and our descent minimize the energies, or similar functions, of three optimized samplers.
-The command prints the smallest values after as many evaluations as our descent takes.
+The command ``python -m benchmarks descent`` runs L-BFGS-B and our own minimizer.
+Both minimizers are applied to the energies, or similar functions, of three optimized samplers.
+For equal numbers of evaluations, the command prints the smallest value that each minimizer finds.
 To compare bits, the computations of SciPy and NumPy are repeated with other numbers of threads.
 These computations are also repeated with the kernels of OpenBLAS for other processors.
 """
@@ -90,7 +90,7 @@ def tasks() -> Iterator[Task]:
 def values_of(
     task: Task, run: Callable[[Callable[[Array], tuple[float, Array]], Array], object], seed: int
 ) -> Array:
-    """Return the least value up to each evaluation of a descent, (evaluations,)."""
+    """Return the smallest value that a minimizer has found by each evaluation, (evaluations,)."""
     found = []
 
     def counted(x: Array) -> tuple[float, Array]:

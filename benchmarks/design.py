@@ -41,7 +41,8 @@ PLANE = ("pmj02",)  # in 2-D, designs are also compared with these samplers
 FOLDED = ("korobov | shift | mirror(mode='fold')", "rank1-lattice | shift | mirror(mode='fold')")
 TURNED = ((2, 64, ("lattice", "points")), (2, 256, ("lattice",)), (4, 64, ("lattice", "points")))
 """Gaussians of random orientation: dims, number of points, and kinds of designs to search."""
-DESIGNS = SearchSettings(return_rival=False)  # measure designs even if a rival is better
+# The search returns the design that it finds even if a usual sampler has less variance
+DESIGNS = SearchSettings(return_rival=False)
 NETS = {
     "onetwo_init_tab.dat": "sobol(directions={!r}) | owen",
     "quad_optimized_gf3.dat": "sobol(directions={!r}, base=3) | owen",

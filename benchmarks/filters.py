@@ -3,7 +3,8 @@
 Run ``python -m benchmarks filters``. It needs the extra ``render``.
 The scene is Mitsuba's Cornell box with 96 × 96 pixels and 4 samples per pixel.
 The lamp is hidden, because the few pixels at its edge would make most of the variance.
-There are three kinds of errors. Independent samples give white noise.
+The renders have white noise, correlated errors, or blue noise.
+Independent samples give white noise.
 A Gaussian reconstruction filter gives correlated errors.
 Direct light from Sobol' points with a dither mask gives blue noise.
 Sequences have independent frames, or frames that share renders as if samples were reused.
@@ -27,7 +28,8 @@ SIZE, SPP = 96, 4
 # Numbers of independent frames: to predict the errors, and to measure these errors
 MEASURED, HELD = 24, 48
 SEEDS, HELD_SEEDS, TIMES, REUSED = 4, 8, 24, 4
-FIRST = 0.1  # averages in which the first frame has at least this weight are not compared
+# An average over time is compared only if the weight of its first frame is less than FIRST
+FIRST = 0.1
 # The column "inside" is the error without a border of the image, whose width in pixels is BORDER
 BORDER = 16
 SPLINE = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16.0

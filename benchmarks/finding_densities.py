@@ -110,7 +110,10 @@ def channels() -> Plots:
 
 
 def infinite_weights() -> Plots:
-    """Show that an infinite Var(S_0) cannot be measured, and the effect of a defensive share."""
+    """Show that measured variances of the mean weight S_0 do not converge if Var(S_0) is infinite.
+
+    A second panel shows variances of jittered points if p is mixed with a uniform density.
+    """
     n, sizes = 16, 2 ** np.arange(6, 19)
     f, p = (
         mcs.integrand("polynomial(coefficients=[0, 0, 1])", dims=1),

@@ -39,7 +39,8 @@ from mcspectra.rendering.gate_tests import (
 
 SIZE, LEVEL, RELABELINGS = 64, 0.01, 200
 LEVELS, MANY, CALIBRATED = (0.001, 0.01, 0.05, 0.2), 1000, 1000
-SINGLE, NETS = 2048, 160  # number of single samples, and of frames of 16 Sobol' samples
+# Each pixel gets SINGLE independent samples, and NETS independent sets of 16 Sobol' samples
+SINGLE, NETS = 2048, 160
 BATCH = 128  # number of samples of each pixel that are rendered at once
 CLEAN = ((4, 4), (8, 8), (8, 32), (1, 16), (2, 2))
 TOTALS, FRAMES = (16, 64, 256), 8

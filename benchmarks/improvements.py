@@ -73,7 +73,10 @@ def problems() -> Iterator[Problem]:
 
 
 def _variance(estimator: AbstractEstimator, sampler: str, seed: int) -> float:
-    """Return the variance of an estimate within the budget, after the pilot."""
+    """Return the variance of an estimate that takes at most BUDGET evaluations.
+
+    Some estimators are fitted to a pilot run, whose evaluations count toward BUDGET.
+    """
     n = (BUDGET - estimator.pilot_evaluations) // estimator.evaluations_per_point
     n = n if sampler == "random" else 1 << (n.bit_length() - 1)
     found = mcs.convergence(estimator, sampler, [n], realizations=REALIZATIONS, rng=seed)

@@ -3,7 +3,7 @@
 Every method estimates ten integrals with 30 seeds each, all in one run. The methods are:
 
 * ``profile``: `mcspectra.profile` uses a quarter of the evaluations.
-  The function `integrate(profile=…)` uses the remaining evaluations;
+  The function `integrate(profile=…)` uses the other three quarters of the evaluations;
 * ``after``: like ``profile``, but the profile and the integral use 4,096 evaluations each.
   A function that is integrated repeatedly needs its profile only once;
 * ``integrate``: the function `mcspectra.integrate`, called without a profile;

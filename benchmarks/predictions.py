@@ -91,7 +91,10 @@ class Tail:
         return np.asarray(s * np.diff(whole))
 
     def between(self, s: int, offset: float | None = 0.0) -> float:
-        """Return the mean square of means over strata; `offset` None averages over all offsets."""
+        """Compute the mean of h in each of s equal strata, and return the mean of the squares.
+
+        If `offset` is None, the result is averaged over all offsets of the strata.
+        """
         if offset is not None:
             return float(np.mean(self.stratum_means(s, offset) ** 2))
         nodes, weights = _ends_rule()
@@ -194,7 +197,7 @@ class Unbounded:
             apart = [(n * h.mean**2 - h.between(n, at)) / (n - 1) for at in starts]
             return float(h.square**d / n + (1 - 1 / n) * math.prod(apart) - h.mean ** (2 * d))
         # Two points of a net share some leading bits on each axis, also after nested scrambling.
-        # The two points lie in different halves of the cell that the shared bits determine
+        # The shared leading bits fix an interval. Each half of it contains one of the two points
         levels = int(math.log2(n))
         siblings = []
         for level in range(levels):

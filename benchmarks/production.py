@@ -2,7 +2,8 @@
 
 Without a flag, a crop of 240 × 135 pixels is mapped (paths of depth 6, n = 4, 16 and 64).
 The same samples are rendered by ``mi.render`` with the stock sampler, in turn with the map.
-``--adaptive`` compares images of equal cost: samples per pixel by a map, and equal samples.
+``--adaptive`` compares adaptive images with images that have equally many samples in all pixels.
+A variance map gives the samples per pixel of an adaptive image; all images have the same cost.
 ``--dry-run`` compares estimated times of maps and images with measured ones.
 """
 

@@ -1,7 +1,7 @@
 """Compare predicted and rendered ratios of the variances of two samplers, on five scenes.
 
 Each scene is rendered 200 times by ``mi.render`` with each sampler, with new seeds.
-The prediction measures the same pixels by `mcspectra.rendering.rendered` with fewer realizations.
+`mcspectra.rendering.rendered` predicts the ratio from fewer realizations of the same pixels.
 A ratio is the variance of ``sobol | owen`` divided by the variance of a sampler of Mitsuba.
 The ratio of a scene is the geometric mean over its pixels.
 The predicted winner is wrong if the two intervals lie on opposite sides of 1.
@@ -137,7 +137,7 @@ def bias(scenes, spp=2**15):
 def joint(scenes, renders=256):
     """Print variances divided by those of multijitter, for several numbers of joint dims.
 
-    The label "apart" is for ``larcher-pillichshammer | digital-shift(jitter=True)``.
+    The sampler ``larcher-pillichshammer | digital-shift(jitter=True)`` is printed as "apart".
     The points of these 2-D nets are far apart. By default, the first two pairs of dims are joint.
     """
     choices = {"multijitter": "multijitter"}

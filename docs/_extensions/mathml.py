@@ -26,7 +26,7 @@ def mathml(latex: str, display: str = "inline") -> str:
     """Convert a formula to MathML.
 
     An overline becomes a border, which is as wide as the formula below it in any font.
-    Bars of absolute values get no space, because opening and closing bars look alike.
+    No space is put next to the bars of |x|, because opening and closing bars are the same sign.
 
     Raises
     ------

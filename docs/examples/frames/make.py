@@ -3,7 +3,7 @@
 Run the script from the root of the repository: ``python docs/examples/frames/make.py``.
 The script needs the extra ``render``.
 The files are .npy arrays in half precision with 64 × 64 pixels.
-Such files are small, and reading them needs no extra.
+These .npy files are small, and mcspectra can read them without optional packages.
 Other versions of Mitsuba and other processors give images with different noise.
 """
 

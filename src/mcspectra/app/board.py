@@ -172,9 +172,10 @@ class Board:
         self._later(self._read)
 
     def _read(self) -> None:
-        """Process one update. The page may run its callbacks in another order than the updates.
+        """Process the oldest update of the inbox.
 
-        The browser gets changes after the callback, so each update has a callback of its own.
+        The page may run callbacks in any order, but updates are processed in order of arrival.
+        The browser gets changes after a callback ends, so each update has a callback of its own.
         """
         job, news = self._inbox.get()
         if job is not self._job:  # an earlier job sent this update

@@ -39,7 +39,10 @@ FORMULA = "formula"
 """Name of the integrand that evaluates a formula."""
 
 TECHNIQUES = "technique-sum"
-"""Name of ``technique-sum(integrands=['…', '…'])``, a `mcspectra.estimators.TechniqueSum`."""
+"""Name of an estimator that adds techniques: ``technique-sum(integrands=['…', '…'])``.
+
+The name stands for the class `mcspectra.estimators.TechniqueSum`.
+"""
 
 _MOST_TECHNIQUES = 8
 # Maximum length of a spec in characters. Browsers and servers cut URLs at about 8000
@@ -128,7 +131,10 @@ def base_and_steps(text: str) -> tuple[str, list[str]]:
 
 
 def chain(base: str, steps: Sequence[str], text: str) -> str:
-    """Return a chain of the given names. Components in `text` keep their parameters."""
+    """Join the names of a sampler and of its randomizations with ``|``, and return the spec.
+
+    If a name also occurs in the spec `text`, it keeps its parameters from there.
+    """
     try:
         known = {call.name: str(call) for call in parse_chain(text)}
     except McspectraError:

@@ -85,7 +85,7 @@ def _as_half_width(name: str, given: object, dims: int) -> int:
 class ExplorerSetup:
     """An estimator, a sampler, a number of points, and settings of the analyses.
 
-    If a field has the name of an option of an analysis, it has the meaning of this option.
+    If a field and an option of an analysis have the same name, they also have the same meaning.
 
     Parameters
     ----------

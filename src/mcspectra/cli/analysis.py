@@ -244,7 +244,7 @@ def _subjects(
 
 
 def _estimator_subject(options: argparse.Namespace, default_sampler: str | None) -> Subject:
-    """Create the subject for an analysis of an estimator with samplers."""
+    """Return the estimator and the samplers that the options describe, as one `Subject`."""
     from mcspectra.estimators import (
         MIRRORINGS,
         Estimator,
@@ -292,10 +292,11 @@ def _estimator_subject(options: argparse.Namespace, default_sampler: str | None)
 
 
 def _of_splits(chosen: str, options: dict[str, tuple[Option, ...]]) -> list[Declaration]:
-    """Declare the options of all values of --split. Options of values not chosen raise an error.
+    """Declare the options of all analyses from which the option --split selects one.
 
-    Options that apply to all values of --split come first.
-    Options that apply to some values of --split follow, one group for each set of values.
+    An option that belongs only to analyses that are not selected raises an error.
+    Options of all of these analyses come first.
+    The other options follow in groups. A group has the options that the same analyses share.
     """
     owners: dict[str, list[str]] = {}
     for split, its in options.items():

@@ -168,7 +168,8 @@ def points_(options: argparse.Namespace) -> VerbOutput:
 
         source: Any = sampler if density is None else points
         count, n, _ = points.shape
-        with one_sentence_warnings(quiet=True):  # the warnings were shown when points were drawn
+        # The same warnings were already shown when the points were drawn, so they are not repeated
+        with one_sentence_warnings(quiet=True):
             figures = summarize(quality_figures(source, n, realizations=count, rng=seed))
         rows: list[list[str]] = []
         missing: list[str] = []
@@ -337,7 +338,8 @@ def bench_(options: argparse.Namespace) -> VerbOutput:
     given = given_of(options, "counts", "dims", "realizations")
     bench = mcs.sampler_bench(specs, **given, rng=seed)
 
-    # A card is the section of the page about a sampler. Measure cards only for a page.
+    # An HTML page has one section for each sampler, called the card of the sampler.
+    # Cards are measured only if such a page is written.
     # The result of `sampler_bench` already has the rates, so each card uses only the largest count
     cards = []
     if not paper and any(is_folder(file) or file.endswith(".html") for file in options.out):

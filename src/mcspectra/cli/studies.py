@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 __all__ = ["estimate_text", "export_", "init_", "report_", "run_", "status_"]
 
 _LONGEST_TITLE = 200  # maximum number of characters of a title that are shown
-_LONGEST_REASON = 1000  # maximum number of characters of a cell and its error that are shown
+_LONGEST_REASON = 1000  # maximum number of characters of the line about one unfinished cell
 _LISTED = 10  # maximum number of unfinished cells to list, per state
 
 
@@ -263,9 +263,9 @@ def report_(options: argparse.Namespace) -> VerbOutput:
     """Write the report of a finished or interrupted study again, or compare two studies.
 
     Writes DIR/report.html and DIR/figures/.
-    With --compare it writes DIR2/comparison.html.
+    With --compare, the command writes DIR2/comparison.html.
     comparison.html has ratios of variances, differences of rates, and curves of both studies.
-    Nothing is measured again.
+    Reports and comparisons use the stored results of the studies, and measure nothing again.
     """
     from mcspectra.report import write_comparison, write_report
     from mcspectra.report.result_files import check_result_file

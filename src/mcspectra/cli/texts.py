@@ -195,7 +195,7 @@ def convergence(result: xr.Dataset) -> VerbOutput:
 def terms(result: xr.Dataset) -> VerbOutput:
     """Prints the terms of the variance, their sum, the measured variance, and the ratio of both.
 
-    Each sampler has a table.
+    The command prints one table for each sampler.
     The energy share is the fraction of ∫f² at frequencies up to the half width.
     The tail term estimates the variance at higher frequencies as if the points were random.
     """

@@ -59,7 +59,7 @@ def parse_lines(text: Array, values: Array, runs: Array, hard: Array) -> tuple[i
     values
         The numbers in the order of the text, as float64.
     runs
-        int64 (K, 4): one row for each run of lines between comments.
+        int64 (K, 4): consecutive lines of numbers, with no comment between them, share one row.
         A row has four entries. The first is the index of the first line with numbers, from 0.
         Entries two and three are the index of the first value and the index after the last value.
         The last entry is the number of values per line.

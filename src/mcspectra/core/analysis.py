@@ -104,7 +104,7 @@ Result = TypeVar("Result")
 Chunk: TypeAlias = tuple[int, int]
 """First block of a chunk, and number of blocks in the chunk.
 
-The number of blocks is a power of two, and divides the index of the first block.
+The number of blocks is 2^k, and the index of the first block is a multiple of 2^k.
 Only the last chunk of a computation may have fewer blocks.
 """
 
@@ -178,7 +178,7 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     about
         Subject: an estimator with a sampler, a sampler with an optional density, or a scene.
     several
-        Parts of the subject that may be lists: ``"estimator"``, ``"sampler"``, or both.
+        What a user may give as a list of several: ``"estimator"``, ``"sampler"``, or both.
     variables
         Names of the result's variables in `mcspectra.core.results.VARIABLES`.
         A variable that is not in `VARIABLES` is given as a `Variable`.
@@ -242,7 +242,7 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     ) -> tuple[float, int] | None:
         """Return the estimated seconds and stored bytes, from short runs of about `seconds`.
 
-        The default is None: runs with few realizations estimate the time.
+        By default, this method returns None, and runs with few realizations estimate the time.
         Analyses whose time depends on other sizes, such as pixels, override this method.
         """
         return None
@@ -405,7 +405,7 @@ def needed(analysis: Analysis, subject: Subject) -> Need:
     ParameterError
         If a list is given where the analysis takes one object, or a sampler is listed twice.
     McspectraError
-        If the method `need` of the analysis raises this error.
+        If the method `need` of the analysis raises a `McspectraError`.
     """
     _check_lists(analysis, subject)
     need: Any = analysis.need(subject)

@@ -107,7 +107,10 @@ def cached_array(key: str, make: Callable[[], Array]) -> Array:
 
 @lru_cache
 def _drop_oldest(folder: Path) -> None:
-    """Delete the oldest entries above the limit, once per process, at its first stored entry."""
+    """Delete the oldest entries of the cache if their total size exceeds the limit.
+
+    Each process deletes entries only once, after it has stored its first entry.
+    """
     total = 0
     for _, size, entry in sorted(_entries(folder), reverse=True):
         total += size

@@ -39,7 +39,7 @@ def student_t(count: int) -> float:
 def deviations_t(count: int) -> float:
     """Return the half width of a 95 % interval of a mean of squared deviations, as `student_t`.
 
-    The deviations are those of `count` values from their own mean.
+    The deviations are the differences between `count` values and the mean of these values.
     For normal values, the squares of two deviations have the correlation 1/(count − 1)².
     Because of this correlation, the standard error is too small by √((count − 2)/(count − 1)).
     Two values give no standard error, because the squares of their deviations are equal.

@@ -49,7 +49,9 @@ _NPY_HEADER = 2**14  # largest header of a .npy file in bytes; NumPy allows 10,0
 
 
 def known_path(path: object, what: str, extensions: Sequence[str] = ()) -> Path:
-    """Return `path` as a path. If extensions are given, it must have one; `what` names the file.
+    """Return `path` as a `Path`. In error messages, the file is called `what`.
+
+    If `extensions` are given, the name of the file must end in one of them.
 
     Raises
     ------

@@ -147,7 +147,8 @@ def csv_cell(value: object) -> object:
     """Return a spreadsheet cell. Text that would run as a formula gets the prefix ``'``.
 
     A formula begins with ``=``, ``+``, ``-``, ``@`` or a tab, and cannot be read as a number.
-    Numbers and None are returned unchanged. All text is made `printable`.
+    Numbers and None are returned unchanged.
+    In all texts, the function `printable` replaces characters that cannot be printed.
     """
     if not isinstance(value, str):
         return value

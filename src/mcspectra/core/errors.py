@@ -244,7 +244,7 @@ class LargeStudyWarning(UserWarning):
 
 
 class IncompleteImageWarning(UserWarning):
-    """An image lacks a part of the scene: a lens, a light, or a specular surface."""
+    """A rendered image omits an effect of the scene: lens blur, a light, or a specular surface."""
 
 
 class SlowSamplerWarning(UserWarning):

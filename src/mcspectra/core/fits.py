@@ -6,7 +6,8 @@ The standard errors are estimated from the realizations.
 Therefore the 95 % interval of a straight line's slope is computed from a normal distribution.
 Lack of fit is χ² per degree of freedom. If it exceeds 1, the interval is widened by √χ².
 If the lack of fit is significant (`LACK_OF_FIT`), the standard errors do not explain the scatter.
-The scatter is then estimated from the data: the factor is √χ² times Student's t.
+In this case, the scatter is estimated from the data,
+and the half width of the interval is √χ² times Student's t, in standard errors.
 Student's t has the degrees of freedom of the fit, which is one if there are three counts.
 
 Curves bend at small n because of lower-order terms.
