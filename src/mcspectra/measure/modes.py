@@ -383,7 +383,7 @@ class _Coordinates:
     factor: Array
     scale: Array  # Factor √2 for a coefficient that also stands for −m, else 1: (P,)
     # Indices of the coefficients with an imaginary part, (Q,).
-    # In a complex basis, these are all coefficients except those of the frequency 0
+    # In a complex basis, all coefficients except those of the frequency 0 have an imaginary part
     complex: Array
     direction: Array  # Vector whose scalar product with z is the band's part of the estimate: (D,)
 

@@ -89,7 +89,7 @@ def affordable_count(setup: Setup, budget: int) -> int | None:
                 pass
             else:
                 return n
-        # If other counts are poor, use the next smaller power of the base.
+        # If the sampler warns about n points, reduce n to the next smaller power of its base.
         # If the sampler allows every count near n, reduce n by large steps
         base = max(source.digit_bases, default=2)
         power = base ** int(math.log(n, base) + 1e-9)

@@ -278,8 +278,10 @@ class Batches:
 
     weights: JOIN  # Degrees of freedom of each block: (B,)
     values: JOIN  # dc, power and cross term and measured variance: (B, 4, C)
-    # Spread over blocks of the contributions (C, H) and of the covariances of bands (C, A, A).
-    # The spread of the covariances between frequencies (H, 2H) is None if it was not requested
+    # `contribution` is the spread between blocks for the contributions of frequencies: (C, H).
+    # `band_covariance` is the spread between blocks for the covariances of two bands: (C, A, A).
+    # `matrix` is the spread between blocks for the covariances of two frequencies: (H, 2H).
+    # If covariances of two frequencies were not requested, `matrix` is None
     contribution: RunningSpread
     band_covariance: RunningSpread
     matrix: RunningSpread | None
@@ -315,9 +317,9 @@ class Batches:
         return spread(terms - weighted_sum(share, terms), share)
 
     def captured_factors(self) -> Array:
-        """Return the ends of the 95 % interval of predicted/measured, divided by this ratio.
+        """Return factors that turn the ratio predicted/measured into its interval ends: (C, 2).
 
-        The shape is (C, 2).
+        Multiply the ratio predicted/measured by the two factors to get its 95 % interval.
         """
         return ratio_factors(self.values[:, :3].sum(axis=1), self.values[:, 3], self.share)
 

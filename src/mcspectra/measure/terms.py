@@ -333,11 +333,11 @@ def variance_terms(
         The attribute ``batches`` is the number of batches.
         95 % intervals use Student's t. Its degrees of freedom are the number of batches minus one.
         The interval of ``captured`` is logarithmic.
-        Few batches that hold most of the error widen the interval of ``captured``.
+        The interval of ``captured`` is wider if most of the error comes from a few batches.
 
         A set that is always the same has no variance, which the attribute ``note`` reports.
         The note also names estimates that may have missed most of the variance (see `convergence`).
-        For these estimates the upper end of ``measured_variance_ci`` is infinite.
+        If estimates may have missed most of the variance, ``measured_variance_ci`` ends at ∞.
         If estimates may have missed most of the variance, the lower end of ``captured_ci`` is 0.
 
     Raises
@@ -464,7 +464,7 @@ def _predicted_ci(total: TermSums, batches: Batches) -> Array:
 def _signed(stored: Array, index: Array, flip: Array) -> Array:
     """Return ⟨S_a conj S_b⟩ for plain or conjugated a and b, from the stored blocks.
 
-    The blocks are stored with and without the complex conjugate of the second factor.
+    The left half of `stored` holds ⟨S_a conj S_b⟩, and the right half holds ⟨S_a S_b⟩.
     From S_{−l} = conj S_l follows the pseudo-covariance C_{m,−l} = Cov(S_m, conj S_l).
     In primary space the coefficients of the techniques follow one another.
     """

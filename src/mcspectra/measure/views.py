@@ -38,10 +38,10 @@ PARTITIONS = ("radial", "anova", "wedge", "dyadic")
 class FrequencySettings:
     """Settings of the default half width, and of estimates of ∫f² and of mean squared weights."""
 
-    # Least default half width.
+    # The default half width is at least this number.
     # A half width of 64 resolves features of 1/128 of the cube, such as pixels of a thumbnail.
     least_width: int = 64
-    # Largest number of frequencies of a default half width, 2^17.
+    # The default half width contains at most this number of frequencies, 2^17.
     # In 2-D a half width of 128 fits, and one spectrum takes 1 MiB in half storage.
     most_frequencies: int = 2**17
     # The half width is halved if less than this fraction of Σ|f_m|² is lost.
@@ -349,7 +349,7 @@ def make_bands(bands: str | Array, basis: Basis) -> Bands:
                 )
             labels = tuple(map(str, range(int(of.max()) + 1)))
     # On small grids, or without negative indices, some bands have no coefficients.
-    # Drop the last labels if no coefficient has these labels
+    # Drop the labels of empty bands at the end of the list
     return Bands(of, tuple(labels[: int(of.max()) + 1]), f"band ({meaning})")
 
 

@@ -264,7 +264,7 @@ def _structure(plot: Plot) -> list[Any]:
 def _bars(plot: Plot) -> dict[Scale, int]:
     """Return the color scales that need a bar or a legend.
 
-    The value for each scale is the index of the last panel that uses it.
+    The result maps each color scale to the index of the last panel that uses the scale.
     """
     found = {scale: k for k, panel in enumerate(plot.panels) for scale in panel.scales}
     return {scale: k for scale, k in found.items() if scale.label or scale.names}

@@ -106,7 +106,10 @@ def _integrand(component: Any, source: Sampler, n: int, rng: RngLike) -> xr.Data
 
 
 def _strata(component: AbstractEstimator, _: Sampler, n: int, __: RngLike) -> xr.Dataset:
-    """Return exact variances: in each jittered stratum, and in total for all offsets of strata."""
+    """Return the exact variance from each jittered stratum, and the total if the strata move.
+
+    The strata move along the first axis. The total variance is computed for each offset.
+    """
     g = component.primary_integrand()
     side = round(n ** (1 / g.dims))
     if g.dims > 2 or side**g.dims != n:

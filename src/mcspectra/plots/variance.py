@@ -86,7 +86,7 @@ _TERMS = {
 _PARTS = 3  # number of terms (dc, power and cross) drawn before their sum
 _LEAST_SHOWN = 1e-3  # smallest lower end of an interval that is drawn, relative to the value
 _WIDE = 1.25  # the interval of a planned n is shown if its ends differ by more than this factor
-_LINEAR_TOP = 4.0  # largest captured share that is shown on a linear axis
+_LINEAR_TOP = 4.0  # largest ratio predicted/measured that is shown on a linear axis
 # Height of a line of text and width of a letter, as fractions of the size of a large panel
 _TEXT_LINE, _TEXT_LETTER = 0.06, 0.018
 _MOST_BINS = 60  # largest number of bars of a histogram; narrower bars would not be visible

@@ -1,7 +1,7 @@
 """Methods that check a prediction: pairs of points, sums over frequencies, and a measurement.
 
 Three of the methods sum over frequencies, but only up to a half width.
-`energy_share` is the part of ∫f² at these frequencies.
+`energy_share` is the part of ∫f² at frequencies within the half width.
 All methods give the same variance if `energy_share` is 1 (docs/spectra.md).
 
 The pair correlation is explained in docs/theory.md, "Pair correlation".
@@ -11,8 +11,8 @@ The sum over pairs has the terms A(x_i − x_k), where A is the autocorrelation 
 A is tabulated on the torus and interpolated linearly.
 
 If A were averaged over all directions of h, the result would be exact for isotropic sets only.
-For shifted Latin hypercubes of 16 points, an average over directions is wrong:
-for smooth integrands, it overestimates the variance by factors of 1.7 to 3.7.
+For shifted Latin hypercubes of 16 points, an average over directions gives wrong variances.
+The variances of smooth integrands are then overestimated by factors of 1.7 to 3.7.
 """
 
 from __future__ import annotations

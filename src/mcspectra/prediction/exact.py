@@ -153,7 +153,8 @@ class ExactSettings:
     many_nodes: int = 16
     few_nodes: int = 6
     deep: int = 14
-    # Relative error of the power beyond the last octave, where the mean over that octave is used.
+    # Above the measured frequencies, the power is assumed to be the mean of the last octave.
+    # `white` is the relative error of the power that is assumed above the measured frequencies.
     # The error of the power changes the intervals of variances, but not the variances.
     white: float = 0.02
     # Rounding error of the mean of a curve h over a set, as a fraction of √∫h².
@@ -173,7 +174,7 @@ class ExactSettings:
     # Halving or doubling `even` gives the same results.
     even: float = 1e-6
     # Relative error of a product's variance if points are rounded to cells of 2^-15.
-    # Smaller tolerances raise an error.
+    # If the requested tolerance is smaller than this relative error, NoClosedForm is raised.
     rounded_points: float = 0.02
 
 
@@ -247,7 +248,8 @@ def exact_variance(
     The probe points find a slab across an axis in which g differs, if its width is 2^-17 or more.
     The probe points hit any other region of volume v with probability 1 − exp(−2^17 v).
     A region of volume 8e-5 is hit with probability 1 − 5e-5. Narrower peaks may be missed.
-    Regions that only probe points find are examined at 2^18 other points, and add to the error.
+    If the nodes miss a region that probe points hit, g is evaluated at 2^18 other points.
+    The error of the variance then includes an estimate of what the nodes miss.
 
     ∫g² is infinite if g grows across an axis like t^-½ or faster (exponent at least 0.4995).
     ∫g² is also infinite if the contribution of the poles does not shrink under refinement.
@@ -838,7 +840,8 @@ def _latin(law: Law, g: Integrand, rule: Rule, *, shifted: bool) -> tuple[Array,
 
     If n^d cells are too many, larger cells are used, which hold a whole number of small cells.
     Inside larger cells, slabs of width 1/n resolve the parts of g that depend on single axes.
-    Inside larger cells, the variance of interactions counts 1 to 1 + 1/(n − 1) times.
+    Inside larger cells, the variance of interactions has an unknown weight: 1 to 1 + 1/(n − 1).
+    The weight 1 + ½/(n − 1) is used, and the error of the variance covers all possible weights.
     """
     n = law.n
     fine, nodes, weights = (n,) * g.dims, np.zeros((1, g.dims)), np.ones(1)
@@ -948,8 +951,9 @@ def level_variances(means: Array, bases: tuple[int, ...], axis: int = 0) -> Arra
     Means have shape (b_0^L_0, b_1^L_1, …, channels), where b_i is the base of axis i.
     The result has shape (L_0 + 1, L_1 + 1, …, channels).
     The entry for level 0 of all axes is the squared mean of the function.
-    Along `axis`, the means are divided into parts: one part for each digit of the coordinate.
-    Each part is then divided along the axes after `axis`, one axis at a time.
+    The means are written as a sum of parts: one part for each digit of the coordinate on `axis`.
+    The part of a digit is the difference between means over finer and over coarser cells.
+    Each part is then written as a sum along the axes after `axis`, one axis at a time.
     """
     if axis == len(bases):
         return np.asarray((means**2).mean(axis=tuple(range(axis))))

@@ -56,7 +56,7 @@ class ImageErrorSettings:
         A loss of 1 % of the power is less than the standard error of 16 images.
     beyond
         A note reports a band if more than this fraction of its power lies beyond the half width.
-        Power of this size beyond the half width can change the ranking of masks.
+        If this fraction of the power of a band is left out, the ranking of masks can change.
     precision
         Relative error of the transforms, far below the relative error of the images.
     """

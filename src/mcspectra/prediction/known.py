@@ -53,7 +53,7 @@ class Predicted:
         Part of ∫g² that the method sums term by term.
     tail
         Variance from the part of ∫g² that is not summed term by term. It is part of `variance`.
-        This variance is a single estimate for all omitted terms.
+        `tail` is one estimate for the sum of all terms that the method leaves out.
     method
         Name of the prediction method, as in `METHODS`.
     poles

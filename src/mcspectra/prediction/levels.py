@@ -92,9 +92,9 @@ class LevelsSettings:
         Number of evaluations of g per call, 16 MB in 2-D. It has no effect on the result.
     clear, doubt
         Tables may miss a part of ∫g² that comes from poles inside cells.
-        The missed part is added if it exceeds `clear` times the error of ∫g².
-        Scrambling multiplies the missed part by an unknown gain between 0 and about 1.
-        `doubt` is the assumed uncertainty of the gain that multiplies the missed part.
+        The part of ∫g² that tables miss is added if it exceeds `clear` times the error of ∫g².
+        Scrambling multiplies the missed part of ∫g² by an unknown gain between 0 and about 1.
+        `doubt` is the assumed uncertainty of the gain that multiplies the missed part of ∫g².
         With half of `clear`, variances have noise of 0.015 %. With twice `clear`, nothing changes.
     most_error, noise
         If half of the 95 % interval exceeds this fraction of the variance, an error is raised.
@@ -264,7 +264,7 @@ def _table(
     means, squares = _cell_moments(g, sides, np.zeros(g.dims), refined=whole)
 
     # At jumps, the squared means of cells and the variance within cells have opposite errors.
-    # The opposite errors cancel if the squared means and the variance within cells are added.
+    # If the squared means and the variance within cells are added, their errors cancel.
     # For long cells, only the squared means are computed, so their errors are not canceled.
     # Therefore the means by two quadrature rules are multiplied with each other, not squared.
     # The errors of the two quadrature rules are hardly correlated

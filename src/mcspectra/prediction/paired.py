@@ -3,7 +3,8 @@
 Along each axis, g is a sum of four components: its mean, the differences between strata (β),
 the differences between the parts of a stratum (δ), and the remainder within these parts.
 `PairedAxes` states whether two points share a stratum on an axis, or a part of a stratum.
-The mean product of a component at both points is its energy times a factor.
+For a component h of g and a pair of points x and x', consider the product h(x) h(x').
+The mean of the product h(x) h(x') is the energy of h, multiplied by a factor.
 Here are the factors of the four components, for s strata with m parts in each stratum:
 
     (1, −1/(s−1), 0, 0)     if the points are in different strata,
@@ -112,8 +113,8 @@ def of_arrays(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG
             functools.partial(_energies, p, c, s, parts, offsets, known),
         )
         # Add three variances: of functions of single axes, of products, and of g minus the fit.
-        # For single axes, the estimate uses all profiles of g.
-        # The error of this estimate comes from separate groups of profiles
+        # For functions of single axes, the variance is estimated from all profiles of g.
+        # Estimates from separate groups of profiles give the error of the variance
         alone = sums.single @ np.array([1.0, 1.0 + part, 1.0 + one])
         several = _of_products(array, sums)
         beside = more @ np.array([1.0, two, both, three])
@@ -136,7 +137,7 @@ def evaluations() -> float:
 def is_array(law: Law) -> bool:
     """Return whether points are an orthogonal array in several dims that treats all axes alike.
 
-    The orthogonal array may be moved or shifted as a whole.
+    All points of the orthogonal array may be shifted by the same fixed or random vector.
     """
     array, _ = unmoved(law)
     if not isinstance(array, PairedAxes) or array.latin or array.dims == 1:
@@ -157,7 +158,7 @@ def is_array(law: Law) -> bool:
 def _factor(relation: Relation, part: str, strata: int, parts: int) -> float:
     """Return the mean product of a component of g at two points, divided by its energy.
 
-    This factor of one axis is in the table at the top of this module.
+    The table at the top of this module lists the result for each component and pair of points.
     """
     if part == _MEAN:
         return 1.0

@@ -128,8 +128,8 @@ class QuadratureSettings:
         Largest relative error with which a quadrature takes precedence over all other methods.
         If g jumps, the relative errors of all other methods are at least about as large as 0.01.
         Tolerances were tested on a jump along a line with 5 samplers at n = 64.
-        With the tolerance 0.003, quadrature is used for one sampler less than with 0.01.
-        With the tolerance 0.03, quadrature is used for one sampler more than with 0.01.
+        With the tolerance 0.003 instead of 0.01, quadrature predicts one sampler fewer.
+        With the tolerance 0.03 instead of 0.01, quadrature predicts one more sampler.
     evaluations
         Number of evaluations of g above which other methods come first.
         The default is a sixteenth of the most evaluations that `exact_variance` makes.
@@ -258,7 +258,7 @@ class ExtrapolationSettings:
         Half or twice as many realizations and points change variances by less than 4 %.
         A change of 4 % is far smaller than the intervals of the variances, which are 14 to 60 %.
     most_factor
-        Upper limit of the factor between an extrapolated variance and the end of its interval.
+        The upper end of an interval is at most this number times the extrapolated variance.
         Without this upper limit, the exponential of the error could overflow.
         Any upper limit from 15 to 60 gives the same intervals.
     """
@@ -344,7 +344,10 @@ def of_quadrature(
 
 
 def lines_suffice(known: Known) -> bool:
-    """Return whether g has poles and is determined by one line along each axis."""
+    """Return whether g has poles and is a sum or product of functions of single axes.
+
+    Values of g on one line along each axis then determine g in the whole cube.
+    """
     return bool(known.unresolved.any()) and separated(known.g) is not None
 
 
@@ -504,7 +507,7 @@ class Method:
         Approximate or largest number of evaluations of g. Several counts may share evaluations.
     of_estimator
         Function that predicts the variance of a whole estimator.
-        The function is used for a method requested by name that cannot predict single techniques.
+        If the user requests a method that cannot predict single techniques, this function is used.
     realized
         Whether the method uses realizations of the estimates. Methods share realizations.
     """
@@ -533,7 +536,10 @@ def _one_offset(law: Law) -> bool:
 
 
 def _latin(law: Law) -> bool:
-    """Return whether points are a Latin hypercube in several dims, where axis sums are exact."""
+    """Return whether points are a Latin hypercube in several dims.
+
+    For a Latin hypercube, the variance of a sum of functions of single axes is known exactly.
+    """
     return isinstance(law, PairedAxes) and law.latin and law.dims > 1
 
 
@@ -937,9 +943,9 @@ class Prediction(Counted, frozen=True, kw_only=True):
 
         # The rate at a count is the slope from the previous count to this count.
         # At the first count, the rate is the slope to the next count.
-        # Counts whose interval contains 0 have no rate
+        # If the interval of the variance contains 0, no rate is computed at this count
         known = np.where(cells.low > 0.0, cells.variance, np.nan).reshape(shape)
-        with np.errstate(invalid="ignore"):  # Both variances may be infinite
+        with np.errstate(invalid="ignore"):  # Variances and ends of intervals may be infinite
             half = cells.high - cells.variance
         loose = (half > _AUTO.loose * cells.variance).reshape(shape)
         known[:, 1 + len(self.counts) :][loose[:, 1 + len(self.counts) :]] = np.nan
@@ -1062,7 +1068,7 @@ def predict(
         The default is the number of dims of the sampler, unless the sampler is a spec.
     method
         ``"auto"`` is the most trusted method that applies.
-        ``"all"`` computes every method, on a dim ``method``.
+        ``"all"`` predicts the variance by every method, and adds the dim ``method``.
         Every other value is the name of one method of `METHODS`:
 
         * ``"exact"``: a closed form, or quadrature over strata or levels, as in `exact_variance`
@@ -1111,11 +1117,11 @@ def predict(
 
         ``local_rate(n)`` is the slope from the count before.
         At the first count, ``local_rate`` is the slope to the next count.
-        Counts whose interval reaches 0 have no rates.
+        If the interval of the variance reaches 0, ``local_rate`` is NaN at this count.
         ``predicted_rate`` is the slope over all counts, fitted as in `convergence`.
         ``limit_rate`` is the exponent that rates tend to.
-        ``bend_n`` is the n at which the earlier rate gives way to the limit.
-        ``bend_n`` is given if the two rates differ by more than 0.3.
+        ``bend_n`` is the n at which the rate changes from the rate at small n to ``limit_rate``.
+        ``bend_n`` is given if the rate at small n and ``limit_rate`` differ by more than 0.3.
         ``limit_rate`` and ``bend_n`` are NaN if unknown or if `method` is not ``"auto"``.
 
         The coordinate ``method`` is the name of the method at each n. ``"none"`` means no value.
@@ -1153,9 +1159,10 @@ def predict(
     In more dims, or for expensive f, ``auto`` uses the method ``extrapolated``.
     The method ``extrapolated`` evaluates f at 2,000 realizations of each small count.
     If f is cheap, counts close to n are used instead, but never n itself.
-    Realizations are also measured if jumps and kinks across many axes leave a wide interval.
+    Jumps and kinks across many axes can make the interval of a prediction wide.
     An interval is wide if it exceeds a fifth of the predicted variance.
-    Of the two results, the result with the narrower interval is then used.
+    If the interval is wide, the variance is also measured from realizations of the estimate.
+    The prediction or the measurement is then used, whichever has the narrower interval.
 
     The limit of the rate is known in theory for random points, and for jumps in up to 5 dims.
     Random points have the limit −1.

@@ -79,7 +79,7 @@ class DecaySettings:
         A spectrum has fewer shells only if rounding noise hides most of them.
     bend
         Largest accepted change of the slope in log |m|, from the first to the last fitted octave.
-        If the slope changes more, the decay of |f_m|² is reported as not yet settled.
+        If the slope changes by more than `bend`, the decay of |f_m|² is reported as not settled.
         For test functions with jumps and kinks, the exponent changes by at most 0.9.
         For a Gaussian of width 0.1, which hides its kink at the border, exponents change by 8.6.
     widths, width
@@ -106,7 +106,7 @@ class JumpSettings:
     """Settings for the search for jumps along lines.
 
     "The same results" means that the rates of 10 integrands in 1 to 4 dims did not change.
-    These integrands have jumps along and across the axes, kinks, a pole, or a narrow Gaussian.
+    The 10 integrands have jumps along and across the axes, kinks, a pole, or a narrow Gaussian.
 
     Attributes
     ----------
@@ -129,7 +129,8 @@ class JumpSettings:
     beside
         Distance from a break at which g is evaluated on both sides.
         Detected breaks are accurate to 2^-46.
-        Over this distance, g changes by at most `least` if its slope is below 500 times its RMS.
+        If the slope of g is below 500 times the root mean square of g,
+        then g changes by at most `least` over the distance `beside`.
         The breaks are the same for distances from 1e-9 to 1e-5.
     least
         Smallest step that counts as a jump, relative to the root mean square of g.
@@ -198,7 +199,7 @@ class LimitSettings:
     better
         A curve has a bend if two power laws fit it much better than one power law.
         The scatter about two power laws must be below this fraction of the scatter about one.
-        With fractions from 0.125 to 0.25, the same curves have a bend.
+        For values of `better` from 0.125 to 0.25, the same test curves have a bend.
         If half of the scatter may remain, one more of 64 test curves has a bend.
     """
 
@@ -466,8 +467,8 @@ def rates_of(
         )
 
     # Fit two powers of n, where the second has the exponent of the limit.
-    # If the curve flattens, the model of the variance is the sum of the two powers of n.
-    # If the curve gets steeper, the inverse of the model is the sum of the inverse powers
+    # If the curve flattens, the model of the variance is a + b, with two powers a and b of n.
+    # If the curve gets steeper, the model is 1/(1/a + 1/b), with two powers a and b of n
     if len(x) > 3 and abs(steps[0] - limit) > settings.change:
         at = np.linspace(x[0], x[-1], settings.tried)[:, None, None]
         change = np.linspace(-settings.most_change, settings.most_change, settings.tried)[:, None]
@@ -542,7 +543,7 @@ def integrand_decay(
     PreasymptoticWarning
         If the exponent changes by more than 1 over the fitted octaves.
         The half width K is then too small to show the decay at high frequencies.
-        Smooth functions cause this warning if K is below the frequency where rounding noise begins.
+        Smooth functions cause the warning if coefficients at the half width exceed rounding noise.
 
     Examples
     --------

@@ -78,7 +78,8 @@ class PiecewiseSettings:
     # Numbers k of the distances 2^-k from a pole, at which g is evaluated to fit its exponent.
     # The values in `near_0` are for a pole at 0, and the values in `inside` for all other poles.
     # At distances below the smallest 2^-k, the fitted power law replaces the polynomials.
-    # With 32 times larger or smaller distances, variances of poles change by less than 1e-6.
+    # If the distances from the pole are 32 times larger or smaller,
+    # variances of functions with poles change by less than 1e-6.
     near_0: tuple[int, ...] = (40, 45, 50, 55, 60)
     inside: tuple[int, ...] = (20, 23, 26, 29, 32)
     # Smallest exponent of a pole. Polynomials resolve weaker poles.
@@ -319,7 +320,7 @@ class PiecewiseCurve:
                 begin, stop = (place, place + size) if way > 0.0 else (place - size, place)
                 tails.append((begin, stop, first, second))
                 # On the side of the power law, polynomial pieces end where the power law begins.
-                # On the other side of the pole, the pieces end at the distance `gap` from it.
+                # On the side without power law, polynomials end at the distance `gap` to the pole.
                 wide = (begin, min(stop + (way < 0.0) * _SETTINGS.gap, 1.0))
                 wide = (max(0.0, begin - (way > 0.0) * _SETTINGS.gap), stop) if way > 0.0 else wide
                 cut_low = (low >= wide[0]) & (low < wide[1])

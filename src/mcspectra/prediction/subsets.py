@@ -25,15 +25,16 @@ The part of g outside the fit is treated as white noise, so its energy is divide
 The interval allows for white noise with zero to twice the estimated energy of g minus the fit.
 The interval also allows for a correlation of ±½ between the fit and g minus the fit.
 
-All quantities come from values of g at points of this module:
+The fit and its error are computed from values of g at points that this module chooses:
 
 * Profiles g(·, z) along each axis for many z. Their leading singular vectors are the basis of h_ri.
 * Least squares over scrambled nets, one axis after another.
 * The energy of g minus the fit, at the points of another net.
 * ∫g² as a mean over scrambled nets, with an interval from Student's t.
 
-The function g_i of axis i is a mean over profiles, with the fit as a control variate:
-the mean difference between profiles of g and of the fit is added to g_i of the fit.
+The function g_i of axis i is a mean over profiles, with the fit as a control variate.
+First g_i is computed for the fit, which is a sum of products of functions of single axes.
+Then the mean difference between profiles of g and profiles of the fit is added.
 
 Strata of a grid need no fit: Var = E (g(x) − g(x'))² / 2n with x and x' in the same stratum.
 In Latin hypercubes, the two points of any pair lie in different strata on each axis [Stein1987]_.
@@ -135,14 +136,14 @@ class SubsetSettings:
     basis, negligible
         Largest number of basis functions of an axis, and least energy of a basis function.
         The least energy is relative to the total energy of all profiles of g along the axis.
-        Half or twice either setting changes only the variance of one test case, a ball in 4-D.
+        Halving or doubling `basis` or `negligible` changes only one test case, a ball in 4-D.
     rank, few_rank
         Largest number of products in a fit, if the fit has more than `few_dims` dims.
         In at most `few_dims` dims, a fit has at most `few_rank` products.
         In few dims, only functions with jumps across axes are predicted by a sum of products.
         More than `few_rank` products would not resolve the jumps of a function in few dims.
-        The variance of a ball in 4-D is predicted within ±86 % with three products in a fit.
-        With twelve products in a fit, the variance of a ball in 4-D is predicted within ±53 %.
+        For the integrand ball in 4-D, fits of three products predict the variance within ±86 %.
+        For the integrand ball in 4-D, fits of twelve products predict the variance within ±53 %.
         With three or twelve products, variances of the other test integrands stay the same.
     sweeps, settled
         Largest number of sweeps of a fit.
@@ -161,8 +162,8 @@ class SubsetSettings:
     stands_out
         A profile jumps where its step is this many times as large as the neighboring steps.
         A profile has a kink at a node if its slope changes far more there than at nearby nodes.
-        The change at the node must exceed `stands_out` times the nearby changes.
-        Half or twice `stands_out` changes only the variance of one test case, a ball in 4-D.
+        The change of slope at a kink must exceed `stands_out` times the change at nearby nodes.
+        Halving or doubling `stands_out` changes only one test case, a ball in 4-D.
     halvings
         Number of bisections of a jump, which reduce steps of 1/128 to 2^-47.
         Values from 20 to 80 give the same results.
@@ -611,7 +612,7 @@ def all_parts(known: Known) -> list[AnovaModel]:
         even = np.append(np.abs(np.diff(at, 2)) < 1e-9, False)
         # Find undeclared jumps of the mean profile and bisect them.
         # At a jump, many profiles change far more between two nodes than at neighboring nodes.
-        # At jumps that are not across the axis, each profile has its own jump
+        # If a surface of jumps is not normal to the axis, profiles jump at different coordinates
         steps = np.diff(along, axis=2)
         common = steps.mean(axis=(0, 1))
         change = np.abs(common).max(axis=-1)
@@ -685,7 +686,8 @@ def _fitted(
 ) -> AnovaModel:
     """Fit a sum of products to values (replicates, n) at points, along one axis at a time."""
     x, values = every[: SUBSET_SETTINGS.fitted + 1], all_values[: SUBSET_SETTINGS.fitted + 1]
-    # The functions of each axis are 1 and the leading singular vectors of its profiles
+    # A profile has the values of g along a line parallel to an axis.
+    # The basis functions of an axis are the constant 1 and leading singular vectors of profiles
     bases = []
     for given in profiles:
         flat = given.reshape(-1, given.shape[-1])
@@ -731,9 +733,9 @@ def _fitted(
             [t[1:] for t in tested], axis=0
         ).sum(0)
         missed = scale**2 * float(((values[-1] / scale - sums) ** 2).mean())
-        # The energy (variance) of the fit may differ from its sample variance at the test points.
-        # The difference between energy and sample variance also counts as missed energy.
-        # For g, energy and sample variance at the test points differ only by sampling error.
+        # The variance of the fit over the cube may differ from its variance at the test points.
+        # This difference is added to the estimated energy of g minus the fit.
+        # The variance of g over the cube differs from that at the test points by sampling error.
         # The sampling error of g is subtracted from the difference that is found for the fit
         curves = [w @ c for w, c in zip(weights, cells, strict=True)]  # Rows: sum, products
         averages = np.stack([c.mean(axis=1) for c in curves])
@@ -776,7 +778,7 @@ def _fitted(
 
     # The energy of interactions is the energy of g minus its functions of single axes.
     # Errors of the functions of single axes increase the energy of interactions.
-    # Therefore the energy of these errors is subtracted
+    # Therefore the energy of the errors of functions of single axes is subtracted
     at_all = zip(axes, main, np.moveaxis(every, -1, 0), strict=True)
     alone = np.sum([a.at(m[0], t.ravel()).reshape(t.shape) for a, m, t in at_all], axis=0)
     left = ((all_values - alone - (all_values - alone).mean()) ** 2).mean(axis=1)

@@ -95,7 +95,7 @@ class TorusSettings:
     ----------
     exact, table
         Ranges of the frequencies that are summed, by number of dims.
-        The ranges differ for exact Fourier coefficients and for coefficients from a table of g.
+        `exact` is for exact Fourier coefficients, `table` for coefficients from a table of g.
         Exact coefficients cost a few operations each.
         A table of g has `nodes` nodes per wavelength of the highest frequency in the box.
     nodes
@@ -166,8 +166,8 @@ class DrawnSettings:
         The sets of slow samplers are cached for other integrands.
     precision
         More sets are drawn if the half interval, relative to the variance, exceeds this number.
-        With 0.0075 instead of 0.015, more than `most_sets` sets would be needed.
-        With 0.03 instead of 0.015, the variance changes by 1.9 %.
+        With the precision 0.0075 instead of 0.015, more than `most_sets` sets would be needed.
+        With the precision 0.03 instead of 0.015, the predicted variance changes by 1.9 %.
     low
         Half width of the box of low frequencies. At low frequencies, all sets are transformed.
         The low frequencies hold the energy of smooth functions.
@@ -179,7 +179,7 @@ class DrawnSettings:
         Halving or doubling `length` or `least_lengths` changes the variance by less than 0.1 %.
     agrees
         The smooth function and the measured power must agree within this number of standard errors.
-        The predicted variance is the same if 1 to 4 standard errors are allowed.
+        Any limit from 1 to 4 standard errors gives the same predicted variance.
     steps
         Number of Newton steps, after which the fit has converged.
         The predicted variance is the same for 6 to 24 Newton steps.
@@ -254,7 +254,7 @@ class MovesSettings:
         Number of offsets, and number of evaluations of g, which limits the offsets at large n.
         With fewer than `least_offsets` offsets, intervals exceed 35 % and an error is raised.
         Halving or doubling the number of offsets changes variances by less than 1.2 %.
-        A change by 1.2 % is within the intervals, which are 1 to 3 %.
+        A change of 1.2 % is within the intervals of predicted variances, which are 1 to 3 %.
     block
         Number of evaluations per call. The number has no effect on the result.
     spreads
@@ -537,7 +537,8 @@ def _of_dual(points: Array, known: Known) -> Predicted:
     def summed(m: Array, size: Array, end: int, beyond: Array) -> tuple[Array, Array]:
         """Return Σ |g_m|², and an estimate of the sum beyond `end`.
 
-        The estimate extrapolates the last two octaves of the sizes in `beyond`.
+        The sums over the last two octaves are continued as a geometric series.
+        Only frequencies where `beyond` is true are included in these sums over octaves.
         """
         energy = np.abs(g.fourier(m).reshape(len(m), -1)) ** 2
         last = energy[beyond & (2 * size > end)].sum(axis=0)
@@ -569,13 +570,15 @@ def of_moves(law: Law, known: Known, stream: Stream) -> Predicted:
     """Predict the variance of the mean of g over a fixed set that is shifted or scrambled.
 
     The set is moved by random offsets, and g is averaged over each moved set.
-    The variance of these means is the prediction. Its relative error does not depend on n.
+    The prediction is the variance of the averages over the moved sets.
+    The relative error of the prediction does not depend on n.
 
     For shifts, the offsets are a Kronecker sequence of a random vector.
     For a lattice, the offsets lie within one of its cells.
     Digital shifts, permutations in other bases and linear scrambles are drawn at random.
     Linear scrambles also replace nested scrambles, because their pairs of points have the same law.
-    The interval comes from the variances of successive parts of the offsets, with Student's t.
+    The sequence of offsets is divided into successive parts, and each part gives a variance.
+    The spread of the variances of the parts gives the interval, with Student's t.
 
     Estimating E g(u) g(u + x_k) for each x_k from independent u would need more evaluations.
     The squared mean of g over one moved set already averages over all pairs of points.
@@ -608,7 +611,8 @@ def of_moves(law: Law, known: Known, stream: Stream) -> Predicted:
         how = f"{scramble.name} scrambles of the set"
 
     # Average g over the moved sets. The offsets are multiples of a random vector.
-    # Such offsets are pairwise independent, and therefore at least as good as random offsets.
+    # Multiples of a random vector, plus a random start, are pairwise independent.
+    # Pairwise independent offsets are at least as good as random offsets.
     # Multiples of a fixed vector might coincide with the points of the set
     start, step = own.uniforms(0, 1, 2 * g.dims).reshape(2, g.dims)
     offsets = (start + np.arange(count)[:, None] * step) % 1.0
@@ -675,7 +679,7 @@ def _drawn(
 ) -> tuple[list[Array], Array, int]:
     """Return mean power over sets, half the 95 % interval of Σ |g_m|² P(m), and the number of sets.
 
-    The first point sets are transformed at all frequencies.
+    For some point sets, which are drawn first, Fourier transforms are computed at all frequencies.
     Further sets are transformed only at low frequencies, which hold the energy of smooth functions.
     Sets are added until the error is small compared with the variance,
     or until the sets together have the largest allowed number of points.

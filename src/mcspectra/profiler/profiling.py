@@ -3,7 +3,7 @@
 The number of evaluations of the function is at most the given budget.
 
 Most of the budget goes to scrambled nets (`samples`).
-These nets give the variances of several samplers at once.
+Evaluations at scrambled nets give the variances of several samplers at once.
 A fifth of the budget goes to lines that detect discontinuities and kinks (`probing`).
 If nets do not give the variance of the given sampler, a quarter of the budget is spent on it.
 `causes` finds the causes of the noise in the evaluations at nets and along lines.
@@ -97,8 +97,8 @@ class ProfileSettings:
     # With 70 % effective draws, standard errors are 20 % larger than for independent draws.
     dependent: float = 0.7
     # Least number of points of each net with which a change of the estimator is measured.
-    # If nets needed 8 points or more, two of 12 test profiles would have too few evaluations
-    # to measure the preintegration of a jump along an axis.
+    # Preintegration computes means of g along an axis, which removes a jump.
+    # If 8 points were required, two of 12 test profiles could not afford to measure preintegration.
     least_checked: int = 4
     # Maximum number of counts n of points at which the variance of a sampler is measured.
     # Of B evaluations, about B/2, B/4, …, B/32 are spent on sets of five counts.
@@ -109,7 +109,7 @@ class ProfileSettings:
     least_sets: int = 3
     # Standard error of a theoretical rate, which holds only for large numbers of points.
     # With 0.04 or 0.16 instead of 0.08, the RMSEs in 12 test profiles change by at most 14 %.
-    # The median change of the 12 RMSEs is 1 %.
+    # The median change of the RMSEs in 12 test profiles is 1 %.
     theory_error: float = 0.08
     # Standard error of a rate that is measured over few octaves if g jumps along an axis.
     # The variance is a sawtooth function of n, because the jump's place in its stratum varies.
@@ -250,7 +250,7 @@ class Profile:
         Number of evaluations of f, and the number that the user allowed.
     variance, rate, rate_ci
         Variance of an estimate of `budget` evaluations with the given sampler.
-        `rate` is the exponent of this variance in n, and `rate_ci` is its 95 % interval.
+        `rate` is the exponent of n in the variance, and `rate_ci` is the 95 % interval of `rate`.
         If the given sampler could not be measured, nets give the variance and the rate.
     points
         Number of points of an estimate that takes `budget` evaluations.
@@ -519,12 +519,12 @@ def profile(
         given = FunctionIntegrand(function=_Filled.of(calls), dims=calls.dims)
     with calls if isinstance(calls, Calls) else contextlib.nullcontext():
         estimator = as_estimator(given, dims)
-        if density:  # Faults of the density are reported as causes later
+        if density:  # Faults of the density are later listed among the causes of noise
             pdf, sample = density
             own = FunctionDensity(dims=estimator.dims, pdf_function=pdf, sample_function=sample)
             u = as_sampler("random", own.primary_dims).draw(_SETTINGS.tested_points)[0]
             x = np.zeros(1)
-            with contextlib.suppress(Exception):  # An exception is reported as a cause later
+            with contextlib.suppress(Exception):  # Exceptions are later listed among the causes
                 x = np.asarray(sample(u), float)
             if np.isfinite(x).all() and not in_unit_cube(x):
                 raise DomainError(
@@ -733,8 +733,8 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         sure = [each for each in made if each.sure]
         found = sure + found + [each for each in made if not each.sure]
     curve = curves.get(given.spec, curves[NETS])
-    # The interval of the integral is known if the mean does not depend on a few values.
-    # The interval of the integral is also known if g grows at the border
+    # The interval of the integral can be estimated unless a few large values dominate the mean.
+    # If g grows at the border, the interval of the integral can also be estimated
     names = {cause.name for cause in causes}
     infinite = "infinite-variance" in names
     no_integral = any(
@@ -884,12 +884,11 @@ def _growth(causes: Sequence[Cause]) -> float:
 def _rivals(evidence: Evidence, causes: Sequence[Cause], points: int) -> dict[str, Candidate]:
     """Return set-ups that may have less variance than nets for this g, by name.
 
-    The rate of lattices follows from the decay of the Fourier coefficients of g.
-    Lattices have this rate if g agrees on opposite faces, or if points are folded
-    [Hickernell2002]_.
+    If g agrees on opposite faces of the cube, or if points are folded [Hickernell2002]_,
+    the rate of lattices follows from the decay of the Fourier coefficients of g.
     Lattices may also have less variance than nets if g has kinks, cusps or waves.
     For smooth g, antithetic pairs about the centers of strata have the rate −1 − 4/d.
-    Cubic stratification of second order has the same rate.
+    For smooth g, cubic stratification of second order also has the rate −1 − 4/d.
     If g is smooth inside the cube, a substitution makes it periodic [Sidi2006]_.
     """
     estimator, smooth = evidence.estimator, _is_smooth(causes)
@@ -1217,8 +1216,9 @@ def _offers(
 
 
 def _paid(offer: Candidate, left: int, *, last: bool) -> tuple[int, int]:
-    """Return how many points and nets `left` evaluations allow to measure the removal of a jump.
+    """Return how many points and nets can be used if `left` evaluations are left.
 
+    The changed estimator, from which a jump was removed, is measured with these points and nets.
     The number of nets is halved if all nets would need too many evaluations.
     The number of nets is also halved if too few evaluations would be left for another change.
     The number of points is 0 if `left` evaluations do not suffice to measure the changed estimator.

@@ -4,7 +4,7 @@ Method
 ------
 Pixels are chosen at random in strata of the image.
 Each pixel is rendered several times with every sampler.
-The renders are the same as in an image (`mcspectra.rendering.rendered`).
+Pixels are rendered as in a render of the whole image (`mcspectra.rendering.rendered`).
 Samplers of this package are padded: each request of a path for 1 or 2 numbers gets its own set.
 Samplers of this package are also measured with joint dims:
 the first coordinates of a path then come from one set of points in several dims.
@@ -792,7 +792,7 @@ class _Work:
     ) -> tuple[Array, float]:
         """Return log squared errors at the largest number of samples, and their median slope.
 
-        Only pixels in the mask `seen`, which are not black, are used.
+        Black pixels are left out: only the pixels in the mask `seen` are used.
         """
         logs = {n: self._narrowed(v[:, seen], mean[seen]) for n, v in values.items()}
         first, last = min(logs), max(logs)

@@ -27,7 +27,7 @@ _SLOPE = 1 / 32
 # Fraction of a change that must remain after the last twelve halvings if the change is a jump.
 # For example, √x has no jump at 0: twelve halvings leave 2^-6 of its change
 _STAYS = 0.5
-_GROWS = 2.0  # Factor by which a change must grow so that it counts as a pole
+_GROWS = 2.0  # At a pole, the last twelve halvings increase the change by more than this factor
 _NEGLIGIBLE = 1e-7  # Fraction of the scale below which changes are ignored
 _BLOCK = 8  # Blocks of 8 × 8 cells, in which a curve is treated as straight
 

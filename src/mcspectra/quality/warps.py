@@ -45,10 +45,11 @@ def warp_quality(density: Density | str, *, resolution: int = 256) -> xr.Dataset
         ``jump_length`` is the length of the jump curves, or the number of jumps in 1-D.
         ``mean_jump`` is the mean size of a jump.
         ``distortion`` compares the image of a small square with a square of the image's area.
-        The distortion is the geometric mean of the ratio of the two diameters.
+        The diameter of the image is divided by the diameter of the square of equal area.
+        The distortion is the geometric mean of this ratio of diameters.
         The distortion is 1 if squares stay squares.
         ``neighbor_expansion`` is the distance between the images of neighboring cells, in cells.
-        The expansion is the root mean square over all neighbors, including those at jumps.
+        The root mean square of the distance is taken over all neighbors, including those at jumps.
 
     Raises
     ------

@@ -90,8 +90,8 @@ import mitsuba as mi, os
 mi.file_resolver().clear()
 mi.file_resolver().append(os.path.dirname(mi.__file__))
 """  # Mitsuba would search the current folder first, which may be untrusted
-# This program tests three operations that fail with unsuitable versions of LLVM.
-# The program takes the minimum of two numbers, traces rays, and samples a rough metal
+# Unsuitable versions of LLVM fail at three operations, which this program tests:
+# the minimum of two numbers, ray tracing, and sampling directions on a rough metal surface
 _RAYS = """
 import drjit as dr
 scene = mi.load_dict({"type": "scene", "ball": {

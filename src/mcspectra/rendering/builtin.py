@@ -357,7 +357,7 @@ def veach(
     Notes
     -----
     Positions, radii, radiances, roughness and camera come from [Veach1997]_.
-    Scene files that several renderers publish also contain these numbers.
+    Several renderers publish scene files with the same positions, radii, radiances and camera.
     Copper plates, and a gray floor and wall, are our choice.
     """
     allowed: Any = tuple(_SPHERES)

@@ -177,9 +177,10 @@ def _measured(
     squares
         Squared deviations of filtered frames from their mean, with divisor count − 1.
     own, cross
-        Square of a sequence's difference from the truth, and its product with the mean difference.
+        Let D be the difference of a sequence from the truth, and let M be the mean of D.
+        `own` is D², and `cross` is the product D M, for each sequence.
     mean_square
-        Square of the mean over the sequences of the difference from the truth.
+        M², where M is the mean difference of all sequences from the truth.
     temporal
         Correlations over time of the errors of filtered frames.
     """

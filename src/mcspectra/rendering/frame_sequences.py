@@ -253,7 +253,7 @@ def temporal_of(found: TimeStatistics, m2: Array, count: int) -> Temporal:
 def _factor(value: float, half: float) -> tuple[float, Array]:
     """Return a positive value and its interval, which is symmetric on a logarithmic axis.
 
-    If the value is less than its error, the upper end is at most two half widths above the value.
+    If the error `half` exceeds the value, the upper end is limited to `value` + 2 `half`.
     """
     value = max(value, 1e-12)
     factor = math.exp(min(half / value, 50.0))

@@ -84,8 +84,9 @@ _ONE_SQUARE = 0.05
 # Rates are averaged over windows of at most 15 pixels until their standard error is below 0.1
 _WIDEST, _KNOWN_RATE = 15, 0.1
 # If the values miss a tail, their variance and its error are too small.
-# The upper end of the interval is therefore moved away from the variance: on a log scale,
-# its distance is multiplied by 1 + c e, where e is the relative standard error.
+# The upper end of the interval is therefore moved away from the variance.
+# The distance from the variance to the upper end, on a log scale, is multiplied by 1 + c e.
+# Here e is the relative standard error of the variance, and c is the constant `_MISSED`.
 # For six frames of normal to lognormal noise and c = 2,
 # 92 to 97 % of the intervals contain the true variance
 _MISSED = 2.0
@@ -768,8 +769,8 @@ def _group(
     half *= np.divide(curve, measured, out=np.ones_like(curve), where=measured > 0)
     # With two frames, the deviations differ only in sign, so their spectra are equal.
     # Equal spectra have a spread of 0, so use at least the errors of normal noise.
-    # For R frames of normal noise, the power at the frequencies m and −m is a mean:
-    # it averages R − 1 independent values with exponential distributions
+    # For R frames of normal noise, the power at the frequencies ±m is a mean of R − 1 values.
+    # The R − 1 values are independent and have exponential distributions
     independent = fields * loss**2
     half = np.maximum(half, CONFIDENCE_Z * measured * np.sqrt(2.0 / (rings.sizes * independent)))
     # The sum of squared correlations also contains the squared errors of the correlations.
@@ -1115,7 +1116,7 @@ def _compared(
         whole = _student(apart_means.mean(), apart_means.var(ddof=1), len(pairs))
     pixels = int((~np.isnan(z)).sum())
     limit = _sidak(pixels)
-    # Scale the variance of the other set to the same number of samples.
+    # Scale the variance of set b to the number of samples per pixel of set a.
     # Use a measured rate if one is known, and otherwise the rate −1
     step, (rate, rate_se) = 0.0, (math.nan, 0.0)
     if a.spp != b.spp and a.told["spp_known"] and b.told["spp_known"]:

@@ -49,12 +49,12 @@ _LEAST_LEVEL = 1e-4
 _RELABELINGS = 5
 _SAMPLE = 2**15  # number of tiles at which two frames are compared
 _ONE_SEED = 0.9  # two frames of one set have the same seed if their errors correlate more than this
-# Frames of two sets have the same seed if the correlation of their errors exceeds two limits.
-# The first limit is a constant, the second a multiple of the typical correlation of two frames
+# Frames of two sets have the same seed if the correlation of their errors exceeds `_RELATED`,
+# and also exceeds `_FAR` times the typical correlation of two frames
 _RELATED, _FAR = 0.1, 8.0
 _LEAST_PAIRS = 4
-# The noise of two sets counts as equal if their variances differ by less than a fixed factor,
-# or if the difference of their variances is not significant at a fixed level
+# The noise of two sets counts as equal if their variances differ by at most the factor `_EQUAL`.
+# The noise also counts as equal if the variances do not differ at the significance level `_DOUBT`
 _EQUAL, _DOUBT = 1.25, 0.01
 _COPY = 1e-6  # images that differ by less than this fraction of their mean are copies
 # Fraction of the significance level for one test: does the mean depend on the samples per pixel?

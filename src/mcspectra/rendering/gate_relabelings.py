@@ -52,7 +52,7 @@ _TINY = 1e-30  # smallest sum of squares by which float32 can divide
 _WORK = 2**33
 _BLOCK = 2**23  # number of values that are computed together
 _MEDIAN = math.log(2.0)  # median of −log p if there is no bias
-# Median minus 10 % quantile of −log p, for the smallest of many p-values
+# For the smallest p of many tests, the median of −log p exceeds its 10 % quantile by this number
 _SPREAD = 1.2
 
 
@@ -205,7 +205,8 @@ def _largest_family(
     largest, own, degrees, error, rank = _largest(rows, total, valid, each, contrast, weights)
     surprise = _surprise(largest, degrees, count)
     low, shift = np.quantile(surprise, [0.1, 0.5])
-    # Heavy tails stretch −log p. The lower half of its distribution is not affected by a bias
+    # Noise with heavy tails makes the distribution of −log p wider.
+    # The width is measured in the lower half of the distribution, which a bias does not affect
     stretch = max(1.0, (shift - low) / _SPREAD) if count > 1 else 1.0
     favor = 0.0 if each.size else _FAVOR
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -255,7 +256,7 @@ def _one_sided(share: Array, degrees: int) -> tuple[Array, float]:
     share = np.clip(share, -1.0 + 1e-12, 1.0 - 1e-12)
     t = share * np.sqrt(degrees / (1.0 - share**2))
     score = _surprise(t**2, degrees, 1) + _MEDIAN
-    # A negative correlation speaks against the tested alternative, so its score is small
+    # The test looks for positive correlations, so a negative correlation gets a small score
     return np.where(t > 0, score, -np.log1p(-0.5 * np.exp(_MEDIAN - score))), float(t[0])
 
 

@@ -228,7 +228,10 @@ def _skewed_tail(probability: float, skewness: float) -> float:
 
 
 def _even_tail(probability: float, skewness: float) -> float:
-    """Return the normal tail probability that `_skewed_tail` maps to the given probability."""
+    """Replace a tail probability of a Pearson III law by the normal one at the same point.
+
+    This function is the inverse of `_skewed_tail`.
+    """
     from scipy.special import gammainccinv, ndtr
 
     if skewness < _EVEN:

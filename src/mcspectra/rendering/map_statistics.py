@@ -7,10 +7,12 @@ Arrays have the axes (strategy, n, y, x) or (strategy, y, x).
 A path requests random numbers x_1 … x_K, one or two at a time, for its K decisions.
 `path_shares` divides the variance of the path's value f among these requests:
 Var f = Σ_k (Var E[f | x_1 … x_k] − Var E[f | x_1 … x_{k−1}]).
-No term is negative. An interaction of several requests counts for the last of them.
+No term is negative.
+The variance from an interaction of several requests is assigned to the last of these requests.
 Let h_k = f(x_1 … x_k, y_{k+1} … y_K) for two independent paths x and y of K requests each.
 Term k is the mean of (h_k − h_{k−1}) (h_K − c), the pick-freeze estimator [Sobol2001]_.
-K + 1 evaluations give all terms. The mean is right for any function c of h_k + h_{k−1}.
+K + 1 evaluations of f give all terms.
+The estimator of a term is unbiased if c is any function of the sum h_k + h_{k−1}.
 The error is least if c is the regression of h_K on h_k + h_{k−1}.
 The slope of the regression is fitted to the same paths, which gives a bias of order 1/R.
 """
@@ -101,8 +103,8 @@ def slowest(rate: Array, rate_se: Array) -> Array:
     """Return which of two techniques (2, y, x) has the significantly slower rate.
 
     The techniques must have independent points, so that their squared standard errors add up.
-    A test whether the two intervals overlap would be less sensitive:
-    for equal standard errors, the difference of the rates must be 1.4 times as large.
+    Testing whether the 95 % intervals of the two rates are disjoint would be less sensitive.
+    For rates with equal standard errors, disjoint intervals need a 1.4 times larger difference.
     """
     return _larger(rate[0] - rate[1], rate_se, np.isnan(rate).all(axis=0))
 

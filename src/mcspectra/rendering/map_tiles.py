@@ -182,7 +182,7 @@ class Measurement:
     def partitions(self) -> tuple[dict[Any, Array], dict[Any, Array]]:
         """Masks that select the random numbers of each bounce, and those of each kind of decision.
 
-        Both dictionaries are empty if no shares of the variance are computed.
+        If no shares of the variance are computed, the two returned dictionaries are empty.
         """
         requests = self._requests if self.chains else []
         bounces, decisions = ([each[k] for each in requests] for k in (0, 1))

@@ -97,7 +97,7 @@ _DIMS = {
 # Labels of two random streams: one chooses the measured pixels, the other the pixels of a trial
 _CHOICE, _TRIAL = 0x9C401, 0x7D1A1
 _TRIED = 4096  # maximum number of pixels that a trial measures
-# Seconds and bytes that each number of a result costs in fits, in files and in image layers
+# Seconds of the fits, and bytes in files and image layers, for each number in a result
 _PIXEL_SECONDS, _PIXEL_BYTES = 3e-7, 10
 _STATE_BYTES = 8  # bytes for each measured number that is kept for a resumption
 
@@ -114,7 +114,7 @@ _Window = tuple[int, int, int, int]
 
 @final
 class Map(Analysis, frozen=True, kw_only=True):
-    """Variance, rate and bottleneck at every pixel of a scene; needs the extra render."""
+    """Variance, rate and bottleneck at every pixel of a scene; needs the package Mitsuba."""
 
     function = "rendering.variance_map"
     verb = "map"
@@ -566,7 +566,7 @@ def variance_map(
         ``dominant_technique`` is the technique with the larger variance at the largest n, or −1.
         If the single strategies are also measured, ``mis_gain`` and its interval ``mis_gain_ci``:
         the variance of the better single strategy divided by that of MIS.
-        Both variances come from the fitted lines, for the same total of samples (the largest n).
+        ``mis_gain`` uses variances of the fitted lines at equal total samples (the largest n).
         A strategy whose estimates significantly miss light is excluded from ``mis_gain``.
 
         ``predicted_ratio(strategy)`` and ``predicted_ratio_ci``:

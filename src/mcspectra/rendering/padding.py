@@ -3,7 +3,8 @@
 A path requests random numbers one or two at a time (`mcspectra.rendering.paths.Dimension`).
 A renderer answers each request with a separate, shuffled set in one or two dims.
 Random numbers of different requests are therefore independent.
-A single point set in all dims of a path has other dependences, which no rendered image has.
+If a single point set had all dims of a path, numbers of different requests would be dependent.
+Rendered images have no such dependence between different requests.
 The variances with separate sets and with a single set differ by factors of up to 6.
 
 `Padded` draws the points that our Mitsuba plugin gives to a pixel.

@@ -118,7 +118,7 @@ class Dimension:
         ``lobe``, ``direction`` or ``roulette``.
         If the integrator's order is unknown, the name is ``request K``.
     part
-        ``x`` or ``y`` of a pair, otherwise empty.
+        ``x`` or ``y`` if two numbers are requested together. Empty for a single number.
     """
 
     bounce: int

@@ -548,7 +548,7 @@ class PixelMIS(AbstractEstimator):
     Attributes
     ----------
     techniques
-        The techniques ``"light"``, ``"bsdf"`` and densities, as given.
+        The techniques given to `pixel_mis`: names such as ``"light"`` or ``"bsdf"``, and densities.
     heuristic
         Spec of the heuristic.
     shares

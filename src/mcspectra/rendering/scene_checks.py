@@ -194,7 +194,10 @@ def _raise_first(sentences: list[str]) -> None:
 
 
 def _lens(scene: Scene, loaded: Any) -> list[str]:
-    """Return a sentence for a lens and for a shutter of the first camera, which are not sampled."""
+    """Return a sentence if the first camera has a lens, and a sentence if it has a shutter.
+
+    The sentences say that neither the lens nor the time of the open shutter is sampled.
+    """
     sensors = loaded.sensors()[:1]
     found = {
         f"a lens (of radius {radius:.3g})": radius > 0.0 for radius in map(_aperture, sensors)

@@ -505,7 +505,7 @@ class DictScene:
     ----------
     scene
         A scene dictionary for `mitsuba.load_dict`.
-        Its dictionaries, lists and arrays are copied, so that later changes have no effect.
+        Dictionaries, lists and arrays in the scene are copied, so later changes have no effect.
         Transforms, bitmaps and arrays are compared by their numbers,
         and objects that Mitsuba has already built are compared by identity.
 

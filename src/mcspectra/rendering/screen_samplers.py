@@ -648,7 +648,7 @@ class Tiles(ScreenSampler):
     def blocks(self, block: ScreenBlock, seeds: int) -> tuple[int, bool]:
         """Return how many blocks of pixels with different points a tiled mask gives.
 
-        The number is 1 if a block contains whole masks, because all blocks are then equal.
+        If a block contains whole masks, all blocks are equal: the number of different blocks is 1.
         """
         if self.points and not as_sampler(self.points, self.dims).fixed:
             return seeds, False
