@@ -132,14 +132,15 @@ def map_in_order(
 def process_map(workers: int) -> Iterator[Mapper]:
     """Provide ``map`` for work that holds Python's lock, such as drawing figures.
 
-    One worker is this process, and the work is done when a result is asked for.
+    With one worker, the current process computes each result when the caller asks for it.
     More workers are new processes, which import the function and start all work at once.
-    They are spawned, because forking a process with threads may hang.
+    New processes are spawned, because forking a process with threads may hang.
 
     Raises
     ------
     ParameterError
-        If a process dies. A script without the usual guard kills them at their start.
+        If a process dies. New processes die at their start if the calling script does not have
+        the line ``if __name__ == "__main__":`` before its own calls.
     """
     if workers == 1:
         yield map

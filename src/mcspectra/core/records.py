@@ -4,8 +4,8 @@ A state is a dataclass whose fields are arrays, numbers or other records.
 Two states are merged field by field.
 A record with a method `merge` is merged by this method.
 For example, the merged variance in a record of moments depends on the means of both records.
-For arrays and numbers, the annotation of the field names the rule.
-The rules are: add all (`SUM`), concatenate (`JOIN`), or keep one of equal values (`SAME`).
+An array or a number is merged by one of three rules, which its type annotation contains.
+The three rules are: add all (`SUM`), concatenate (`JOIN`), or keep one of equal values (`SAME`).
 The stored form is one buffer: a MessagePack header with names, types and shapes, then the numbers.
 The buffer contains no pickle and no code.
 """

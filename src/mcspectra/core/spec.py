@@ -25,7 +25,7 @@ _NAME = re.compile(r"[a-z][a-z0-9]*(?:-[a-z0-9]+)*")
 _CAPITALS = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")  # boundary between words of a class name
 _WORD = re.compile(r"[A-Za-z_][\w.-]*")
 _NO_NUMBERS = ("nan", "inf", "infinity")
-# Components that run code, and for each the parameter that an argument without a name sets
+# Components that run code, each with the one parameter whose name may be omitted in a spec
 _FIRST = {"command": "run", "python": "function"}
 _MAX_LENGTH = 20_000
 # Matches the folders of a quoted path; also a parameter name and "=" in front of the path

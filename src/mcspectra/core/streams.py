@@ -20,7 +20,7 @@ Therefore a stream is a shifted or permuted copy of another only if both have th
 Philox alone would be enough, but with 7 rounds it takes 1.8 ns per double.
 The mix takes 1.3 ns, and NumPy's PCG64 takes 3.7 ns (one core, AVX-512, 2^17 doubles).
 `tests/core/test_streams.py` tests moments, χ² and serial correlation.
-It also counts collisions across realizations, indices and seeds.
+Other tests of the file count equal numbers across realizations, indices and seeds.
 """
 
 from __future__ import annotations

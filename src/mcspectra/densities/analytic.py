@@ -211,7 +211,8 @@ class TruncatedNormal(_Separable):
         c = self._normal
         share = np.where(c.flip, 1.0 - u, u)
         ratio = np.exp(c.log_low - c.log_high)
-        with np.errstate(divide="ignore"):  # if share and ratio are 0, the logarithm and z are −∞
+        # A cdf of 0 has the logarithm −∞. Then z is also −∞, and is clipped to the lower end
+        with np.errstate(divide="ignore"):
             log_cdf = c.log_high + np.log(share + (1.0 - share) * ratio)
         z = np.clip(ndtri_exp(np.minimum(log_cdf, 0.0)), c.low, c.high)
         x = np.clip(c.mean + c.sigma * z, 0.0, 1.0)

@@ -302,7 +302,7 @@ class _ByFunctions(Density):
 
     @property
     def spec(self) -> str:
-        """The text ``function`` with the name of the pdf. It cannot be parsed as a spec."""
+        """Text ``function(name)`` with the name of the pdf. It cannot be parsed as a spec."""
         called = getattr(self.pdf_function, "__name__", "")
         return f"function({called})" if called.isidentifier() else "function"
 
@@ -501,8 +501,12 @@ def divide_by_density(
 
     Parameters
     ----------
-    values, pdf, x
-        Values of f or of a constant, values of p at the samples, and the samples (..., d).
+    values
+        Values of f at the samples, or a constant.
+    pdf
+        Values of the density p at the samples.
+    x
+        The samples, (..., d).
     spec
         Name of the estimator in messages.
     constant

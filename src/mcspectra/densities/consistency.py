@@ -76,7 +76,7 @@ def check_density(density: Checkable) -> None:
 
     In three or more dims, cells are too coarse. There the test is that |det ∂T/∂u| · p(T(u)) = 1.
     The determinant is found by central differences at 512 points.
-    Because warps may jump, 2 % of these points may fail the test.
+    The product may differ from 1 at 2 % of the 512 points, because warps may jump there.
 
     If the warp is not one-to-one (`Density.one_to_one`), each axis is divided into 8 slabs.
     The share of the points in a slab is compared with the mean of the pdf over the slab.

@@ -4,7 +4,7 @@ Maps use latitude and longitude, with the conventions of `mcspectra.core.environ
 There x_0 is φ/2π, x_1 is θ/π, and the first row of pixels is at θ = 0.
 The density of *directions*, per steradian, is p(x)/(2π² sin(π x_1)).
 
-Compensation lowers a table where other techniques already take enough samples [Karlik2019]_.
+Compensation reduces a density where other techniques already sample enough [Karlik2019]_.
 Let f be proportional to a table p, and let the balance heuristic combine the techniques.
 Then the points of all techniques together should have the density p.
 Technique τ has a share β_τ = n_τ/Σ n of the points.
@@ -123,7 +123,8 @@ class EnvironmentDensity(Wrapper):
         The multiple of the mean radiance to subtract: p ∝ max(0, L − multiple · mean L).
         Subtracting the mean is the compensation of [Karlik2019]_ that ignores surface normals.
         False means no subtraction.
-        True subtracts the mean itself, which suits equal numbers of light samples and BSDF samples.
+        True means the multiple 1, so that the mean radiance itself is subtracted.
+        The multiple 1 suits equal numbers of light samples and BSDF samples.
         The density is then 0 at places where f is not 0, so combine it with another technique.
     warp
         The warp of the table, as in `PiecewiseConstant`, for ``interpolation="constant"``.

@@ -112,14 +112,15 @@ class NumericalWarp:
             most=_MOST[1] if self.dims == 1 else _MOST_OF_MARGINAL,
             subject=subject,
             # In 2-D, the marginal pdf of x_1 is tested only at its quadrature nodes.
-            # The nodes outnumber the 509 values of x_1 for which cells along x_0 were tested
+            # No other points are needed, because there are more than 509 nodes.
+            # The cells along x_0 are also tested at only 509 values of x_1
             probes=_PROBES[1] if self.dims == 1 else 0,
         )
         return _Axis.of(cells, density(cells.nodes[..., None]))
 
     @cached_property
     def _rows(self) -> _Cells:
-        """Cells along axis 0 that are small enough for the pdf on 509 lines of constant x_1."""
+        """Cells along x_0, small enough to resolve the pdf in 509 rows (lines of constant x_1)."""
         rows = (0.5 + np.arange(_ROWS) * 0.6180339887498949) % 1.0
 
         subject = f"The pdf of {self.spec}, along x_0,"

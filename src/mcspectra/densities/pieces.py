@@ -176,7 +176,10 @@ def _allocated(lengths: Array, strata: int) -> Array:
 
 
 def _mapped(x: Array, source: Array, target: Array) -> Array:
-    """Map pieces between ends linearly; rounding never moves a point across a border."""
+    """Map x by the piecewise linear function from the positions `source` to `target`.
+
+    Rounding never moves a point across the border between two pieces.
+    """
     j = _piece(source, x)
     slope = np.diff(target) / np.diff(source)
     moved = target[j] + (x - source[j]) * slope[j]

@@ -14,7 +14,7 @@ Therefore the choice of the warp determines the rate.
   The positions u_0 of the segments differ from row to row.
   A line along u_0 crosses no jump of T, and a line along u_1 crosses at most h − 1 jumps.
   If all rows are proportional (a separable table), T is continuous.
-  In this case, g jumps only where p jumps, on whole lines.
+  For a separable table, g jumps only where p jumps, along lines across the whole square.
 * ``"hierarchical"`` [McCoolHarwood1997]_ [Clarberg2005]_: the table is halved repeatedly.
   Each split halves the longer side, until single cells are left.
   A split along x_0 uses the coordinate u_0, and a split along x_1 uses u_1.
@@ -34,10 +34,11 @@ Therefore the choice of the warp determines the rate.
   In a table of h × w cells, a line along u_0 crosses up to hw − 1 jumps.
   The jumps are at the turns of the Hilbert curve.
   If the table is a square of side 2^k, each jump stays within two neighboring cells.
-  In a table of another size, jumps can be longer, because the curve leaves the table and returns.
+  Any other table is put into the smallest square of side 2^k, and the curve fills this square.
+  There, jumps can be longer, because the Hilbert curve leaves the table and enters it elsewhere.
   A line along u_1 crosses no jumps.
   The Hilbert warp suits samplers with n strata in u_0, which become n strata along the curve.
-  Samplers with square 2-D strata have only √n strata in u_0, and so along the curve.
+  Samplers with square 2-D strata have only √n strata in u_0, hence only √n along the curve.
 
 *Bilinear* tables (`bilinear`) make p continuous. Therefore g is also continuous along rows.
 Use bilinear tables if the jumps of a piecewise constant table make the rate worse.
@@ -376,8 +377,8 @@ class _Hierarchical:
             pairs = (table[0::2], table[1::2]) if axes[depth] else (table[:, 0::2], table[:, 1::2])
             table = pairs[0] + pairs[1]
             share = np.divide(pairs[0], table, out=np.full(table.shape, 0.5), where=table > 0)
-            # Flatten the table `share` of this level. Sort the bits of its row and column indices,
-            # so that they follow the order in which rows and columns were split
+            # Flatten the table `share` of this level.
+            # Put the bits of row and column indices in the order in which the table was split
             above = self.axes[:depth]
             order = np.empty(depth, np.int64)
             order[above == 1] = np.arange(above.sum())

@@ -93,7 +93,7 @@ class ChannelSampling(DomainEstimator):
 
     @property
     def domain_integrand(self) -> None:
-        """None, because the weighted points of the channels differ."""
+        """Always None, because each channel of the integrand has its own weighted points."""
         return
 
     def draw(self, sampler: Sampler, n: int, stream: Stream, first: int, count: int) -> list[Array]:

@@ -282,7 +282,7 @@ class PowerHeuristic(Heuristic):
         return self.beta >= 1.0
 
     def ratio(self, q: Array, technique: int) -> Array:
-        """Return q_t^(β−1) / Σ q_s^β, without overflow or underflow: from q/max q."""
+        """Return q_t^(β−1) / Σ q_s^β. Scaling all q by max q prevents overflow and underflow."""
         largest = q.max(axis=0)
         scaled = np.divide(q, largest, out=np.zeros_like(q), where=largest > 0)
         # With β = 0, a technique that cannot sample x must have no share, although 0⁰ is 1
@@ -419,7 +419,7 @@ class VarianceAware(_Piloted):
     v_t is the second moment of one random sample of f/p_t, divided by its variance σ_t².
     The weights are w_t = v_t n_t p_t / Σ_s v_s n_s p_s with v_t = 1 + μ_t²/σ_t², at most 10⁸.
     The balance heuristic is derived from second moments of f/p_t.
-    The factors v_t replace the second moments by variances.
+    With counts multiplied by v_t, the weights are derived from the variances of f/p_t instead.
     Therefore a technique of low variance gets more weight.
     If f has several channels, v_t is computed from their mean.
 

@@ -190,7 +190,7 @@ def as_subject(
     dims
         Number of dims; needed for functions and for spec strings without ``dims``.
         The default is the dims of the first sampler that is not a spec string.
-        Functions and samplers with dims must agree with this number.
+        If a function or sampler has its own number of dims, it must be equal to `dims`.
 
     Raises
     ------

@@ -3,8 +3,9 @@
 The integrand f is reflected at the upper faces of the cube. This gives a function g of period 2:
 for k ∈ {0,1}^d, g(k + x) = f(x with the coordinates reflected where k_j = 1).
 The function g is continuous if f is.
-There are two ways to return to period 1. Stretching gives f(1 − |2u − 1|) = g(2u).
-Averaging over the images gives 2^-d Σ_k g(k + u).
+There are two ways to make a function of period 1 from g.
+Stretching the argument gives g(2u) = f(1 − |2u − 1|).
+Averaging over the mirror images gives 2^-d Σ_k g(k + u).
 """
 
 from __future__ import annotations
@@ -66,7 +67,8 @@ class Mirrored(AbstractEstimator):
 
     A shift in the sampler is applied before mirroring, in the doubled domain:
     in the mode ``"integrand"``, a point u + δ becomes 2u + 2δ.
-    In the other modes, the image of u in the cube k is shifted to k + u + δ modulo 2.
+    In the other modes, ``"random"`` and ``"uniform"``, a point u has mirror images k + u.
+    The shift moves each image k + u to k + u + δ modulo 2.
     Shifted images have the same distribution as the images of u + δ modulo 1.
     Therefore shifted points do not meet a jump of the integrand at the border of the cube.
 

@@ -360,10 +360,10 @@ class Moments:
         The interval is wider upward: values that miss a tail make s² and its error too small.
         If the tail index is above 0.05, the upper end is at least the quantile for values u^−k.
         The exponent k is the estimated tail index plus one standard error.
-        With these constants, 93 to 97 % of the intervals from 20 or more values are correct.
+        For 20 or more values, 93 to 97 % of the intervals contain the true variance.
         The tests by ``python -m benchmarks coverage`` covered kurtoses up to 10.
         The tested laws were skewed, heavy-tailed, flat and two-peaked.
-        As the number of values R grows, the interval depends less and less on these constants.
+        Some constants of the interval are chosen; their effect falls as the number of values grows.
         """
         low, high = self._log_errors()
         few = student_t(self.degrees) * self._stored_errors()[0]
@@ -379,7 +379,7 @@ class Moments:
 
     @property
     def resolved(self) -> Array:
-        """Whether the values bound their variance from above.
+        """Whether the values suffice for an upper bound of the variance.
 
         In three cases the values do not bound the variance.
         First, one or two values may have most of the variance.
@@ -436,7 +436,8 @@ class Moments:
 
         # Some values lie on a grid, for example the fraction of points that hit a light.
         # A value on a grid represents the grid cell around it.
-        # Therefore the tail begins half a grid cell below the smallest value in the tail
+        # The smallest value of the tail is the center of its grid cell.
+        # The tail begins at the lower border of this cell, which is half a cell lower
         step = np.where(excess > 0, excess, np.inf).min(axis=0)
         grid = (excess[0] == 0) & (far[0] > 0) & np.isfinite(step)
         excess = excess + np.where(grid, step / 2, 0.0)

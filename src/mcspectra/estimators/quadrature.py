@@ -3,7 +3,7 @@
 Strata are cut at the seam of the torus and at the integrand's declared `breaks`.
 The pieces are smaller toward 0 and 1, where warps are singular.
 Gauss-Legendre rules integrate each piece.
-If the integrand has closed-form moments over boxes, they are integrated exactly.
+If the means of f and f² over boxes have a closed form, these exact means are used instead.
 """
 
 from __future__ import annotations
@@ -241,7 +241,8 @@ def moments(g: Integrand) -> tuple[Array, Array, Array, Array]:
 
             label, width = f"moments of {g.spec}", 2 * len(middle)
             both = Pointwise(g, centered, breaks, label, width)
-            if g.dims <= _LOOKED_DIMS and not over_domain:  # in more dims, g is not cut
+            # In more than `_LOOKED_DIMS` dims, jumps of g are not searched for
+            if g.dims <= _LOOKED_DIMS and not over_domain:
                 both._cache.breaks = found_breaks(g)
             found = integral_estimate(both)
             first, second = np.split(found.value, 2)
@@ -570,8 +571,8 @@ def growth(g: Integrand) -> Array:
     """Return the largest exponent a of growth t^-a near an end of an axis or a break; 0 if bounded.
 
     Here t is the distance to the end or break. The exponents have the shape (channels or 1,).
-    The exponents are slopes of log |g| at the smallest distances on some lines.
-    The last two slopes of a line must agree.
+    The exponents are slopes of log |g| over −log t, at the smallest distances t on some lines.
+    A slope counts only if the two pairs of points with the smallest t give almost the same slope.
     ∫g² diverges for a ≥ ½, and ∫g⁴ for a ≥ ¼. Integrands in closed form do not have these poles.
     An integrand is not tested if it is costly or warped by a density.
     """

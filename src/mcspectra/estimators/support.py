@@ -79,7 +79,8 @@ def uncovered(integrand: Integrand, densities: Sequence[Density]) -> Array:
     if dims == 1:
         found.append(((np.arange(_CELLS) + 0.5) / _CELLS)[:, None])
 
-    # Add both sides of every break of f, with other coordinates from probes. Add landmarks of f
+    # Add points on both sides of every break of f. Probe points give the other coordinates.
+    # Also add the landmarks of f, which are points in small regions where f may differ from 0
     found.append(integrand.landmarks())
     for axis, breaks in enumerate(integrand.breaks):
         sides = np.array([*np.subtract(breaks, _BESIDE), *np.add(breaks, _BESIDE)])

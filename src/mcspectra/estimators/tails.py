@@ -9,7 +9,7 @@ the outermost stratum causes most of the variance of stratified points.
 If f ∝ t^−κ at the distance t, the error of a point set is proportional to u^−κ.
 Here u is a uniform random number.
 For a few point sets, Student's t of errors proportional to u^−κ has a skewed distribution.
-The quantiles of Student's t for such errors depend only on κ and on the number of point sets.
+The quantiles of this skewed distribution depend only on κ and on the number of point sets.
 `growing_interval` computes these quantiles by simulation.
 """
 
@@ -65,10 +65,12 @@ class TailSettings:
     # If the exponent exceeds this limit, errors of strata are skewed.
     # The exponent is −1 for smooth bounded functions, −½ for square roots, and 0 for logarithms
     skewed: float = -0.25
-    # The fitted slope must exceed this many standard errors; up to 100 faces are tested
+    # f counts as growing toward a face if the fitted slope exceeds this many standard errors.
+    # The limit is high because up to 100 faces are tested
     sure: float = 4.0
     # f may grow toward a face if the median of f close to the face exceeds this quantile of f.
-    # The median is over a quarter of the fitted points: at most 1/64 of all points
+    # The median is over the closest quarter of the points to which the growth is fitted.
+    # At most 1/16 of all points are fitted, so the median is over at most 1/64 of all points
     outermost: float = 0.95
     # Exponents above the first limit make the variance infinite; above the second, ∫f diverges.
     # In theory, the limits of the exponent are ½ and 1.
@@ -192,7 +194,8 @@ def growing_interval(
     """Return a 95 % interval of the mean of stratified estimates (R,) if f grows at a border.
 
     The interval is `mean_interval`, but it extends farther on the side toward which f grows.
-    On this side, the end comes from the simulated Student's t of numbers u^−κ with uniform u.
+    The end on the side of the growth is computed from a quantile of Student's t.
+    This quantile is simulated for samples of numbers u^−κ, where u is uniform in [0, 1].
     If the exponent is close to ½ or above, the interval is infinite.
     """
     low, high = mean_interval(estimates)
@@ -228,7 +231,7 @@ def tied_error(values: Array) -> float:
 
     A function with jumps and few values, such as an indicator, may have equal estimates by chance.
     Let a point cross the i-th jump with probability p_i in one set of n points.
-    No point of R sets crosses a jump with probability (1 − Σp_i)^R.
+    The probability that no point of R sets crosses a jump is (1 − Σp_i)^R.
     If all estimates are equal, Σp_i < ln(20)/R therefore holds with 95 % confidence.
     A point that crosses a jump changes an estimate by at most (max f − min f)/n.
     The result is therefore ln(20) (max f − min f)/(R n), where R n is the number of all values.

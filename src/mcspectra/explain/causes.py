@@ -151,7 +151,7 @@ class CauseSettings:
     # The limit of the tail index affects only the sentence on the cause and the remedies.
     no_integral: float = 0.95
     # If g grows at the border with an exponent above this value, the growth is a main cause.
-    # Growth of g with a smaller exponent is listed after all other causes.
+    # Growth of g with an exponent below this value is listed after all other causes.
     # With an exponent of 0.04 as the limit, two test cases get a wrong cause.
     # All test cases get the right cause with a limit from 0.08 to 0.16.
     grows: float = 0.08

@@ -70,7 +70,7 @@ class LineSettings:
     steps: int = 16
     # Number of halvings of the step around the place with the largest second difference of g.
     # After 12 halvings, the step is 1.5e-5 of the length of the line, which is far above rounding.
-    # A step of 1.5e-5 is also far below the distance between features that 16 steps can find.
+    # The step 1.5e-5 is far below 1/16, the distance of features that 16 equal steps can find.
     # With 6 halvings, 29 of 152 test cases fail; values from 12 to 24 give the same results.
     halvings: int = 12
     # Number of final halvings whose second differences determine the exponent.
@@ -174,8 +174,8 @@ class PoleSettings:
     # Largest number of moves with the same step size before the step is halved.
     # Values from 3 to 12 give the same results.
     moves: int = 6
-    # Number of halvings of the step in a group of halvings.
-    # Whether a climb goes on depends on the medians of |g| over its last three groups.
+    # The halvings of a climb's step are divided into groups. This is the number in each group.
+    # The climb goes on or ends, depending on the medians of |g| over the last three groups.
     # With 2 halvings in a group, one of 18 poles is measured wrongly.
     # Values from 3 to 6 give the same results.
     group: int = 3
@@ -185,7 +185,8 @@ class PoleSettings:
     # Near a pole where g grows like ln r, |g| grows equally in each group of halvings.
     # Values from 0.15 to 0.6 give the same results.
     bounded: float = 0.3
-    # Number of rays from the top of a climb. The exponent of a pole is the median over the rays.
+    # Number of rays that start at the top, the point of largest |g| that a climb found.
+    # The exponent of a pole is the median of the exponents along the rays.
     # Values from 3 to 12 give the same results.
     rays: int = 6
     # The climb draws random directions from an ellipsoid, which adapts to successful moves.

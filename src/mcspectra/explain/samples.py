@@ -69,7 +69,7 @@ class CurveSettings:
     # Largest number of dims in which the variance of jittered points is estimated.
     # Values from 2 to 6 give the same results.
     # 8,192 evaluations allow nets of at most 256 points, which have 4 cells along each of 4 axes.
-    # In 4 dims the curve of jittered points therefore has only three numbers of points.
+    # In 4 dims, the variance of jittered points is therefore known at only three values of n.
     jittered_dims: int = 3
     # Number of octaves at the end of a curve over which the rate is assumed to be constant.
     # With 2 octaves, intervals of rates are 1.4 times as wide and contain the rate equally often.
@@ -80,10 +80,11 @@ class CurveSettings:
     # The standard deviation 0.05 suits curves that are nearly straight on logarithmic axes.
     # The standard deviation 0.4 suits bent curves: their rates change by 1 to 3 in a few octaves.
     # If all values of `drifts` are halved, intervals contain the true rate in 94 % of cases.
-    # With doubled `drifts`, or with 0.2 as the only one, intervals contain the true rate in 92 %.
+    # If all values of `drifts` are doubled, intervals contain the true rate in 92 % of cases.
+    # If 0.2 is the only value of `drifts`, the result is also 92 %.
     drifts: tuple[float, ...] = (0.05, 0.1, 0.2, 0.4)
     # If a rate is not known, the rate −1 is assumed, with this standard error.
-    # All rates from −2 to 0 then differ from the assumed rate by at most two standard errors.
+    # Every rate from −2 to 0 is at most two standard errors away from the assumed rate −1.
     unknown: float = 0.5
     # Least standard error of a logarithm of the variance.
     # Measured curves of variance deviate from straight lines by 2 % or more.

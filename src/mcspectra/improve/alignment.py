@@ -51,7 +51,8 @@ class AlignmentSettings:
     # Default number of offsets along each axis in 1, 2 and more dims.
     # A scan has 16 offsets in 1-D, 64 in 2-D and 4^d in d dims.
     # Half and twice as many offsets were tested for disks and steps in 1-D and 2-D.
-    # The least variance changes by at most 0.1 %, unless strata can be aligned almost exactly.
+    # With half or twice as many offsets, the least variance that is found differs by at most 0.1 %.
+    # The difference is larger only if strata can be aligned with edges almost exactly.
     usual_offsets: tuple[int, int, int] = (16, 8, 4)
     # Rounding error of an exact variance, as a fraction of I²/n.
     # An exact variance is a difference of two sums: means of g², and squared means of g.

@@ -94,7 +94,7 @@ class CandidateSettings:
     # Maximum number of dims in which cubic stratification is tried.
     # In 4-D, the order 4 of cubic stratification needs at least 4^4 = 256 cells.
     # In d dims, cubic stratification has the rate −1 − 8/d at best.
-    # In 4-D, this rate is little better than the rate of nets.
+    # In 4-D, the rate −3 of cubic stratification is little better than the rate of nets.
     most_cubic_dims: int = 3
     # Order of the substitution of variables that makes g periodic.
     # Low orders are better for few points, high orders for many (`benchmarks periodized`).
@@ -473,7 +473,7 @@ def improve(kind: Kind, given: Setup, budget: Budget) -> _Candidates:
         raise ParameterError(f"{len(seen.points)} evaluations show no gain from it.")
     yield from found
     # Combine the change with the best sampler for the remaining variance.
-    # If the given sampler is already the best one, nothing is combined
+    # If the given sampler is already the best sampler, no combination is needed
     nets = make_sampler(NETS, given.estimator.dims)
     if nets.spec != given.sampler.spec:
         for alone in found:

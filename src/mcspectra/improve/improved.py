@@ -66,8 +66,8 @@ class ChangeSettings:
     """Settings of changed estimators, and of the densities that are fitted to g."""
 
     # Number of rounds of a pilot whose points follow g.
-    # With two rounds, the variance of a narrow peak in 3-D is several times as large.
-    # Eight rounds are no better than four (`benchmarks improvements`).
+    # With two instead of four rounds, a narrow peak in 3-D has several times the variance.
+    # Eight rounds of the pilot give no less variance than four (`benchmarks improvements`).
     rounds: int = 4
     # Triples of settings with which `fit_splines` fits joint densities and products of 1-D ones.
     # The first number of each triple is the number of cells along each axis.
@@ -85,7 +85,8 @@ class ChangeSettings:
     most_joint_dims: int = 5
     # Share of the uniform density in a fitted density q. It limits |g|/q to 20 |g|.
     # A larger share of the uniform density adds variance:
-    # Uniform shares of 0.025, 0.05, 0.1 leave 0.6, 1.1, 2.2 % of the variance of a ridge function.
+    # With a uniform share of 0.025, a ridge function keeps 0.6 % of its variance.
+    # With a uniform share of 0.05, the ridge function keeps 1.1 %, and with 0.1 it keeps 2.2 %.
     defensive: float = 0.05
     # Least variance of a fitted normal density along any direction.
     # The normal numbers z of uniform points u have variance 1.
@@ -112,7 +113,8 @@ class RegressionSettings:
     # Least number of evaluations for each coefficient.
     # With k evaluations, a fit of p coefficients multiplies the remaining variance by 1 + p/k.
     # With 4 evaluations for each coefficient, the factor 1 + p/k is at most 1.25.
-    # With 2 or 8 evaluations, results for four problems of `benchmarks improvements` are the same.
+    # With 2 or 8 evaluations for each coefficient, results do not change.
+    # The results are from four problems of `benchmarks improvements`.
     evaluations_per_term: int = 4
     # With k evaluations, regularization adds k times this number to diagonals of normal equations.
     # Without regularization, the diagonal is near k, because basis functions have mean square 1.
@@ -424,7 +426,7 @@ class Cubic(_Changed):
     """Integrand g minus a polynomial in each of side^d cells ([Chopin2024]_).
 
     The polynomial has degree r − 1 along each axis, and equals g at the centers of r^d cells.
-    The r^d cells are the r nearest cells along each axis.
+    Along each axis, the r cells nearest to the given cell are used, so there are r^d cells.
     The mean of the polynomial over each cell is added again, so the integral does not change.
     If r is even, each point is averaged with its mirror image about the center of the cell.
     If r = 2, no polynomial is needed, because averages with mirror images cancel linear terms.

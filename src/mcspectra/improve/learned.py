@@ -94,9 +94,9 @@ class LearnSettings:
     usual_evaluations: int = 3 * 2**13
     # By default, 16 n evaluations are made in addition to `most_fitted`, for n points.
     # Half of the 16 n evaluations choose one of five candidates, with six sets of n/4 points each.
-    # The other half check the result: 16 sets with the chosen density, and 16 uniform sets.
+    # The other 8 n evaluations check the result: 16 sets with the chosen density, 16 uniform sets.
     evaluations_per_point: int = 16
-    # Candidates are compared with sets of at least n points divided by this number.
+    # A set that compares candidates has at least n points divided by this number.
     # With n/16 points, nets give nearly the same ratios of variances as with n points.
     # With fewer points, nets do not resolve the splines.
     fewest_divisor: int = 16

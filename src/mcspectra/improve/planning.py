@@ -627,7 +627,8 @@ def _in_stages(source: _Nets | _Own, sampler: Sampler, target: Array) -> _Found:
     estimator, least, best = source.estimator, 0.0, None
     for stage in source.stages():
         curves = stage.curves.get(sampler.spec)
-        if curves is None:  # This stage has no variance for this sampler: its error is too large
+        # A stage lists no curve for a sampler if the error of its variance is too large
+        if curves is None:
             continue
         curve = _Ladder.of(curves)
         note, _ = doubt(stage.points, stage.values) or ("", False)
@@ -709,8 +710,8 @@ class _Ladder:
     def reaches(self, target: Array, side: int) -> float:
         """Return the logarithm of the least n at which a curve reaches the target.
 
-        `side` 0 selects the curve of the variance.
-        `side` −1 or 1 selects the curve of the lower or upper end of the interval of the variance.
+        With `side` = 0, the curve is the curve of the variance.
+        With `side` = −1 or 1, the curve is the lower or upper end of the interval of the variance.
         """
         off = (self.logs + side * self.half - np.log(target)).max(axis=1)
         return _crossing(np.log(self.n), off)

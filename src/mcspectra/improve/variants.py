@@ -200,12 +200,14 @@ def mirror_study(
         The default is the sampler's number of dims, unless the sampler is given as a spec.
     mirrorings
         Some of ``"original"``, ``"integrand"``, ``"random"``, ``"uniform"``; see `Mirrored`.
-        The six plots of the slides do not include ``"integrand"``.
+        The mode ``"integrand"`` is not in the six plots of mirroring on the paper's slides.
     exact
         Whether exact variances are also returned. Exact variances are fast in 1-D.
         In 2-D, exact variances can take minutes for each count of a shifted set.
-    realizations, rng, max_evaluations, workers
+    realizations, rng
         Same as in `mcspectra.convergence`. All curves use the same random numbers.
+    max_evaluations, workers
+        Same as in `mcspectra.convergence`.
 
     Returns
     -------

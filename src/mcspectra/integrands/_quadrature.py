@@ -301,7 +301,7 @@ def adaptive_integral(
     The error of the corrected value is three standard errors of the correction.
     The value with the smaller error is used.
 
-    If boxes were divided only because of the probe, other regions may have been missed.
+    If only probe points showed that a box must be divided, other regions may have been missed.
     The correction of ∫ f and its error are then computed from 2^18 other points.
     """
     dims, method = function.dims, "adaptive Gauss-Legendre quadrature with a probe"
@@ -380,7 +380,7 @@ def adaptive_integral(
     biased = ~better_known & (_SIGMAS * np.abs(shift) > 2.0 * spread)
     total = np.where(better_known, total + shift, total)
     error = np.where(better_known, spread, np.where(biased, error + np.abs(shift) + spread, error))
-    # Jumps in cells of negligible weight were not resolved. Add their error
+    # Add the error of jumps that were not resolved because their cells have negligible weight
     error += _SIGMAS * _INTEGRAL_TOLERANCE * scale
     error += _FOUND * sum(map(len, breaks)) * np.ptp(probed, axis=0)
     if not surprises.any():
@@ -554,7 +554,7 @@ def probe(dims: int, times: int = 1) -> Array:
     The points are the same in every call. They form a Latin hypercube.
     Along each axis, the points form a permuted regular grid with an irrational offset.
     A slab normal to an axis is always hit if its width is at least 2^-17.
-    Another region of volume v is hit with probability 1 − exp(−2^17 v).
+    A region of volume v that is not a slab is hit by 2^17 points with probability 1 − exp(−2^17 v).
     A region of volume 8e-5 is missed with a probability below 5e-5.
     """
     keys = Stream(times - 1).uniforms(0, dims, times * PROBE)

@@ -124,7 +124,8 @@ class IntegrandCache:
         Positions along each axis where f jumps, whether declared or detected (`found_breaks`).
     probed
         Values at the points of `mcspectra.integrands._quadrature.probe`.
-        The search for jumps stores the values at probe points. The integral uses and deletes them.
+        The search for jumps stores these values at the probe points.
+        The computation of ∫ f uses the stored values and then deletes them.
     cut
         The integrand with all found jumps declared. If f declares all of them, this is f.
         See `mcspectra.estimators.quadrature.looked_at`.

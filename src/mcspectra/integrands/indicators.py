@@ -44,7 +44,7 @@ class _Indicator(Integrand):
         """Return the fraction of each box in which f is 1. Return None if it is not known."""
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array] | None:
-        """Return the fraction of each box in which f is 1, twice: means of f and f² are equal."""
+        """Return the means of f and f² over each box: for both, the fraction where f is 1."""
         share = self._share(lo, hi)
         return None if share is None else (share, share)
 

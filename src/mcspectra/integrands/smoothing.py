@@ -3,7 +3,8 @@
 There are two methods. The first needs the signed distance σ(x) to an edge; f = 1 where σ < 0.
 The edge becomes the linear ramp ½ − σ/δ of width δ, clipped to [0, 1].
 The ramp is the average over edges that are moved by τ, with τ uniform in [−δ/2, δ/2].
-Therefore the integral and the coefficients of the ramp are averages over moved edges.
+The integral of the ramp is therefore the average over τ of the integrals with moved edges.
+The Fourier coefficients of the ramp are averages over τ in the same way.
 
 The second method averages an integrand over a box of side δ about x.
 The box is reflected at the faces of the domain, which keeps the integral.
@@ -60,7 +61,7 @@ def smoothed(
     nodes
         Number of Gauss nodes along each axis for ``"box"``, at most 4096 in total.
         The nodes are used if the means of f over boxes have no closed form.
-        Each jump of f then remains as `nodes` smaller jumps.
+        A mean over these nodes has `nodes` smaller jumps for each jump of f.
     dims
         Number of dims for a spec string without ``dims``.
 

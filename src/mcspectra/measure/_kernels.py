@@ -29,7 +29,8 @@ __all__ = [
 # Number of coefficients of a tile, a constant of the compiled kernels.
 # The size of a tile has no effect on the sums.
 # The arrays of a tile take 512 · 56 bytes = 28 KiB. A first-level cache often has 32 KiB.
-# The 56 bytes hold two complex numbers (spectrum and coefficient), a weight and two integers.
+# Each coefficient takes 56 bytes: two complex numbers, a weight and two integers.
+# The complex numbers are a spectrum of points and a coefficient of the integrand.
 _TILE = 512
 
 
@@ -46,8 +47,10 @@ def band_estimates(
 ) -> None:
     """Compute Σ_{h in a} double[h] Re(conj(f_ch) S_rh) for two partitions of h, and Σ_r S_rh.
 
-    The inputs are s (R, H) and f (C, H), which are both complex or both real.
-    Further inputs are double (H,), and the number of each frequency's band and shell, int (H,).
+    The inputs are for R realizations, C channels and H frequencies.
+    The inputs s (R, H) and f (C, H) are both complex or both real.
+    The input double (H,) is 2 if a coefficient counts for both m and −m, otherwise 1.
+    The inputs band and shell, int (H,), are the number of each frequency's band and shell.
     The outputs bands (R, C, A), shells (R, C, K+1) and total (H,) must be zero initially.
     """
     for low in range(0, s.shape[1], _TILE):
@@ -94,7 +97,8 @@ def term_sums(f: Array, m2: Array, cov: Array, double: Array, dc: Array, out: Ar
 
     The three sums of each channel are added to the array out (C, 3).
     The inputs are f (C, H), m2 (H,), cov (C, H), double (H,) and the bool array dc (H,).
-    The inputs and the three sums are not yet divided by the degrees of freedom.
+    The inputs m2 and cov are sums over realizations, not divided by the degrees of freedom.
+    The caller must divide the output by the degrees of freedom.
     """
     for c in range(f.shape[0]):
         for h in range(f.shape[1]):

@@ -62,7 +62,8 @@ class AnovaSettings:
     # Largest number of stored estimates, over all subsets and realizations: 0.5 GiB in float64.
     most_values: int = 2**26
     # Largest total number of frequencies. In 1-D the frequencies take 0.6 GiB in all.
-    # Each frequency has four numbers: a component, a probability, a power and a coefficient.
+    # In 1-D, each frequency m is stored with the probability with which m is drawn.
+    # The power spectrum of the points at m, and |f_m|² of the integrand, are also stored.
     most_frequencies: int = 2**24
     # Least number of realizations that give a standard error.
     # With two realizations, all products of deviations are equal, so the standard error would be 0.
@@ -227,7 +228,10 @@ class Anova(Counted, frozen=True, kw_only=True):
         whole = np.where(varies, every.mean(axis=0), np.nan)
 
         def combined(weights: list[Array]) -> tuple[Array, Array, Array, Array]:
-            """Return weighted sums of covariances with errors, and shares with intervals."""
+            """Return parts of the variance with errors, and shares of the variance with intervals.
+
+            Each part of the variance is a weighted sum of covariances.
+            """
             each = [weighted_sum(row, products) for row in weights]
             means = np.stack([q.mean(axis=0) for q in each])
             errors, share = (
@@ -432,7 +436,7 @@ def anova_variances(
     estimator, sampler, n
         The estimator with its sampler and number of points, in up to 64 dims or groups.
         Random sampling with n = 1 is the default.
-        With this default, c_u are the ANOVA variances σ²_u of the integrand itself.
+        By default, the parts c_u of the variance are the ANOVA variances σ²_u of the integrand.
     dims
         Number of dims of a function, or of a spec without ``dims``.
         The default is the number of dims of the sampler, unless the sampler is a spec.
@@ -456,7 +460,8 @@ def anova_variances(
     -------
     xarray.Dataset
         ``anova_variance(subset)`` is the part c_u of the variance from a subset u of axes.
-        ``anova_share(subset)`` is the share of this part in the variance, from the same set pairs.
+        ``anova_share(subset)`` is c_u divided by the whole variance.
+        The part c_u and the whole variance are from the same pairs of point sets.
         All shares sum to 1. The shares of single axes are the first-order Sobol' indices.
 
         ``total_variance(axis)`` is the sum of c_u over all subsets u that contain the axis.

@@ -88,7 +88,8 @@ class BenchSettings:
     # With fewer sets the interval would hide the curve in a plot.
     few_sets: int = 8
     # Largest number of sets over which the pair correlation is averaged.
-    # At 256 points in 2-D, 8, 16 and 32 sets give half widths of 0.05, 0.03 and 0.02.
+    # At 256 points in 2-D, 8 sets give the pair correlation an interval of half width 0.05.
+    # With 16 sets the half width of the interval is 0.03, and with 32 sets it is 0.02.
     pair_sets: int = 16
     # Largest distance of the pair correlation, in mean spacings n^(−1/d).
     # Correlations of blue noise end before 6 spacings, and 100 bins then resolve its peak.

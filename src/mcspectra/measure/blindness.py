@@ -3,7 +3,8 @@
 Estimates give no upper bound of the variance in three cases.
 All estimates may be equal, or their mean may differ from the integral.
 A single estimate may cause most of the variance.
-`blindness` detects the three cases by the known integral, by ∫g² and by poles.
+The function `blindness` compares estimates with the known integral and with ∫g².
+It also searches for poles of the integrand.
 """
 
 from __future__ import annotations
@@ -185,7 +186,10 @@ def blindness(
 def blindness_of(
     estimator: AbstractEstimator, sampler: Sampler, n: int, moments: Moments
 ) -> tuple[Array, list[str]]:
-    """Apply `blindness` to one sampler and count, by channel. Also report vanishing variances."""
+    """Apply `blindness` to each channel for one sampler and one n.
+
+    If no other reason is found and the variance is 0 up to rounding, a sentence reports this.
+    """
     integral, error, _ = estimator.known_integral()
     bias = moments.mean - np.atleast_1d(integral)
     measured = {

@@ -71,7 +71,8 @@ class ChainSettings:
     # At the end of the burn-in, the mean may still have a bias of one standard error.
     # `settled` and `margin` were tested on 200 sets of 4 chains with 1,000 draws each.
     # Draw number t is a normal number plus a drift of 5 exp(−t/100).
-    # A burn-in is reported for 153 sets (the other 47 are stuck, without an end of the burn-in).
+    # A burn-in is reported for 153 sets. The other 47 sets count as stuck.
+    # In a stuck set, no end of the burn-in is found.
     # Of the 95 % intervals, 93 % contain the mean.
     # With the p-value 0.3 and the factor 1.5, a burn-in is reported for 76 % of the sets.
     # With the p-value 0.3 and the factor 1.5, 93 % of the intervals contain the mean.
@@ -401,7 +402,8 @@ def _burn_in(z: Array, settings: ChainSettings) -> int:
     """Return the number of draws of each chain that depend on its start, or n if it exceeds n/2.
 
     The mean of the first draws, over all chains, is compared with the mean of the last half.
-    The errors of the two means come from the spectrum of the last half at frequency 0.
+    The errors of both means are computed from the spectrum of the chains at frequency 0.
+    This spectrum is fitted to the last half of each chain.
     Draws are replaced by normal scores, which have no heavy tails.
     """
     from scipy.special import ndtri

@@ -6,7 +6,8 @@ The number of realizations grows in stages that depend only on earlier estimates
 Therefore the result has the same bits for any number of workers.
 
 The search ends only if the next stage, at least a quarter longer, confirms the accuracy.
-A skewed sample tends to reach the accuracy first when its kurtosis is underestimated.
+The estimated accuracy of a variance depends on the estimated kurtosis of the sample.
+If a sample is skewed and its kurtosis is underestimated, the variance seems too accurate.
 Estimates without any spread do not prove that the variance is 0.
 After 10,000 equal estimates the error is NaN, and the precision is not reached.
 
@@ -90,7 +91,7 @@ class StageSettings:
     # The length of the next stage depends on the kurtosis of the sample.
     # With four times as many realizations, the kurtosis is twice as accurate.
     # If `step` is 1.1, a search for an error of 10 % stops too early, at an error of 10.3 %.
-    # If `step` is 1.25, the same search stops at an error of 9 %.
+    # If `step` is 1.25, a search for an error of 10 % stops at an error of 9 %.
     # If `step` is 1.5, the search takes 30 % more realizations.
     # Results are the same for values of `leap` from 2 to 8
     # (`python -m benchmarks settings --stages`).

@@ -103,7 +103,8 @@ class IntegrationSettings:
     """
 
     # Least number of replicates.
-    # For smooth functions, intervals of 16 replicates are 1.6 to 1.9 times as wide.
+    # For smooth functions, intervals of 16 replicates are wider than intervals of 8 replicates.
+    # The ratio of their widths is 1.6 to 1.9.
     # Intervals of 4 replicates are as wide as intervals of 8 on average.
     # Four replicates miss an event of probability 1/8 more often than eight replicates do.
     least: int = 8
@@ -125,9 +126,10 @@ class IntegrationSettings:
     # Largest ratio of the points of a final set to the points of a set that measures the rate.
     # Results are the same for ratios from 2 to 8: widths of intervals differ by 1 % on average.
     pilot: int = 4
-    # Number of prefixes of a replicate to which the rate is fitted.
-    # Each prefix is half as long as the next.
-    # With 2 prefixes, intervals are 6 % wider. Results are the same for values from 4 to 6.
+    # Number of initial parts (prefixes) of a replicate to which the rate is fitted.
+    # Each initial part has half as many points as the next.
+    # If the rate is fitted to 2 initial parts of each replicate, intervals are 6 % wider.
+    # Results are the same for values from 4 to 6.
     levels: int = 4
     # The median is preferred if the interval of the mean is wider by more than this factor.
     # With a factor of 1, the median's interval contains the integral in 90 % of runs, not 93 %.

@@ -1,4 +1,6 @@
-"""Kernels of searches, with r features, n points, N cells and W sets.
+"""Compiled inner loops of the searches for point sets with a small variance.
+
+In shapes of arrays, r is the number of features, n of points, N of cells and W of point sets.
 
 The code of a point or cell is an integer: the leading bits of all coordinates, one after another.
 """
@@ -130,7 +132,7 @@ def swap_cells(
         bits //= np.uint64(cells)
         if t % 4 == 0:
             b = np.int64(bits % np.uint64(cells))
-        else:  # Choose a cell nearby: each axis moves by up to 1, 2 or 4
+        else:  # Choose a cell nearby: at most 1, 2 or 4 cells away along each axis
             reach, stride, rest, inside = 1 << (t % 4 - 1), 1, a, True
             for j in range(len(sides) - 1, -1, -1):
                 x = rest % sides[j] + np.int64(bits % np.uint64(2 * reach + 1)) - reach

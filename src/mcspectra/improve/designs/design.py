@@ -55,7 +55,7 @@ class DesignSettings:
     """Settings of the cache of designs and of certificates."""
 
     # The cache identifies a class by its text and by values of random integrands of the class.
-    # The text alone is not enough, because functions with the same text may differ.
+    # The text alone does not identify a class, because different functions may have the same text.
     # Values of `cache_members` random integrands at `cache_points` random points are used.
     # Integrands may be 0 outside a small region: 64 points missed disks of radius 0.1.
     # A region of volume 1e-3 is missed by 8192 points with probability 3e-4.
@@ -177,10 +177,15 @@ def design(
         Point sets are stored in a .npz file of the same name. The default is the cache folder.
         In the .json file, the path of the sets is relative to the folder of this file.
         In the spec of the result, the path is relative to the current folder.
-    family, sampler, budget, defensive
-        Options of a density, which are passed to `learned_density`.
-        The default of `family` is ``"mixture"``, and the default of `sampler` ``"sobol | owen"``.
-        The option `budget` is passed on as the number of evaluations.
+    family
+        Family of a learned density: the argument `kind` of `learned_density`.
+        The default is ``"mixture"``.
+    sampler
+        Sampler for which a density is learned. The default is ``"sobol | owen"``.
+    budget
+        Maximum number of evaluations with which a density is learned.
+    defensive
+        Lower bound of a learned density, as in `learned_density`.
     settings
         Settings for the search of a sampler (`mcspectra.improve.designs.searches.SearchSettings`).
 
@@ -190,7 +195,8 @@ def design(
         The sampler is unbiased for every integrand. The spec of the sampler creates it again.
         If the sampler has stored sets, the spec names the file of these sets.
         On new integrands of the class, a usual sampler may prove better with 95 % confidence.
-        If `settings.return_rival` is true, this usual sampler is returned with a `NoGainWarning`.
+        If `settings.return_rival` is true, the better usual sampler is returned in that case.
+        The warning `NoGainWarning` is then given.
 
     Raises
     ------

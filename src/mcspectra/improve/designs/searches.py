@@ -14,7 +14,8 @@ Each search tries plain sets and folded sets, and keeps the kind with less varia
 
 If sets together contain each cell of a grid exactly once, they need no shift.
 *Features* are functions φ_t with Σ_t φ_t(x) φ_t(y) = Cov(f(x), f(y)) at centers of cells.
-The variance of such sets is the mean over sets of Σ_t (mean φ_t)².
+The mean of φ_t over the points of a set is taken for every feature φ_t, and squared.
+The variance is the sum of these squares over t, averaged over the sets.
 The search exchanges cells between sets to lower this variance.
 Exchanges start from random sets, or from the cosets of a digital net if these are better.
 All points of a set have the same offset within their cells, except for reflections.
@@ -205,7 +206,7 @@ def _fourier_power(
     Of the frequencies m and −m, only one is listed. In up to 3 dims, frequencies form a grid.
     In more dims, a grid would have few frequencies along each axis.
     Functions that are not periodic have most of their power along the axes.
-    Therefore the frequencies are those in a hyperbolic cross and in a ball.
+    Therefore all frequencies of a hyperbolic cross are used, and all frequencies of a ball.
     Their coefficients are estimated from values of f at the points of a lattice.
     If the lattice cannot distinguish several frequencies, only the lowest is kept.
     """
@@ -267,7 +268,9 @@ def _best_vector(
         for sweep in range(6):
             for axis in range(1, dims):
                 seen = np.ones(len(m), bool)
-                if start == sweep == 0:  # Use only the components that are already chosen
+                # The first sweep chooses one component of the vector after another.
+                # Frequencies with nonzero entries along later axes are ignored in this sweep
+                if start == sweep == 0:
                     seen = (m[:, axis + 1 :] == 0).all(axis=1)
                 _kernels.best_multiple(m[seen], power[seen], vector, axis, n, sums)
                 vector[axis] = sums.argmin()
@@ -422,7 +425,9 @@ def _nets(
                             best, columns = value, trial
             else:
                 columns = sobol.copy()
-                if start > 1:  # Add higher rows to each row at random, which keeps the quality t
+                # To each row of a matrix, add a random sum of the rows above it.
+                # These additions do not change the quality parameter t of the net
+                if start > 1:
                     for j, r in itertools.product(range(dims), range(1, rows)):
                         mixed = columns[j] >> rows - r & generator.integers(0, 1 << r)
                         columns[j] ^= (np.bitwise_count(mixed) & 1).astype(np.int64) << rows - 1 - r
@@ -458,7 +463,8 @@ def _trees(
         top = codes[..., None] >> places & (1 << bits) - 1
         return energy, (top + starts[first:last] * 2.0**bits % 1.0) / 2.0**bits
 
-    # Choose the randomization by the first scramblings, and report the mean variance over all
+    # Choose the randomization with the least mean variance over the first `tried` scramblings.
+    # Then report the mean variance over all scramblings
     frames = list(_tables(objective, bits, stream, settings, owen=False))
     begun = [(*flipped(table, 0, tried), tail, table) for tail, table in frames]
     energy, sets, tail, table = min(begun, key=lambda each: each[0])
