@@ -270,7 +270,13 @@ def all_analyses(sampler, dims=1, n=None):
     }
 
 
-def words_alone(figure, *_, **__):
+def leave_out_figures(patch):
+    """Replace figures of pages by their words; `patch` sets an attribute, as ``setattr`` does."""
+    patch(page, "_images", lambda *_, **__: None)
+    patch(page, "_embedded", _words_alone)
+
+
+def _words_alone(figure, *_):
     """Return a figure for the template without an image."""
     plot = figure.plot
     blank = {**dict.fromkeys(("png", "thumbnail", "file", "live"), ""), "width": 1, "height": 1}
@@ -280,8 +286,8 @@ def words_alone(figure, *_, **__):
 
 @pytest.fixture
 def undrawn(monkeypatch):
-    """Replace figures of pages by their words, for tests of other contents."""
-    monkeypatch.setattr(page, "_drawn", words_alone)
+    """Leave out figures of pages, for tests of other contents."""
+    leave_out_figures(monkeypatch.setattr)
 
 
 @pytest.fixture(name="make", scope="session")

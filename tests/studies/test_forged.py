@@ -17,12 +17,12 @@ import msgspec
 import numpy as np
 import pytest
 import xarray as xr
-from tests.report.conftest import words_alone
+from tests.report.conftest import leave_out_figures
 
 from mcspectra.cli.main import main
 from mcspectra.core.errors import McspectraError, StoreError
 from mcspectra.core.records import pack
-from mcspectra.report import page, write_comparison, write_report
+from mcspectra.report import write_comparison, write_report
 from mcspectra.studies import decode_study, make_plan, run_study, summarize
 from mcspectra.studies import ledger as ledger_module
 from mcspectra.studies.files import plain_study, planned_groups
@@ -240,7 +240,7 @@ def tried(forgery, folder, verbs=VERBS):
 
 @pytest.fixture
 def place(tmp_path, honest, monkeypatch):
-    monkeypatch.setattr(page, "_drawn", words_alone)
+    leave_out_figures(monkeypatch.setattr)
     (tmp_path / "in").mkdir()
     forged_ledger(tmp_path / "in" / "honest", honest)
     return tmp_path / "in" / "forged"
@@ -440,7 +440,7 @@ def removed(place):
 
 
 if __name__ == "__main__":
-    page._drawn = words_alone
+    leave_out_figures(setattr)
     with tempfile.TemporaryDirectory() as folder:
         made = honest_results(Path(folder) / "run")
         (Path(folder) / "in").mkdir()

@@ -28,11 +28,10 @@ from pathlib import Path
 import msgspec
 import pytest
 from tests.processes import python
-from tests.report.conftest import words_alone
+from tests.report.conftest import leave_out_figures
 
 from mcspectra.cli.main import main
 from mcspectra.core.errors import StoreError
-from mcspectra.report import page as report_page
 from mcspectra.studies import decode_study, make_plan, run_study, schedule, study_status
 from mcspectra.studies import ledger as ledger_module
 from mcspectra.studies.ledger import LEDGER_NAME, Ledger
@@ -174,7 +173,7 @@ def command(study, out, *more):
         patch.setattr(schedule, "_TARGET", 1e-9)
         patch.setattr(schedule, "_RECORDED_AFTER", 0.0)
         patch.setattr(ledger_module, "_COMMIT_SECONDS", 0.005)
-        patch.setattr(report_page, "_drawn", words_alone)
+        leave_out_figures(patch.setattr)
         return main(["run", str(study), "--out", str(out), "--workers", "1", "--quiet", *more])
 
 
