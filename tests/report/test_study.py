@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from tests.report.parsed import Parsed
 
@@ -45,7 +46,9 @@ def blank(monkeypatch):
     """Replace the contents of figure files by nothing."""
     monkeypatch.setattr(backend_matplotlib, "draw", lambda plot, **_: None)
     # A PDF without bytes would count as not drawn
-    monkeypatch.setattr(backend_matplotlib, "encode", lambda figure, **_: (bytes(24), b" "))
+    white = np.full((2, 2, 3), 255, np.uint8)
+    monkeypatch.setattr(backend_matplotlib, "rasterize", lambda figure, **_: (white, b" "))
+    monkeypatch.setattr(backend_matplotlib, "has_few_colors", lambda figure: True)
     monkeypatch.setattr(backend_bokeh, "packed", lambda model: "")
 
 
