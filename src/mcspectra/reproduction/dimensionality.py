@@ -84,6 +84,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     }
 
     maps = describe("contributions", mapped)
+    own_map = describe("contributions", {"importance sampling": weighted}).panels[0]
 
     # Check the formula for the size of a matrix, and the error message for too large a matrix
     wrong = [d for d, x in whole.items() if x["cross_matrix"].size != entries(d, SMALL[d][1])]
@@ -127,10 +128,11 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             _sizes(),
             plot_of(
                 "contribution-map",
-                *(_terms_beside(data, name) for name, data in cases.items()),
-                replace(maps.panels[0], title="jittered points: cₘ"),
-                _orders_panel(bands),
+                _terms_beside(weighted, "three terms and their sum"),
+                replace(own_map, title="contributions cₘ by frequency"),
             ),
+            plot_of("jittered-terms", _terms_beside(mapped["jittered"], "jittered points")),
+            plot_of("order-shares", _orders_panel(bands)),
             replace(maps, kind="maps"),
             replace(in_columns(describe("bands", bands), first=1), kind="band-map"),
         ),
@@ -294,7 +296,7 @@ def _orders_panel(bands: dict[str, xr.Dataset]) -> Panel:
             label="share of the variance", low=0.0, high=1.0, ticks={0.0: "0", 0.5: "0.5", 1.0: "1"}
         ),
         y=name_axis([name.replace("latin-h", "Latin h") for name in bands]),
-        title="three dims: functions of",
+        title="share of functions of one, two and three coordinates",
     )
 
 

@@ -1,4 +1,4 @@
-"""Smoothed lights restore the convergence rate of smooth integrands, at the cost of a bias."""
+"""A light that fades restores the rate of smooth integrands. Smoothing a sharp one adds a bias."""
 
 from __future__ import annotations
 
@@ -18,45 +18,57 @@ from mcspectra.reproduction.panels import plot_of, primary_panel, variance_panel
 __all__ = ["exhibit"]
 
 _EDGES = {"sharp": 0.0, "smooth": 1.0}
-_RATES = {"sharp": -1.5, "smooth": -2.0}
+_TITLES = {"sharp": "light with a sharp outline", "smooth": "light that fades to its border"}
+_STRATEGIES = {"light": "light sampling", "bsdf": "BSDF sampling"}
+_RATES = {
+    ("sharp", "light"): -2.0, ("sharp", "bsdf"): -1.5,
+    ("smooth", "light"): -2.0, ("smooth", "bsdf"): -2.0,
+}  # fmt: skip
 _COUNTS = tuple(side**2 for side in (16, 23, 32, 45, 64))
 DISK, RADIUS = "disk(center=0.47)", 0.25
 WIDTHS = (0.0, 0.02, 0.05, 0.1, 0.2)
 BUDGETS = (64, 256, 1024)
-_OTHERS = 2  # the first two colors of the palette are already used for the light
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Measure a pixel under a light with a sharp and a smooth edge, a ramp, and a smoothed disk."""
-    pixels = {name: _pixel(edge) for name, edge in _EDGES.items()}
+    """Measure a pixel under lights with a sharp and a smooth edge, a ramp, and a smoothed disk."""
+    pixels = {(name, s): _pixel(_EDGES[name], s) for name, s in _RATES}
     options: dict[str, Any] = {"realizations": 240 if quick else 800, "rng": seed}
     found = mcs.convergence(list(pixels.values()), "jittered", _COUNTS, **options)
-    curves = {name: found.isel(estimator=i) for i, name in enumerate(pixels)}
+    curves = {case: found.isel(estimator=i) for i, case in enumerate(pixels)}
     options["realizations"] = 300 if quick else 3000
     scan = mcs.improve.smoothing_scan(DISK, "jittered", BUDGETS, WIDTHS, **options)
-    sharp, smooth = map(rate_text, curves.values())
+    sharp, smooth = (rate_text(curves[name, "bsdf"]) for name in _EDGES)
     best = ", ".join(
         f"{number(float(width), 2)} (N = {n})"
         for width, n in zip(scan["best_width"], BUDGETS, strict=True)
     )
     # Draw the variances of the pixel, and the errors of the disk against the width of the ramp
-    panel = variance_panel(
-        {f"{name} edge": curve for name, curve in curves.items()},
-        rates={f"{name} edge": rate for name, rate in _RATES.items()},
-        relative=True,
-        title="light that fades: rate",
-        x="number of samples N",
-        beside=0.6,
-    )
+    ends = np.concatenate([
+        curve["variance_ci"].values.ravel() / float(curve["mean"][-1]) ** 2
+        for curve in curves.values()
+    ])  # fmt: skip
+    panels = [
+        variance_panel(
+            {label: curves[name, s] for s, label in _STRATEGIES.items()},
+            rates={label: _RATES[name, s] for s, label in _STRATEGIES.items()},
+            relative=True,
+            title=title,
+            x="number of samples N",
+            limits=(float(ends.min()), float(ends.max())),
+            beside=0.6,
+        )
+        for name, title in _TITLES.items()
+    ]
     widths, marks = np.array(WIDTHS[1:]), list[Mark]()
     for k, n in enumerate(BUDGETS):
         cell, label = scan.sel(n=n, width=widths), f"N = {n}"
         mse = cell["mse"].values
         edge = float(scan["mse"].sel(n=n, width=0.0))
         marks += [
-            ReferenceLine(at=edge, color=PALETTE[k + _OTHERS], dashes=":"),
-            Line(x=widths, y=mse, color=PALETTE[k + _OTHERS], width=1.1, label=label),
-            whiskers(widths, mse, cell["mse_ci"].values, k + _OTHERS, label),
+            ReferenceLine(at=edge, color=PALETTE[k], dashes=":"),
+            Line(x=widths, y=mse, color=PALETTE[k], width=1.1, label=label),
+            whiskers(widths, mse, cell["mse_ci"].values, k, label),
         ]
     dense = np.geomspace(widths[0], widths[-1], 50)
     line = (np.pi * dense**2 / 12) ** 2
@@ -67,27 +79,26 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         numbers={"sharp": sharp, "smooth": smooth, "best": best, "radius": RADIUS},
         plots=(
             plot_of(
-                "smoothed-light", *(primary_panel(g, f"{name} edge") for name, g in pixels.items())
+                "smoothed-light",
+                *(primary_panel(pixels[name, "bsdf"], f"{name} edge") for name in _EDGES),
             ),
-            plot_of(
-                "light-smoothing",
-                panel,
-                Panel(marks=tuple(marks), x=x, y=y, title="smoothed disk: error", grid=True),
-            ),
+            plot_of("light-smoothing", *panels),
+            plot_of("smoothing-error", Panel(marks=tuple(marks), x=x, y=y, grid=True)),
         ),
         claims=(
             *(
                 pixel_rate(
-                    f"Rate of BSDF sampling at P under a light with a {name} edge, jittered.",
+                    f"Rate of {_STRATEGIES[strategy]} at P under a light with a {name} edge, "
+                    "jittered.",
                     curve,
-                    _RATES[name],
+                    _RATES[name, strategy],
                 )
-                for name, curve in curves.items()
+                for (name, strategy), curve in curves.items()
             ),
             Claim(
-                f"At N = {_COUNTS[-1]}: variance / mean² with the sharp edge divided by the same "
-                "with the smooth edge.",
-                _relative(curves["sharp"]) / _relative(curves["smooth"]),
+                f"BSDF sampling, N = {_COUNTS[-1]}: variance / mean² with the sharp edge divided "
+                "by the same with the smooth edge.",
+                _relative(curves["sharp", "bsdf"]) / _relative(curves["smooth", "bsdf"]),
                 above=1.0,
             ),
             _ramp(0.2),
@@ -99,14 +110,14 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     )
 
 
-def _pixel(edge: float) -> Any:
-    """Return the pixel of point P in the scene of Figure 1, with BSDF sampling.
+def _pixel(edge: float, strategy: str) -> Any:
+    """Return the pixel of point P in the scene of Figure 1, sampled by one strategy.
 
     The light's soft border has the width `edge` times half the side of the light.
     """
     scene = f"smooth-light(edge={edge})"
     x, y = mcs.rendering.named_pixels(scene)["P"]
-    return mcs.rendering.Pixel(scene=scene, x=x, y=y, strategy="bsdf")
+    return mcs.rendering.Pixel(scene=scene, x=x, y=y, strategy=strategy)
 
 
 def _relative(curve: xr.Dataset) -> Measured:
