@@ -5,6 +5,7 @@ Contribution maps and ANOVA bands show the same term, and do not need the matrix
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -16,11 +17,13 @@ from mcspectra.plots.description import (
     Axis,
     BarChart,
     Dots,
+    Heatmap,
     Line,
     Mark,
     Panel,
     Plot,
     ReferenceLine,
+    Scale,
     TextMark,
 )
 from mcspectra.plots.kinds import describe
@@ -54,6 +57,10 @@ _ORDERS = {
 }
 _THIRD = 2.0  # position of the third variance term on the axis of a waterfall chart
 _BYTES = 16  # bytes per complex number
+_NEAR, _SHOWN = (
+    3,
+    1.0,
+)  # half width of the map of low frequencies, and least share (%) with a number
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
@@ -84,7 +91,6 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     }
 
     maps = describe("contributions", mapped)
-    own_map = describe("contributions", {"importance sampling": weighted}).panels[0]
 
     # Check the formula for the size of a matrix, and the error message for too large a matrix
     wrong = [d for d, x in whole.items() if x["cross_matrix"].size != entries(d, SMALL[d][1])]
@@ -123,13 +129,16 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             "shares": shares,
             "jittered": number(without["jittered points"].value, 2),
             "weighted": number(without["importance sampling"].value, 2),
+            "nine": number(100.0 * float(_shares(weighted, 1).sum()), 2),
+            "cut": number(1e4 * jittered_variance(24), 2),
+            "whole": number(1e4 * float(mcs.exact_variance(BELL, "jittered", 64)), 2),
         },
         plots=(
             _sizes(),
             plot_of(
                 "contribution-map",
                 _terms_beside(weighted, "three terms and their sum"),
-                replace(own_map, title="contributions cₘ by frequency"),
+                _low_frequencies(weighted),
             ),
             plot_of("jittered-terms", _terms_beside(mapped["jittered"], "jittered points")),
             plot_of("order-shares", _orders_panel(bands)),
@@ -269,6 +278,57 @@ def main_share(data: xr.Dataset) -> float:
     alone = [k for k, subset in enumerate(labelled_subsets(data)) if subset in (1, 2, 4)]
     matrix = data["band_covariance"].values
     return float(matrix[alone].sum() / matrix.sum())
+
+
+def jittered_variance(half_width: int, side: int = 8) -> float:
+    """Return the variance of the bell's Fourier series up to `half_width`, in two dims.
+
+    The points are jittered in side × side strata.
+    """
+    m = np.arange(-half_width, half_width + 1)
+    nodes, weights = np.polynomial.legendre.leggauss(60)
+    x = (np.arange(side)[:, None] + (nodes + 1) / 2) / side
+    waves = np.exp(2j * np.pi * x[..., None] * m)
+    series = (waves @ mcs.integrand(BELL, 1).fourier_grid(half_width).ravel()).real
+    means, squares = series @ weights / 2, series**2 @ weights / 2
+    return float((squares.sum() ** 2 - (means**2).sum() ** 2) / side**4)
+
+
+def _shares(data: xr.Dataset, half_width: int) -> Array:
+    """Return contributions as shares of their sum, for frequencies up to `half_width`."""
+    values = data["contribution"].values / float(data["predicted_variance"])
+    middle = len(values) // 2
+    near = slice(middle - half_width, middle + half_width + 1)
+    return np.asarray(values[near, near])
+
+
+def _low_frequencies(data: xr.Dataset) -> Panel:
+    """Return a map of contributions at low frequencies, with the numbers of the largest."""
+    shares = 100.0 * _shares(data, _NEAR)
+    side = np.arange(-_NEAR, _NEAR + 1.0)
+    top = 1.6 * float(np.abs(shares).max())
+    scale = Scale(low=-top, high=top, palette="diverging")
+    said = (
+        TextMark(
+            x=x,
+            y=y,
+            text=number(float(share), 2 if abs(share) >= 10 else 1),
+            color="#FFFFFF" if abs(share) > top / 2 else INK,
+            side="middle",
+        )
+        for (x, y), share in zip(
+            itertools.product(side.tolist(), repeat=2), shares.flat, strict=True
+        )
+        if abs(share) >= _SHOWN
+    )
+    ticks = {float(m): f"{m}".replace("-", "−") for m in range(-_NEAR, _NEAR + 1)}
+    return Panel(
+        marks=(Heatmap(values=shares.T, x=side, y=side, scale=scale, name="share"), *said),
+        x=Axis(label="m₀ (cycles per unit)", ticks=ticks),
+        y=Axis(label="m₁ (cycles per unit)", ticks=ticks),
+        title="cₘ in % of the variance",
+        square=True,
+    )
 
 
 def _terms_beside(data: xr.Dataset, title: str) -> Panel:

@@ -13,7 +13,7 @@ import xarray as xr
 import mcspectra as mcs
 from mcspectra.core.checks import Array
 from mcspectra.plots.description import Axis, Dots, Line, Panel, Pixels, Plot, Segments, TextMark
-from mcspectra.plots.style import ACCENT, GRAY, INK, PALETTE
+from mcspectra.plots.style import ACCENT, FAINT, GRAY, INK, PALETTE
 from mcspectra.rendering.files import encode_srgb
 from mcspectra.reproduction.claims import Claim, Exhibit, largest_distance, pixel_rate, rate_text
 from mcspectra.reproduction.panels import plot_of, primary_panel, variance_panel
@@ -55,9 +55,9 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                     {name: curves[key] for name, key in shown.items()},
                     rates={name: _expected(*key) for name, key in shown.items()},
                     relative=True,
-                    title="variance at P, jittered points",
+                    title="variance at P",
                     x="number of samples N",
-                    beside=0.8,
+                    beside=0.6,
                 ),
             ),
             _scene(spp, seed),
@@ -146,9 +146,9 @@ def _sketch(seed: int) -> Panel:
     box = eye + np.array([[-0.04, 0.05], [0.05, 0.05], [0.05, -0.05], [-0.04, -0.05]])
     return Panel(
         marks=(
-            Line(x=edge[:, 0], y=edge[:, 1], low=0 * turns, high=edge[:, 1], color="#F5E3B8",
+            Line(x=edge[:, 0], y=edge[:, 1], low=0 * turns, high=edge[:, 1], color=FAINT,
                  width=0.0),
-            Line(x=edge[:, 0], y=edge[:, 1], color=PALETTE[4], width=1.6),
+            Line(x=edge[:, 0], y=edge[:, 1], color=GRAY, width=1.6),
             Segments(ends=level(0.0, 1.12, 0.0), color=INK, width=2.5),
             Segments(ends=np.stack([box, np.roll(box, -1, axis=0)], axis=1), color=INK),
             Segments(ends=np.array([[eye, p]]), color=GRAY, width=1.4),
@@ -165,6 +165,7 @@ def _sketch(seed: int) -> Panel:
         x=Axis(low=-0.06, high=1.16, ticks={}),
         y=Axis(low=-0.13, high=0.98, ticks={}),
         title="samples at P (sketch)",
+        framed=True,
     )  # fmt: skip
 
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
 import mcspectra as mcs
-from mcspectra.plots.description import Line, Mark, Panel, ReferenceLine
+from mcspectra.plots.description import Axis, Line, Mark, Panel, ReferenceLine
 from mcspectra.plots.scales import log_axis
 from mcspectra.plots.style import INK, PALETTE
 from mcspectra.plots.text import number
@@ -18,13 +19,10 @@ from mcspectra.reproduction.panels import plot_of, primary_panel, variance_panel
 __all__ = ["exhibit"]
 
 _EDGES = {"sharp": 0.0, "smooth": 1.0}
-_TITLES = {"sharp": "light with a sharp outline", "smooth": "light that fades to its border"}
-_STRATEGIES = {"light": "light sampling", "bsdf": "BSDF sampling"}
-_RATES = {
-    ("sharp", "light"): -2.0, ("sharp", "bsdf"): -1.5,
-    ("smooth", "light"): -2.0, ("smooth", "bsdf"): -2.0,
-}  # fmt: skip
+_NAMES = {"sharp": "light with a sharp outline", "smooth": "light that fades out"}
+_RATES = {"sharp": -1.5, "smooth": -2.0}
 _COUNTS = tuple(side**2 for side in (16, 23, 32, 45, 64))
+_RESOLUTION = 400
 DISK, RADIUS = "disk(center=0.47)", 0.25
 WIDTHS = (0.0, 0.02, 0.05, 0.1, 0.2)
 BUDGETS = (64, 256, 1024)
@@ -32,34 +30,26 @@ BUDGETS = (64, 256, 1024)
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
     """Measure a pixel under lights with a sharp and a smooth edge, a ramp, and a smoothed disk."""
-    pixels = {(name, s): _pixel(_EDGES[name], s) for name, s in _RATES}
+    pixels = {name: _pixel(edge) for name, edge in _EDGES.items()}
     options: dict[str, Any] = {"realizations": 240 if quick else 800, "rng": seed}
     found = mcs.convergence(list(pixels.values()), "jittered", _COUNTS, **options)
-    curves = {case: found.isel(estimator=i) for i, case in enumerate(pixels)}
+    curves = {name: found.isel(estimator=i) for i, name in enumerate(pixels)}
     options["realizations"] = 300 if quick else 3000
     scan = mcs.improve.smoothing_scan(DISK, "jittered", BUDGETS, WIDTHS, **options)
-    sharp, smooth = (rate_text(curves[name, "bsdf"]) for name in _EDGES)
+    sharp, smooth = map(rate_text, curves.values())
     best = ", ".join(
         f"{number(float(width), 2)} (N = {n})"
         for width, n in zip(scan["best_width"], BUDGETS, strict=True)
     )
-    # Draw the variances of the pixel, and the errors of the disk against the width of the ramp
-    ends = np.concatenate([
-        curve["variance_ci"].values.ravel() / float(curve["mean"][-1]) ** 2
-        for curve in curves.values()
-    ])  # fmt: skip
-    panels = [
-        variance_panel(
-            {label: curves[name, s] for s, label in _STRATEGIES.items()},
-            rates={label: _RATES[name, s] for s, label in _STRATEGIES.items()},
-            relative=True,
-            title=title,
-            x="number of samples N",
-            limits=(float(ends.min()), float(ends.max())),
-            beside=0.6,
-        )
-        for name, title in _TITLES.items()
-    ]
+    variances = variance_panel(
+        {_NAMES[name]: curve for name, curve in curves.items()},
+        rates={_NAMES[name]: rate for name, rate in _RATES.items()},
+        relative=True,
+        title="variance",
+        x="number of samples N",
+        beside=0.6,
+    )
+    # Draw the errors of the disk against the width of the ramp
     widths, marks = np.array(WIDTHS[1:]), list[Mark]()
     for k, n in enumerate(BUDGETS):
         cell, label = scan.sel(n=n, width=widths), f"N = {n}"
@@ -80,25 +70,24 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         plots=(
             plot_of(
                 "smoothed-light",
-                *(primary_panel(pixels[name, "bsdf"], f"{name} edge") for name in _EDGES),
+                *(primary_panel(g, f"{name} edge") for name, g in pixels.items()),
             ),
-            plot_of("light-smoothing", *panels),
+            plot_of("light-smoothing", _sections(pixels), variances),
             plot_of("smoothing-error", Panel(marks=tuple(marks), x=x, y=y, grid=True)),
         ),
         claims=(
             *(
                 pixel_rate(
-                    f"Rate of {_STRATEGIES[strategy]} at P under a light with a {name} edge, "
-                    "jittered.",
+                    f"Rate of BSDF sampling at P under a light with a {name} edge, jittered.",
                     curve,
-                    _RATES[name, strategy],
+                    _RATES[name],
                 )
-                for (name, strategy), curve in curves.items()
+                for name, curve in curves.items()
             ),
             Claim(
                 f"BSDF sampling, N = {_COUNTS[-1]}: variance / mean² with the sharp edge divided "
                 "by the same with the smooth edge.",
-                _relative(curves["sharp", "bsdf"]) / _relative(curves["smooth", "bsdf"]),
+                _relative(curves["sharp"]) / _relative(curves["smooth"]),
                 above=1.0,
             ),
             _ramp(0.2),
@@ -110,14 +99,34 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     )
 
 
-def _pixel(edge: float, strategy: str) -> Any:
-    """Return the pixel of point P in the scene of Figure 1, sampled by one strategy.
+def _pixel(edge: float) -> Any:
+    """Return BSDF sampling of the pixel of point P in the scene of Figure 1.
 
     The light's soft border has the width `edge` times half the side of the light.
+    Light sampling is left out: Mitsuba samples texels of a soft light, which adds small jumps.
     """
     scene = f"smooth-light(edge={edge})"
     x, y = mcs.rendering.named_pixels(scene)["P"]
-    return mcs.rendering.Pixel(scene=scene, x=x, y=y, strategy=strategy)
+    return mcs.rendering.Pixel(scene=scene, x=x, y=y, strategy="bsdf")
+
+
+def _sections(pixels: Mapping[str, Any]) -> Panel:
+    """Return f/p over u₀, on the line through the maximum under the light that fades out."""
+    u = (np.arange(_RESOLUTION) + 0.5) / _RESOLUTION
+    grid = np.stack(np.meshgrid(u, u), axis=-1)
+    values = {name: np.asarray(g(grid)) for name, g in pixels.items()}
+    row = int(values["smooth"].max(axis=1).argmax())
+    lines = [
+        Line(x=u, y=v[row] / v.mean(), color=PALETTE[k], width=1.8, label=_NAMES[name])
+        for k, (name, v) in enumerate(values.items())
+    ]
+    return Panel(
+        marks=tuple(lines),
+        x=Axis(label="random number u₀", low=0.0, high=1.0, ticks={0.0: "0", 0.5: "0.5", 1.0: "1"}),
+        y=Axis(label="f/p (over its mean)", low=0.0),
+        title="integrand along one line",
+        grid=True,
+    )
 
 
 def _relative(curve: xr.Dataset) -> Measured:

@@ -314,10 +314,13 @@ def _samples(mirroring: str, seed: int) -> Panel:
         [[(0, 0), (1, 0)], [(1, 0), (1, 1)], [(1, 1), (0, 1)], [(0, 1), (0, 0)]], float
     )
     x, y = placed(mirroring, seed)[0].T
-    axis: dict[str, Any] = {"low": -1.0, "high": 1.0, "ticks": {-1.0: "−1", 0.0: "0", 1.0: "1"}}
+    # The axes are a little longer than the domain, so that no point is cut off
+    axis: dict[str, Any] = {"low": -1.05, "high": 1.05, "ticks": {-1.0: "−1", 0.0: "0", 1.0: "1"}}
     return Panel(
         marks=(
-            Heatmap(values=values, x=t, y=t, scale=Scale(high=2.5, palette="paper"), name="f"),
+            Heatmap(
+                values=values, x=t, y=t, scale=Scale(low=-0.6, high=2.4, palette="paper"), name="f"
+            ),
             Segments(ends=np.concatenate([rows, rows[:, :, ::-1]]), color="#FFFFFF", width=0.7),
             Segments(ends=square, color=INK, width=2.2, label="domain of f"),
             Dots(x=x, y=y, color=PALETTE[0], size=3.6),
