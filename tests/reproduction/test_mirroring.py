@@ -57,10 +57,17 @@ def test_swapped_rates_disagree():
     assert 1.0 < times.low < times.value < times.high
 
 
-def test_the_mirrored_points_in_the_plot_are_images():
-    own = mcs.sampler("jittered", 2).draw(16, rng=5)[0]
-    x = mcs.sampler("jittered | mirror(mode='uniform')", 2).draw(64, rng=5)[0]
-    images = np.concatenate([np.abs(np.array(e) - own) for e in ((0, 0), (0, 1), (1, 0), (1, 1))])
-    np.testing.assert_allclose(
-        x[np.lexsort(x.round(12).T)], images[np.lexsort(images.round(12).T)], atol=1e-12
-    )
+def test_the_points_in_the_plot_are_in_copies_of_the_domain():
+    """Random: one copy for each point of the strata. Uniform: the same points in all copies."""
+    for mode, count in (("random", 64), ("uniform", 16)):
+        positions, evaluated = mirroring.placed(mode, 5)
+        np.testing.assert_allclose(np.abs(positions), evaluated, atol=1e-12)
+        own = mcs.sampler("jittered", 2).draw(count, rng=5)[0]
+        inside = positions - np.floor(positions)
+        distance = np.abs(inside[:, None] - own).max(axis=-1)
+        copies = np.unique(np.floor(positions), axis=0, return_counts=True)[1]
+        assert distance.min(axis=1).max() < 1e-12
+        assert ((distance < 1e-12).sum(axis=0) == 64 // count).all()
+        assert len(copies) == 4
+        if mode == "uniform":
+            assert copies.tolist() == [16, 16, 16, 16]

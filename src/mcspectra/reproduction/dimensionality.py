@@ -5,6 +5,7 @@ Contribution maps and ANOVA bands show the same term, and do not need the matrix
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -16,11 +17,13 @@ from mcspectra.plots.description import (
     Axis,
     BarChart,
     Dots,
+    Heatmap,
     Line,
     Mark,
     Panel,
     Plot,
     ReferenceLine,
+    Scale,
     TextMark,
 )
 from mcspectra.plots.kinds import describe
@@ -54,6 +57,10 @@ _ORDERS = {
 }
 _THIRD = 2.0  # position of the third variance term on the axis of a waterfall chart
 _BYTES = 16  # bytes per complex number
+_NEAR, _SHOWN = (
+    3,
+    1.0,
+)  # half width of the map of low frequencies, and least share (%) with a number
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
@@ -122,15 +129,19 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             "shares": shares,
             "jittered": number(without["jittered points"].value, 2),
             "weighted": number(without["importance sampling"].value, 2),
+            "nine": number(100.0 * float(_shares(weighted, 1).sum()), 2),
+            "cut": number(1e4 * jittered_variance(24), 2),
+            "whole": number(1e4 * float(mcs.exact_variance(BELL, "jittered", 64)), 2),
         },
         plots=(
             _sizes(),
             plot_of(
                 "contribution-map",
-                *(_terms_beside(data, name) for name, data in cases.items()),
-                replace(maps.panels[0], title="jittered points: cₘ"),
-                _orders_panel(bands),
+                _terms_beside(weighted, "three terms and their sum"),
+                _low_frequencies(weighted),
             ),
+            plot_of("jittered-terms", _terms_beside(mapped["jittered"], "jittered points")),
+            plot_of("order-shares", _orders_panel(bands)),
             replace(maps, kind="maps"),
             replace(in_columns(describe("bands", bands), first=1), kind="band-map"),
         ),
@@ -269,6 +280,57 @@ def main_share(data: xr.Dataset) -> float:
     return float(matrix[alone].sum() / matrix.sum())
 
 
+def jittered_variance(half_width: int, side: int = 8) -> float:
+    """Return the variance of the bell's Fourier series up to `half_width`, in two dims.
+
+    The points are jittered in side × side strata.
+    """
+    m = np.arange(-half_width, half_width + 1)
+    nodes, weights = np.polynomial.legendre.leggauss(60)
+    x = (np.arange(side)[:, None] + (nodes + 1) / 2) / side
+    waves = np.exp(2j * np.pi * x[..., None] * m)
+    series = (waves @ mcs.integrand(BELL, 1).fourier_grid(half_width).ravel()).real
+    means, squares = series @ weights / 2, series**2 @ weights / 2
+    return float((squares.sum() ** 2 - (means**2).sum() ** 2) / side**4)
+
+
+def _shares(data: xr.Dataset, half_width: int) -> Array:
+    """Return contributions as shares of their sum, for frequencies up to `half_width`."""
+    values = data["contribution"].values / float(data["predicted_variance"])
+    middle = len(values) // 2
+    near = slice(middle - half_width, middle + half_width + 1)
+    return np.asarray(values[near, near])
+
+
+def _low_frequencies(data: xr.Dataset) -> Panel:
+    """Return a map of contributions at low frequencies, with the numbers of the largest."""
+    shares = 100.0 * _shares(data, _NEAR)
+    side = np.arange(-_NEAR, _NEAR + 1.0)
+    top = 1.6 * float(np.abs(shares).max())
+    scale = Scale(low=-top, high=top, palette="diverging")
+    said = (
+        TextMark(
+            x=x,
+            y=y,
+            text=number(float(share), 2 if abs(share) >= 10 else 1),
+            color="#FFFFFF" if abs(share) > top / 2 else INK,
+            side="middle",
+        )
+        for (x, y), share in zip(
+            itertools.product(side.tolist(), repeat=2), shares.flat, strict=True
+        )
+        if abs(share) >= _SHOWN
+    )
+    ticks = {float(m): f"{m}".replace("-", "−") for m in range(-_NEAR, _NEAR + 1)}
+    return Panel(
+        marks=(Heatmap(values=shares.T, x=side, y=side, scale=scale, name="share"), *said),
+        x=Axis(label="m₀ (cycles per unit)", ticks=ticks),
+        y=Axis(label="m₁ (cycles per unit)", ticks=ticks),
+        title="cₘ in % of the variance",
+        square=True,
+    )
+
+
 def _terms_beside(data: xr.Dataset, title: str) -> Panel:
     """Return the three terms, their sum and the measured variance."""
     terms = [float(data[name]) for name in ("dc_term", "power_term", "cross_term")]
@@ -294,7 +356,7 @@ def _orders_panel(bands: dict[str, xr.Dataset]) -> Panel:
             label="share of the variance", low=0.0, high=1.0, ticks={0.0: "0", 0.5: "0.5", 1.0: "1"}
         ),
         y=name_axis([name.replace("latin-h", "Latin h") for name in bands]),
-        title="three dims: functions of",
+        title="share of functions of one, two and three coordinates",
     )
 
 

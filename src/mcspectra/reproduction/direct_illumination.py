@@ -13,7 +13,7 @@ import xarray as xr
 import mcspectra as mcs
 from mcspectra.core.checks import Array
 from mcspectra.plots.description import Axis, Dots, Line, Panel, Pixels, Plot, Segments, TextMark
-from mcspectra.plots.style import ACCENT, GRAY, INK, PALETTE
+from mcspectra.plots.style import ACCENT, FAINT, GRAY, INK, PALETTE
 from mcspectra.rendering.files import encode_srgb
 from mcspectra.reproduction.claims import Claim, Exhibit, largest_distance, pixel_rate, rate_text
 from mcspectra.reproduction.panels import plot_of, primary_panel, variance_panel
@@ -25,7 +25,6 @@ _CASES = tuple(itertools.product("PQ", ("light", "bsdf")))
 SAMPLERS = ("jittered", "jittered | shift")
 _COUNTS = tuple(side**2 for side in (8, 11, 16, 23, 32, 45, 64))
 _NAMES = {"light": "light sampling", "bsdf": "BSDF sampling"}
-_SHORT = {"light": "light", "bsdf": "BSDF"}
 _SEEN = {"P": "all of the light is visible", "Q": "a part of the light is visible"}
 
 Case: TypeAlias = tuple[str, str]
@@ -40,29 +39,26 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         (case, sampler): found.isel(estimator=i, sampler=j)
         for (i, case), (j, sampler) in itertools.product(enumerate(_CASES), enumerate(SAMPLERS))
     }
-    rates = {
-        f"{point.lower()}_{strategy}": rate_text(curves[(point, strategy), "jittered"])
-        for point, strategy in _CASES
+    shown: dict[str, tuple[Case, str]] = {
+        _NAMES["light"]: (("P", "light"), "jittered"),
+        _NAMES["bsdf"]: (("P", "bsdf"), "jittered"),
+        "light sampling, shifted": (("P", "light"), "jittered | shift"),
     }
+    light, bsdf, shifted = (rate_text(curves[key]) for key in shown.values())
     return Exhibit(
-        numbers={
-            **rates,
-            "shifted": rate_text(curves[("P", "light"), "jittered | shift"]),
-            "spp": spp,
-        },
+        numbers={"light": light, "bsdf": bsdf, "shifted": shifted, "spp": spp},
         plots=(
             plot_of(
                 "direct-illumination-sketch",
                 _sketch(seed),
                 variance_panel(
-                    {f"{p}, {_SHORT[s]}": curves[(p, s), "jittered"] for p, s in _CASES},
-                    rates={f"{p}, {_SHORT[s]}": _expected((p, s), "jittered") for p, s in _CASES},
+                    {name: curves[key] for name, key in shown.items()},
+                    rates={name: _expected(*key) for name, key in shown.items()},
                     relative=True,
-                    title="variance, jittered points",
+                    title="variance at P",
                     x="number of samples N",
-                    beside=0.7,
+                    beside=0.6,
                 ),
-                *(primary_panel(f["P", s], f"f/p at P, {_NAMES[s]}") for s in _NAMES),
             ),
             _scene(spp, seed),
             plot_of(
@@ -124,30 +120,25 @@ def _same_integral(curves: Mapping[tuple[Case, str], xr.Dataset]) -> Claim:
 
 
 def _sketch(seed: int) -> Panel:
-    """Return a sketch of sensor, light, lobe, occluder and samples at the points P and Q."""
-    p, q = np.array([0.42, 0.0]), np.array([1.02, 0.0])
-    eye, light = np.array([0.05, 0.62]), (0.62, 0.88, 0.85)
-    shade = (0.86, 1.02, 0.42)  # ends and height of the occluder
+    """Return a sketch of sensor, light and lobe, with samples of both strategies at the point P."""
+    p, eye, light = np.array([0.42, 0.0]), np.array([0.05, 0.62]), (0.62, 0.88, 0.85)
     u = mcs.sampler("jittered", 1).draw(6, rng=seed)[0, :, 0]
     lobe_axis, half = math.atan2(1.0, 0.75), 0.62
     turns = np.linspace(-0.999, 0.999, 80)
-    size = 0.42 * np.cos(np.pi / 2 * turns) ** 0.7
+    size = 0.36 * np.cos(np.pi / 2 * turns) ** 0.7
     angles = lobe_axis + half * turns
     edge = p + size[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
 
+    # Rays of BSDF sampling end on the light, or at a fixed distance if they miss it
     on_light = np.stack([light[0] + u * (light[1] - light[0]), np.full(6, light[2])], axis=-1)
-    slopes = 1 / np.tan(lobe_axis + half * (2 * u - 1) * 0.9)
-    far = np.stack([p[0] + light[2] * slopes, np.full(6, light[2])], axis=-1)
+    angles = lobe_axis + half * (2 * u - 1) * 0.9
+    ways = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    far = p + light[2] / ways[:, 1:] * ways
     hits = (far[:, 0] >= light[0]) & (far[:, 0] <= light[1])
-    # Rays end at the occluder if they cross it
-    at = shade[2] / light[2]
-    crossing = {"P": p + at * (far - p), "Q": q + at * (on_light - q)}
-    blocked = {k: (c[:, 0] >= shade[0]) & (c[:, 0] <= shade[1]) for k, c in crossing.items()}
-    far = np.where(blocked["P"][:, None], crossing["P"], far)
-    from_q = np.where(blocked["Q"][:, None], crossing["Q"], on_light)
+    far = np.where(hits[:, None], far, p + 0.68 * ways)
 
-    def rays(place: Array, ends: Array) -> Array:
-        return np.stack([np.broadcast_to(place, ends.shape), ends], axis=1)
+    def rays(ends: Array) -> Array:
+        return np.stack([np.broadcast_to(p, ends.shape), ends], axis=1)
 
     def level(low: float, high: float, y: float) -> Array:
         return np.array([[[low, y], [high, y]]])
@@ -155,30 +146,26 @@ def _sketch(seed: int) -> Panel:
     box = eye + np.array([[-0.04, 0.05], [0.05, 0.05], [0.05, -0.05], [-0.04, -0.05]])
     return Panel(
         marks=(
-            Line(x=edge[:, 0], y=edge[:, 1], low=0 * turns, high=edge[:, 1], color="#F5E3B8",
+            Line(x=edge[:, 0], y=edge[:, 1], low=0 * turns, high=edge[:, 1], color=FAINT,
                  width=0.0),
-            Line(x=edge[:, 0], y=edge[:, 1], color=PALETTE[4], width=1.6),
+            Line(x=edge[:, 0], y=edge[:, 1], color=GRAY, width=1.6),
             Segments(ends=level(0.0, 1.12, 0.0), color=INK, width=2.5),
             Segments(ends=np.stack([box, np.roll(box, -1, axis=0)], axis=1), color=INK),
             Segments(ends=np.array([[eye, p]]), color=GRAY, width=1.4),
-            Segments(ends=rays(p, far[~hits]), color=GRAY, width=0.8),
-            Segments(ends=rays(q, from_q[blocked["Q"]]), color=GRAY, width=0.8),
-            Segments(ends=rays(p, on_light), color=PALETTE[0]),
-            Segments(ends=rays(p, far[hits]), color=PALETTE[1], width=2.0),
-            Segments(ends=rays(q, from_q[~blocked["Q"]]), color=PALETTE[2]),
-            Segments(ends=level(light[0], light[1], light[2]), color=PALETTE[4], width=5.0),
-            Segments(ends=level(*shade), color=INK, width=4.0),
-            Dots(x=np.array([p[0], q[0]]), y=np.zeros(2), color=INK, size=8.0),
-            TextMark(x=0.0, y=0.74, text="sensor"),
-            TextMark(x=0.75, y=0.93, text="light", side="middle"),
-            TextMark(x=1.03, y=0.52, text="occluder", side="middle"),
-            TextMark(x=p[0], y=-0.1, text="P", side="middle"),
-            TextMark(x=q[0], y=-0.1, text="Q", side="middle"),
-            TextMark(x=0.2, y=0.28, text="lobe →", side="middle"),
+            Segments(ends=rays(on_light), color=PALETTE[0], width=1.6),
+            Segments(ends=rays(far[~hits]), color=PALETTE[1], width=1.0),
+            Segments(ends=rays(far[hits]), color=PALETTE[1], width=2.4),
+            Segments(ends=level(light[0], light[1], light[2]), color=PALETTE[4], width=6.0),
+            Dots(x=p[:1], y=p[1:], color=INK, size=9.0),
+            TextMark(x=0.05, y=0.72, text="sensor", side="middle"),
+            TextMark(x=0.75, y=0.91, text="light", side="middle"),
+            TextMark(x=p[0], y=-0.07, text="P", side="middle"),
+            TextMark(x=0.86, y=0.07, text="lobe of the BSDF", side="middle"),
         ),
-        x=Axis(low=-0.02, high=1.22, ticks={}),
-        y=Axis(low=-0.16, high=1.0, ticks={}),
-        title="samples at P and Q",
+        x=Axis(low=-0.06, high=1.16, ticks={}),
+        y=Axis(low=-0.13, high=0.98, ticks={}),
+        title="samples at P (sketch)",
+        framed=True,
     )  # fmt: skip
 
 

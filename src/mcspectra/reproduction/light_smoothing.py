@@ -1,14 +1,15 @@
-"""Smoothed lights restore the convergence rate of smooth integrands, at the cost of a bias."""
+"""A light that fades restores the rate of smooth integrands. Smoothing a sharp one adds a bias."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
 import mcspectra as mcs
-from mcspectra.plots.description import Line, Mark, Panel, ReferenceLine
+from mcspectra.plots.description import Axis, Line, Mark, Panel, ReferenceLine
 from mcspectra.plots.scales import log_axis
 from mcspectra.plots.style import INK, PALETTE
 from mcspectra.plots.text import number
@@ -18,16 +19,17 @@ from mcspectra.reproduction.panels import plot_of, primary_panel, variance_panel
 __all__ = ["exhibit"]
 
 _EDGES = {"sharp": 0.0, "smooth": 1.0}
+_NAMES = {"sharp": "light with a sharp outline", "smooth": "light that fades out"}
 _RATES = {"sharp": -1.5, "smooth": -2.0}
 _COUNTS = tuple(side**2 for side in (16, 23, 32, 45, 64))
+_RESOLUTION = 400
 DISK, RADIUS = "disk(center=0.47)", 0.25
 WIDTHS = (0.0, 0.02, 0.05, 0.1, 0.2)
 BUDGETS = (64, 256, 1024)
-_OTHERS = 2  # the first two colors of the palette are already used for the light
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Measure a pixel under a light with a sharp and a smooth edge, a ramp, and a smoothed disk."""
+    """Measure a pixel under lights with a sharp and a smooth edge, a ramp, and a smoothed disk."""
     pixels = {name: _pixel(edge) for name, edge in _EDGES.items()}
     options: dict[str, Any] = {"realizations": 240 if quick else 800, "rng": seed}
     found = mcs.convergence(list(pixels.values()), "jittered", _COUNTS, **options)
@@ -39,24 +41,24 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         f"{number(float(width), 2)} (N = {n})"
         for width, n in zip(scan["best_width"], BUDGETS, strict=True)
     )
-    # Draw the variances of the pixel, and the errors of the disk against the width of the ramp
-    panel = variance_panel(
-        {f"{name} edge": curve for name, curve in curves.items()},
-        rates={f"{name} edge": rate for name, rate in _RATES.items()},
+    variances = variance_panel(
+        {_NAMES[name]: curve for name, curve in curves.items()},
+        rates={_NAMES[name]: rate for name, rate in _RATES.items()},
         relative=True,
-        title="light that fades: rate",
+        title="variance",
         x="number of samples N",
         beside=0.6,
     )
+    # Draw the errors of the disk against the width of the ramp
     widths, marks = np.array(WIDTHS[1:]), list[Mark]()
     for k, n in enumerate(BUDGETS):
         cell, label = scan.sel(n=n, width=widths), f"N = {n}"
         mse = cell["mse"].values
         edge = float(scan["mse"].sel(n=n, width=0.0))
         marks += [
-            ReferenceLine(at=edge, color=PALETTE[k + _OTHERS], dashes=":"),
-            Line(x=widths, y=mse, color=PALETTE[k + _OTHERS], width=1.1, label=label),
-            whiskers(widths, mse, cell["mse_ci"].values, k + _OTHERS, label),
+            ReferenceLine(at=edge, color=PALETTE[k], dashes=":"),
+            Line(x=widths, y=mse, color=PALETTE[k], width=1.1, label=label),
+            whiskers(widths, mse, cell["mse_ci"].values, k, label),
         ]
     dense = np.geomspace(widths[0], widths[-1], 50)
     line = (np.pi * dense**2 / 12) ** 2
@@ -67,13 +69,11 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         numbers={"sharp": sharp, "smooth": smooth, "best": best, "radius": RADIUS},
         plots=(
             plot_of(
-                "smoothed-light", *(primary_panel(g, f"{name} edge") for name, g in pixels.items())
+                "smoothed-light",
+                *(primary_panel(g, f"{name} edge") for name, g in pixels.items()),
             ),
-            plot_of(
-                "light-smoothing",
-                panel,
-                Panel(marks=tuple(marks), x=x, y=y, title="smoothed disk: error", grid=True),
-            ),
+            plot_of("light-smoothing", _sections(pixels), variances),
+            plot_of("smoothing-error", Panel(marks=tuple(marks), x=x, y=y, grid=True)),
         ),
         claims=(
             *(
@@ -85,8 +85,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 for name, curve in curves.items()
             ),
             Claim(
-                f"At N = {_COUNTS[-1]}: variance / mean² with the sharp edge divided by the same "
-                "with the smooth edge.",
+                f"BSDF sampling, N = {_COUNTS[-1]}: variance / mean² with the sharp edge divided "
+                "by the same with the smooth edge.",
                 _relative(curves["sharp"]) / _relative(curves["smooth"]),
                 above=1.0,
             ),
@@ -100,13 +100,33 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def _pixel(edge: float) -> Any:
-    """Return the pixel of point P in the scene of Figure 1, with BSDF sampling.
+    """Return BSDF sampling of the pixel of point P in the scene of Figure 1.
 
     The light's soft border has the width `edge` times half the side of the light.
+    Light sampling is left out: Mitsuba samples texels of a soft light, which adds small jumps.
     """
     scene = f"smooth-light(edge={edge})"
     x, y = mcs.rendering.named_pixels(scene)["P"]
     return mcs.rendering.Pixel(scene=scene, x=x, y=y, strategy="bsdf")
+
+
+def _sections(pixels: Mapping[str, Any]) -> Panel:
+    """Return f/p over u₀, on the line through the maximum under the light that fades out."""
+    u = (np.arange(_RESOLUTION) + 0.5) / _RESOLUTION
+    grid = np.stack(np.meshgrid(u, u), axis=-1)
+    values = {name: np.asarray(g(grid)) for name, g in pixels.items()}
+    row = int(values["smooth"].max(axis=1).argmax())
+    lines = [
+        Line(x=u, y=v[row] / v.mean(), color=PALETTE[k], width=1.8, label=_NAMES[name])
+        for k, (name, v) in enumerate(values.items())
+    ]
+    return Panel(
+        marks=tuple(lines),
+        x=Axis(label="random number u₀", low=0.0, high=1.0, ticks={0.0: "0", 0.5: "0.5", 1.0: "1"}),
+        y=Axis(label="f/p (over its mean)", low=0.0),
+        title="integrand along one line",
+        grid=True,
+    )
 
 
 def _relative(curve: xr.Dataset) -> Measured:

@@ -1,6 +1,12 @@
 """Mirroring of integrands or samples. With it, homogenization does not reduce the rate.
 
-Mirror-uniform draws n/4 points, and evaluates f at all four mirror images of each point.
+The mirrored integrand f(|x|, |y|) on [−1, 1)² consists of four copies of f, each reflected.
+Original sampling places n points into the copy [0, 1)².
+Mirror-random places each of n points into one of the four copies, chosen at random.
+Mirror-uniform places the same n/4 points into all four copies.
+A point x of [0, 1) is at x − 1 in the reflected copy, where the mirrored integrand is f(1 − x).
+
+Mirror-uniform evaluates f at all four mirror images of each point.
 Mirror-uniform sampling therefore samples h, the mean of f over the four images.
 Mirror-random chooses one of the four images of each point at random.
 The choice adds variance: the mean variance of f over the four images of a point, divided by n.
@@ -14,6 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -34,8 +41,8 @@ from mcspectra.plots.description import (
     Segments,
     TextMark,
 )
-from mcspectra.plots.scales import log_axis, name_axis, unit_panel
-from mcspectra.plots.style import ACCENT, FAINT, INK, MARKERS, PALETTE
+from mcspectra.plots.scales import log_axis, name_axis
+from mcspectra.plots.style import ACCENT, GRAY, INK, MARKERS, PALETTE
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import (
     Claim,
@@ -46,7 +53,7 @@ from mcspectra.reproduction.claims import (
     known_rate,
     rate_text,
 )
-from mcspectra.reproduction.panels import AXES, plot_of, strata, variance_panel
+from mcspectra.reproduction.panels import AXES, plot_of, variance_panel
 
 __all__ = ["exhibit"]
 
@@ -83,33 +90,30 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     ends = (g(np.stack([np.full_like(y, u), y], axis=-1)) for u in (0.0, BELOW_ONE))
     mirrored = np.subtract(*ends)
 
-    # Plot the samples, and plot the variances against N with the slopes of the expected rates
-    own = mcs.sampler("jittered", 2).draw(16, rng=seed)[0]
-    panels = []
-    for mirroring, side in (("original", 8), ("random", 8), ("uniform", 4)):
-        spec = "jittered" if mirroring == "original" else f"jittered | mirror(mode={mirroring!r})"
-        x, y = mcs.sampler(spec, 2).draw(64, rng=seed)[0].T
-        marks: list[Mark] = [*strata(side), Dots(x=x, y=y, color=PALETTE[0], size=3.0)]
-        if mirroring == "uniform":
-            marks.append(Dots(x=own[:, 0], y=own[:, 1], color=ACCENT, size=3.0))
-        panels.append(unit_panel(marks, _TITLES[mirroring], "x", "y"))
-    curves = [
-        variance_panel(
-            {_WORDS[h]: cells[m, h] for h in (False, True)},
-            exact={_WORDS[h]: exact[m, h] for h in (False, True)},
-            rates={_WORDS[h]: RATES[m, h] for h in (False, True)},
-            title=title,
-            x="evaluations N",
-            limits=(3e-10, 1e-3),
-            beside=0.9,
-        )
-        for m, title in _TITLES.items()
-    ]
+    # Plot the variances against N; in each figure, a gray line has the variances of the other
+    curves = {
+        h: [
+            _compared(
+                variance_panel(
+                    {_WORDS[h]: cells[m, h]},
+                    exact={_WORDS[h]: exact[m, h]},
+                    title=title,
+                    x="evaluations N",
+                    limits=(3e-10, 1e-3),
+                    beside=0.9,
+                    first=int(h),
+                ),
+                exact[m, not h],
+                f"{_WORDS[not h]} (exact)",
+            )
+            for m, title in _TITLES.items()
+        ]
+        for h in (True, False)
+    }
     together = [
         variance_panel(
             {_TITLES[m]: cells[m, shifted] for m in _TITLES},
             exact={_TITLES[m]: exact[m, shifted] for m in _TITLES},
-            rates={_TITLES[m]: RATES[m, shifted] for m in _TITLES},
             title=_WORDS[shifted],
             x="number of evaluations N",
             limits=(3e-10, 1e-3),
@@ -162,11 +166,12 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         },
         plots=(
             _integrands(),
-            plot_of("mirrored-samples", *panels),
-            plot_of("mirroring-homogenized", *curves),
-            plot_of("mirroring-plain", *curves),
+            plot_of("mirrored-samples", *(_samples(m, seed) for m in _TITLES)),
+            plot_of("mirroring-homogenized", *curves[True]),
+            plot_of("mirroring-plain", *curves[False]),
             plot_of("mirroring-convergence", *together),
-            _take_away(last, seed),
+            _take_away(seed),
+            plot_of("mirroring-balance", _balance(last)),
         ),
         claims=(
             # Draw the integrand twice: wrapped around, and mirrored
@@ -182,7 +187,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 float(np.abs(mirrored).max()),
                 at_most=1e-12,
             ),
-            *about("mirrored-samples", _unbiased(seed)),
+            *about("mirrored-samples", _unbiased(seed), _folded(seed)),
             *about("mirroring-homogenized", *rates[True], harmed),
             *about("mirroring-plain", *rates[False]),
             *about("mirroring-convergence", helped, correction(worse)),
@@ -250,6 +255,32 @@ def _unbiased(seed: int) -> Claim:
     )
 
 
+def placed(mirroring: str, seed: int) -> tuple[Array, Array]:
+    """Return positions in the mirrored integrand's domain, and the points where f is evaluated.
+
+    The samplers return only points where f is evaluated. Points that they reflect are in a
+    reflected copy of f.
+    """
+    images = 4 if mirroring == "uniform" else 1
+    spec = "jittered" if mirroring == "original" else f"jittered | mirror(mode={mirroring!r})"
+    own = np.repeat(mcs.sampler("jittered", 2).draw(64 // images, rng=seed)[0], images, axis=0)
+    evaluated = mcs.sampler(spec, 2).draw(64, rng=seed)[0]
+    return own - (evaluated != own), evaluated
+
+
+def _folded(seed: int) -> Claim:
+    """Check that the mirrored integrand has the values of f at the points of the samplers."""
+    f = mcs.integrand(INTEGRAND)
+    pairs = [placed(m, seed) for m in ("random", "uniform")]
+    away = max(float(np.abs(np.exp(-(x**2).sum(axis=-1)) - f(u)).max()) for x, u in pairs)
+    return Claim(
+        "Mirror-random and mirror-uniform are points on the mirrored integrand: largest "
+        "difference between its values at the positions in the plot and f at the samplers' points.",
+        away,
+        at_most=1e-12,
+    )
+
+
 def _domain(dims: int) -> Claim:
     """Check that 2^d n points on the mirrored integrand have 1/2^d of the variance of n points."""
     f = INTEGRAND if dims == 2 else "gaussian(center=0.2, width=0.4, dims=1)"
@@ -265,59 +296,79 @@ def _domain(dims: int) -> Claim:
     )
 
 
-def _take_away(last: Mapping[tuple[str, bool], Measured], seed: int) -> Plot:
-    """Return plots: the jump and its removal, the domains of both integrands, and the variances."""
-    t = np.linspace(0.0, 2.0, 801)
-    sections: list[Mark] = []
-    for folded, color, label in (
-        (t % 1.0, ACCENT, "wrapped around: jumps"),
-        (1.0 - np.abs(1.0 - t), PALETTE[0], "mirrored: no jump"),
-    ):
-        jumps = np.abs(np.diff(folded, append=folded[-1])) > 0.5
-        y = np.where(jumps, np.nan, np.exp(-(folded**2)))
-        width = 4.0 if color == ACCENT else 1.6
-        sections.append(Line(x=t, y=y, color=color, width=width, label=label))
-    jump = np.exp([-1.0, 0.0])
-    sections += [
-        Line(x=np.ones(2), y=jump, color=ACCENT, dashes=":", width=2.0),
-        TextMark(x=1.0, y=1.02, text="jump", color=ACCENT, side="above"),
-        TextMark(x=1.0, y=0.32, text="no jump", color=PALETTE[0], side="below"),
-    ]
-    ticks = {0.0: "0", 1.0: "1", 2.0: "2"}
-    cut = Panel(
-        marks=tuple(sections),
-        x=Axis(label="x", low=0.0, high=2.0, ticks=ticks),
-        y=Axis(label="f(x, 0)", low=0.0, high=1.25),
-        title="boundary discontinuities",
-        grid=True,
-    )
-    x, y = 2.0 * mcs.sampler("jittered", 2).draw(64, rng=seed)[0].T
-    lines = [
-        ReferenceLine(at=k / 4, axis=a, color=FAINT, width=0.8) for a in AXES for k in range(9)
-    ]
+def _compared(panel: Panel, variances: Array, label: str) -> Panel:
+    """Add a wide gray line of other variances behind the marks of a panel."""
+    n = np.array(_COUNTS, float)
+    line = Line(x=n, y=variances, color=GRAY, width=4.0, label=label)
+    return replace(panel, marks=(line, *panel.marks))
+
+
+def _samples(mirroring: str, seed: int) -> Panel:
+    """Return 64 points and their strata over the original or the mirrored integrand, in gray."""
+    low, side = (0.0, 8) if mirroring == "original" else (-1.0, 8 if mirroring == "uniform" else 16)
+    t = low + (np.arange(256) + 0.5) / 256 * (1.0 - low)
+    values = np.exp(-(t[:, None] ** 2) - t**2)
+    at = np.linspace(low, 1.0, side + 1)
+    rows = np.array([[[low, v], [1.0, v]] for v in at])
     square = np.array(
         [[(0, 0), (1, 0)], [(1, 0), (1, 1)], [(1, 1), (0, 1)], [(0, 1), (0, 0)]], float
     )
-    domain = Panel(
+    x, y = placed(mirroring, seed)[0].T
+    # The axes are a little longer than the domain, so that no point is cut off
+    axis: dict[str, Any] = {"low": -1.05, "high": 1.05, "ticks": {-1.0: "−1", 0.0: "0", 1.0: "1"}}
+    return Panel(
         marks=(
-            *lines,
-            Dots(x=x, y=y, color=PALETTE[0], size=3.5),
-            Segments(ends=square, color=INK, width=2.4, label="domain of f"),
+            Heatmap(
+                values=values, x=t, y=t, scale=Scale(low=-0.6, high=2.4, palette="paper"), name="f"
+            ),
+            Segments(ends=np.concatenate([rows, rows[:, :, ::-1]]), color="#FFFFFF", width=0.7),
+            Segments(ends=square, color=INK, width=2.2, label="domain of f"),
+            Dots(x=x, y=y, color=PALETTE[0], size=3.6),
         ),
-        x=Axis(label="x", low=0.0, high=2.0, ticks={0.0: "0", 1.0: "1", 2.0: "2"}),
-        y=Axis(label="y", low=0.0, high=2.0, ticks={0.0: "0", 1.0: "1", 2.0: "2"}),
-        title="64 points on 4 times the domain",
+        x=Axis(label="x", **axis),
+        y=Axis(label="y", **axis),
+        title=_TITLES[mirroring],
         square=True,
+        framed=True,
     )
+
+
+def _take_away(seed: int) -> Plot:
+    """Return plots: the jump and its removal, and points on the mirrored integrand's domain."""
+    t = np.linspace(-1.0, 1.0, 801)
+    sections: list[Mark] = []
+    for folded, color, width, label in (
+        (t % 1.0, ACCENT, 4.5, "wrapped around: jumps"),
+        (np.abs(t), PALETTE[0], 1.8, "mirrored: no jump"),
+    ):
+        jumps = np.abs(np.diff(folded, append=folded[-1])) > 0.5
+        y = np.where(jumps, np.nan, np.exp(-(folded**2)))
+        sections.append(Line(x=t, y=y, color=color, width=width, label=label))
+    sections += [
+        Line(x=np.zeros(2), y=np.exp([-1.0, 0.0]), color=ACCENT, dashes=":", width=2.0),
+        TextMark(x=0.04, y=0.5, text="jump", color=ACCENT),
+        TextMark(x=0.0, y=1.03, text="no jump", color=PALETTE[0], side="above"),
+    ]
+    cut = Panel(
+        marks=tuple(sections),
+        x=Axis(label="x", low=-1.0, high=1.0, ticks={-1.0: "−1", 0.0: "0", 1.0: "1"}),
+        y=Axis(label="f(x, 0)", low=0.0, high=1.2),
+        title="boundary discontinuities",
+        grid=True,
+    )
+    return plot_of("take-away", cut, replace(_samples("uniform", seed), title="4 times the domain"))
+
+
+def _balance(last: Mapping[tuple[str, bool], Measured]) -> Panel:
+    """Return the variances at the largest N: original, and all variants after a shift."""
     rows = {
         "original": ("original", False),
-        "shifted": ("original", True),
-        "mirror-random": ("random", True),
-        "mirror-uniform": ("uniform", True),
+        "original, shifted": ("original", True),
+        "mirror-random, shifted": ("random", True),
+        "mirror-uniform, shifted": ("uniform", True),
     }
     found = [last[key] for key in rows.values()]
     value, low, high = np.array([(each.value, each.low, each.high) for each in found]).T
-    names = ["original", "original, shifted", "mirror-random, shifted", "mirror-uniform, shifted"]
     dots = [
         Dots(
             x=value[[k]], y=np.array([float(k)]), low=low[[k]], high=high[[k]], across=True,
@@ -329,16 +380,15 @@ def _take_away(last: Mapping[tuple[str, bool], Measured], seed: int) -> Plot:
     ]  # fmt: skip
     said = [
         TextMark(x=2.2 * float(value[k]), y=float(k), text=number(float(value[k]), 2))
-        for k in range(len(names))
+        for k in range(len(rows))
     ]
-    variances = Panel(
+    return Panel(
         marks=(*dots, *said),
-        x=log_axis("variance", float(low.min()) / 2, 1000 * float(high.max()), most=3),
-        y=name_axis(names),
+        x=log_axis("variance", float(low.min()) / 2, 100 * float(high.max()), most=5),
+        y=name_axis(list(rows)),
         title=f"variance with {_COUNTS[-1]} evaluations",
         grid=True,
     )
-    return plot_of("take-away", cut, domain, variances)
 
 
 def _integrands() -> Plot:

@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 import xarray as xr
+from scipy.optimize import isotonic_regression
 
 from mcspectra.core.checks import Array
 from mcspectra.plots.description import (
@@ -92,6 +93,7 @@ def variance_panel(
     limits: tuple[float, float] | None = None,
     letters: float = 1.0,
     beside: float = 0.0,
+    first: int = 0,
 ) -> Panel:
     """Return measured variances with 95 % intervals against N, and exact and theoretical lines.
 
@@ -118,6 +120,8 @@ def variance_panel(
     beside
         Room to the right of the lines, relative to the length of the lines.
         If the room is not 0, slopes are written into it, so that they cover no line or marker.
+    first
+        Number of the first color and marker.
     """
     marks: list[Mark] = []
     values: list[float] = []
@@ -125,12 +129,12 @@ def variance_panel(
     widths = line_widths(len(curves))
     lines: list[tuple[Array, float, str]] = []
     dots: list[Array] = []
-    for k, (label, curve) in enumerate(curves.items()):
+    for k, (label, curve) in enumerate(curves.items(), first):
         scale = float(curve["mean"][-1]) ** -2 if relative else 1.0
         n, ends = curve["n"].values.astype(float), scale * curve["variance_ci"].values
         line = (exact or {}).get(label)
         if line is not None:
-            marks.append(Line(x=n, y=line, color=PALETTE[k], width=widths[k], label=label))
+            marks.append(Line(x=n, y=line, color=PALETTE[k], width=widths[k - first], label=label))
         last = scale * float(curve["variance"][-1]) if line is None else line[-1]
         if label in (rates or {}):
             theory = last * (n / n[-1]) ** (rates or {})[label]
@@ -221,12 +225,18 @@ def slope_labels(
 def _end_slopes(
     lines: Sequence[tuple[Array, float, str]], x: float, reach: float
 ) -> list[TextMark]:
-    """Write the slopes of lines next to their last points. Labels keep a distance."""
-    found, last = list[TextMark](), math.inf
-    for y, rate, color in sorted(lines, key=lambda line: -line[0][-1]):
-        last = min(math.log(y[-1]), last - _END_GAP * reach)
-        found.append(TextMark(x=x, y=math.exp(last), text=f"slope {number(rate, 2)}", color=color))
-    return found
+    """Write the slopes of lines next to their last points.
+
+    Labels keep a distance, and are otherwise as close to their lines as possible.
+    """
+    lines = sorted(lines, key=lambda line: -line[0][-1])
+    ends = np.log([y[-1] for y, _, _ in lines])
+    steps = _END_GAP * reach * np.arange(len(lines))
+    places = isotonic_regression(ends + steps, increasing=False).x - steps
+    return [
+        TextMark(x=x, y=math.exp(place), text=f"slope {number(rate, 2)}", color=color)
+        for (_, rate, color), place in zip(lines, places, strict=True)
+    ]
 
 
 def at_ring(spectrum: xr.Dataset, ring: int, scale: float) -> Measured:
