@@ -193,6 +193,7 @@ def test_screens_are_in_the_order_of_the_talk(good):
         ((True, False), (False, True), {"corrected": "x"}, "Not reproduced"),
         ((None, None), (False, False), {"answer": "x"}, "No verdict"),
         ((True, True), (False, False), {"answer": "x"}, "Answered"),
+        ((True, True), (False, False), {"partly": "x"}, "Answered in part"),
     ],
 )
 def test_verdicts_follow_from_findings(agrees, corrects, texts, word):

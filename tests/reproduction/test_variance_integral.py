@@ -9,9 +9,18 @@ from mcspectra.reproduction.claims import judge
 
 
 def test_reference_of_importance_samples_by_quadrature():
-    """The reference is (∫f²/p − I²)/N for f = ½ + x, p = ¼ + 3x/2."""
-    second = quad(lambda x: (0.5 + x) ** 2 / (0.25 + 1.5 * x), 0, 1)[0]
-    assert variance_integral.exact_weighted() == pytest.approx((second - 1.0) / 64, rel=1e-9)
+    """The reference is (∫f²/p − I²)/N for a bell and p, which are products over the axes."""
+
+    def axis(center, power, weight):
+        def part(x):
+            bell = np.exp(-((x - center) ** 2) / 0.02)
+            return bell**power / (1 + 1.5 * (x - 0.5)) ** weight
+
+        return quad(part, 0, 1)[0]
+
+    second, first = (axis(0.45, k, k - 1) * axis(0.6, k, k - 1) for k in (2, 1))
+    expected = (second - first**2) / 64
+    assert variance_integral.exact_weighted() == pytest.approx(expected, rel=1e-9)
 
 
 def test_power_of_the_bell_by_quadrature():

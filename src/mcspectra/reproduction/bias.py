@@ -8,8 +8,8 @@ import numpy as np
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Axis, BarChart, Dots, Line, Panel, ReferenceLine
-from mcspectra.plots.scales import count_axis, unit_axis
+from mcspectra.plots.description import Axis, BarChart, Dots, Line, Mark, Panel, ReferenceLine
+from mcspectra.plots.scales import count_axis, name_axis, unit_axis
 from mcspectra.plots.style import INK, PALETTE
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, largest_distance, mean_and_error
@@ -27,6 +27,7 @@ _M = np.arange(33)
 _COUNTS = (2, 4, 8, 16)
 # With this number of realizations, the bias in the figure exceeds ten standard errors
 _DRAWN = 100_000
+_KINDS = ("importance samples", "middle halves")  # kinds of points in the figure
 _BINS = 4 * N  # four bins per stratum, so that its middle half is exactly two bins
 
 
@@ -56,12 +57,12 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     errors = [(v**2).mean() - 1 / 3 - box_bias(n, 0.0) for n, v in middles.items()]
 
     # Plot for unbiased and biased points how the density of the points determines the bias
-    plain = _way_to_the_bias(
-        ("jittered", DENSITY), ("jittered, by p", "⟨S_m⟩ = 0, m ≠ 0", "no bias"),
+    plain, none = _way_to_the_bias(
+        ("jittered", DENSITY), ("jittered, by p", "importance samples", "no bias"),
         seed, PALETTE[0], below=False,
     )  # fmt: skip
-    gaps = _way_to_the_bias(
-        (BOXES, "uniform"), ("middle halves", f"⟨S_m⟩ ≠ 0 at {N}", "bias"),
+    gaps, some = _way_to_the_bias(
+        (BOXES, "uniform"), ("middle halves", "middle halves of strata", "bias"),
         seed, PALETTE[1], below=True,
     )  # fmt: skip
     zero = ReferenceLine(at=0.0, color=PALETTE[6])
@@ -87,7 +88,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             "bias": number(found[0]),
         },
         plots=(
-            plot_of("bias-coefficients", *plain, *gaps),
+            plot_of("bias-coefficients", plain[1], gaps[1], _sums_panel((none, some), box_bias(N))),
+            plot_of("bias-steps", *plain, *gaps),
             plot_of("bias-bounded", away),
             plot_of("bias", scaled),
         ),
@@ -164,11 +166,12 @@ def _weighted(name: str, realizations: int, seed: int, density: str) -> tuple[Ar
 
 def _way_to_the_bias(
     points: tuple[str, str], titles: tuple[str, str, str], seed: int, color: str, *, below: bool
-) -> tuple[Panel, Panel, Panel]:
+) -> tuple[tuple[Panel, Panel, Panel], Measured]:
     """Plot the mean of the sampling function, the means of S_m, and the sum that is the bias.
 
     `points` is a pair: the name of a sampler, and a density.
     Only the lower row of panels has labels on its x axes (`below` is True).
+    Also return N² times the measured bias of ∫x².
     """
     name, density = points
     x, weights = _weighted(name, _DRAWN, seed, density)
@@ -199,8 +202,8 @@ def _way_to_the_bias(
                 color=color, size=4.0,
             ),
         ),
-        x=Axis(label="frequency m" if below else "", ticks=ticks),
-        y=Axis(label="⟨S_m⟩", low=-0.8, high=1.15),
+        x=Axis(label="frequency m", ticks=ticks),
+        y=Axis(label="⟨Sₘ⟩", low=-0.8, high=1.15),
         title=titles[1],
     )  # fmt: skip
     # For f = x², f_0 is 1/3 and f_m is 1/(2π²m²) + i/(2πm). Frequencies m and −m are added
@@ -209,19 +212,46 @@ def _way_to_the_bias(
     parts = (coefficients.conj() * found).real
     parts[:, 0] -= 1 / 3
     total, se = N**2 * np.array(mean_and_error(np.cumsum(parts, axis=1)))
-    bias = N**2 * float((weights * x**2).mean() - 1 / 3)
+    measured = Measured.mean(N**2 * ((weights * x**2).mean(axis=1) - 1 / 3))
     third = Panel(
         marks=(
             ReferenceLine(at=0.0, color=INK, width=0.7),
             Line(x=_M, y=total, low=total - 1.96 * se, high=total + 1.96 * se, color=color,
-                 step=True, width=2.0, label="sum over |m| ≤ M, with its 95 % band"),
-            ReferenceLine(at=bias, color=INK, dashes="--", width=1.4, label="measured bias"),
+                 step=True, width=2.0, label=f"sum over |m| ≤ M, {titles[0]}"),
+            ReferenceLine(
+                at=measured.value, color=INK, dashes="--", width=1.4, label="measured bias"
+            ),
         ),
         x=Axis(label="largest frequency M" if below else "", ticks=ticks),
         y=Axis(label="N² · bias of ∫x²", low=-0.09, high=0.04),
         title=titles[2],
     )  # fmt: skip
-    return first, second, third
+    return (first, second, third), measured
+
+
+def _sums_panel(measured: Sequence[Measured], biased: float) -> Panel:
+    """Return the measured biases of both kinds of points, and the sums of f_m* ⟨S_m⟩ − f_0."""
+    at = np.arange(2.0)
+    marks: list[Mark] = [ReferenceLine(at=0.0, axis="x", color=INK, width=0.7)]
+    for k, found in enumerate(measured):
+        value, low, high = np.array([[found.value], [found.low], [found.high]])
+        marks.append(
+            Dots(
+                x=value, y=at[k : k + 1] + 0.18, low=low, high=high, across=True,
+                color=PALETTE[k], size=6.0, label=f"measured, {_KINDS[k]}",
+            )
+        )  # fmt: skip
+    sums_ = np.array([0.0, N**2 * biased])
+    marks.append(
+        Dots(x=sums_, y=at - 0.18, color=INK, marker="D", size=6.0, label="Σ fₘ* ⟨Sₘ⟩ − f₀")
+    )
+    return Panel(
+        marks=tuple(marks),
+        x=Axis(label="N² · bias of ∫x²", low=-0.09, high=0.04),
+        y=name_axis(["", ""]),
+        title="bias",
+        grid=True,
+    )
 
 
 def _bias(name: str, n: int, realizations: int, seed: int) -> tuple[float, float]:

@@ -20,6 +20,8 @@ __all__ = ["exhibit"]
 N = 16
 _INTEGERS = np.arange(1.0, 65.0)
 _REALS = np.arange(1.0, 65.0) * 0.37 + 0.05
+# Frequencies in the picture, and the smallest ratio of two frequencies that have dots
+_LEAST, _MOST, _APART = 0.35, 24, 1.07
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
@@ -110,11 +112,16 @@ def _compared(n: int, nu: Array, simulated: dict[str, xr.Dataset]) -> Plot:
     """Return closed forms and simulated spectra, at integer and at real frequencies."""
     panels = []
     for line, at, title in (
-        (np.arange(1.0, 25.0), _INTEGERS, "integer frequencies"),
-        (np.linspace(0.4, 24.0, 1200), _REALS, "real frequencies"),
+        (np.arange(1.0, _MOST + 1), _INTEGERS, "integer frequencies"),
+        (np.geomspace(_LEAST, _MOST, 2000), _REALS, "real frequencies"),
     ):
         marks: list[Mark] = []
-        chosen = np.isin(nu, at) & (nu <= 24)
+        # On the logarithmic axis, omit dots that would touch
+        shown = [float(at[0])]
+        for each in at[at <= _MOST]:
+            if each >= _APART * shown[-1]:
+                shown.append(float(each))
+        chosen = np.isin(nu, shown)
         looks = zip(PALETTE, line_widths(2), strict=False)
         for (name, data), (color, width) in zip(simulated.items(), looks, strict=True):
             y, label = _closed(name, line, n), f"{name}, closed form"
@@ -124,11 +131,13 @@ def _compared(n: int, nu: Array, simulated: dict[str, xr.Dataset]) -> Plot:
             marks.append(
                 Dots(
                     x=nu[chosen], y=power, low=power - half, high=power + half,
-                    color=color, size=3.0, label=label,
+                    color=color, size=4.5, label=label,
                 )
             )  # fmt: skip
-        x = Axis(label="frequency (cycles per unit)", low=0.0, high=24.5)
-        y_axis = log_axis("⟨|S|²⟩", 1e-5, 1.0)
+        ticks = {float(v): str(v) for v in (0.5, 1, 2, 4, 8, 16)}
+        x = Axis(label="frequency m", kind="log", low=_LEAST, high=1.1 * _MOST, ticks=ticks)
+        least = float(_closed("jittered", np.array([1.0]), n)[0])
+        y_axis = log_axis("⟨S_m* S_m⟩", least, 1.0)
         panels.append(Panel(marks=tuple(marks), x=x, y=y_axis, title=title, grid=True))
     return plot_of("closed-forms", *panels)
 

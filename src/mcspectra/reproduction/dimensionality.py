@@ -28,7 +28,7 @@ from mcspectra.plots.description import (
 )
 from mcspectra.plots.kinds import describe
 from mcspectra.plots.scales import log_axis, name_axis
-from mcspectra.plots.style import INK, PALETTE
+from mcspectra.plots.style import INK, MARKERS, PALETTE
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import (
     Claim,
@@ -401,19 +401,18 @@ def _map_sums(dims: int, data: xr.Dataset) -> Claim:
 
 
 def _sizes() -> Plot:
-    dims, marks = np.arange(1.0, 7.0), list[Mark]()
-    for half_width, color in zip((8, 64, 256), PALETTE, strict=False):
-        matrix = np.array([entries(int(d), half_width) for d in dims], float)
-        for y, dashes, what in ((matrix, "-", "matrix"), (np.sqrt(matrix), "--", "map")):
-            label = f"{what}, K = {half_width}"
-            marks.append(Line(x=dims, y=y, color=color, dashes=dashes, label=label))  # type: ignore[arg-type]
-            marks.append(Dots(x=dims, y=y, color=color))
+    dims, marks = np.arange(1.0, 5.0), list[Mark]()
+    for half_width, color, marker in zip((256, 64, 8), PALETTE, MARKERS, strict=False):
+        y = np.array([entries(int(d), half_width) for d in dims], float)
+        label = f"K = {half_width}"
+        marks.append(Line(x=dims, y=y, color=color, width=1.8, label=label))
+        marks.append(Dots(x=dims, y=y, color=color, marker=marker, size=6.0, label=label))
     memory = 2**36 / _BYTES
     marks += [
-        ReferenceLine(at=memory, color=INK, width=1.0),
-        TextMark(x=1.0, y=memory, text="64 GiB", color=INK, side="above"),
+        ReferenceLine(at=memory, color=INK, dashes="--", width=1.2),
+        TextMark(x=3.45, y=memory, text="64 GiB of memory", side="above"),
     ]
     ticks = {float(d): str(int(d)) for d in dims}
-    x = Axis(label="number of dims d", low=0.8, high=6.2, ticks=ticks)
-    y = log_axis("numbers to store", 10.0, float(entries(6, 256)))
+    x = Axis(label="number of dims d", low=0.8, high=4.2, ticks=ticks)
+    y = log_axis("entries of the matrix", 100.0, float(entries(4, 256)))
     return plot_of("dimensionality", Panel(marks=tuple(marks), x=x, y=y, grid=True))

@@ -7,6 +7,8 @@ The second question is which methods go beyond importance sampling.
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,36 +17,44 @@ import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
+from mcspectra.integrands._quadrature import gauss_rule
 from mcspectra.plots.description import (
     Axis,
     BarChart,
     Dots,
-    Heatmap,
     Line,
     Mark,
     Panel,
     ReferenceLine,
-    Scale,
+    TextMark,
 )
 from mcspectra.plots.scales import log_axis, name_axis, unit_panel
 from mcspectra.plots.style import ACCENT, GRAY, INK, PALETTE, TERM_COLORS
 from mcspectra.plots.text import number
-from mcspectra.reproduction.claims import Claim, Exhibit, Measured, about, rate_claim, slope
-from mcspectra.reproduction.panels import plot_of, variance_panel
-from mcspectra.reproduction.strata_alignment import edge
+from mcspectra.reproduction.claims import Claim, Exhibit, Measured, about, known_rate, slope
+from mcspectra.reproduction.panels import interval_panel, plot_of, variance_panel
+from mcspectra.reproduction.strata_alignment import edge, edge_panel
 
 __all__ = ["exhibit"]
 
-# With 6, 13, 27 and 55 strata per axis, the edge at 2/7 always cuts a stratum into 5/7 and 2/7
-COUNTS = (36, 169, 729, 3025)
-AT = 2 / 7
-OBLIQUE = "half-space(normal=[1, 0.618], offset=0.7)"
+AT = 1 / 3  # position of the upright edge
+# The density for importance sampling is the product of the means of f along each axis.
+# It has this share of the points left of the edge. The share is 0.6
+SHARE = 1.5 * AT / (AT + 0.5)
+# With 14, 29, 61 and 124 strata per axis, the edge always cuts a stratum into 0.4 and 0.6
+COUNTS = (196, 841, 3721, 15376)
+_SIDE = 6  # number of strata per axis in pictures
 BUDGET = 256
-RATES = {"uniform points": -1.5, "importance sampling": -1.5, "aligned strata": -2.0}
-_TABLE = 8  # cells along each side of the tabulated density for importance sampling
+GIVEN = {
+    "upright edge": f"half-space(normal=[1, 0], offset={AT:.4f})",
+    "oblique edge": "half-space(normal=[1, 0.618], offset=0.7)",
+}
+AS_GIVEN, ALIGNED = "strata as given", "strata aligned"
+RATES = {ALIGNED: -2.0, AS_GIVEN: -1.5}
 _LATTICE = 64  # number of points of the lattice that is designed for half-spaces
 _HALF_WIDTH = 40
-_BANDS = {"x0": "x₀", "x1": "x₁", "x0x1": "both"}
+_BANDS = {"x0": "x₀ alone", "x1": "x₁ alone", "x0x1": "x₀ and x₁"}
+_ORDER = 12  # order of the quadrature within a stratum, where estimates are smooth
 # Labels in the figure for the samplers that are tried instead of jittered points
 _CHANGES = {
     "latin-hypercube": "Latin hypercube",
@@ -56,91 +66,90 @@ _CHANGES = {
     "random": "random",
 }
 _VERDICTS = {"better": PALETTE[2], "undecided": GRAY, "worse": ACCENT, "given": INK}
-_STRATA = Scale(
-    kind="names",
-    names=("right of the edge", "left of the edge", "stratum cut by the edge"),
-    colors=("#FFFFFF", "#D6E6F1", "#F5C9A9"),
-)
-# A stratum counts as cut by the edge if both of its parts are larger than this fraction.
-# Smaller parts are the result of rounding
-_FEW = 1e-3
-_PIXELS, _FINE = 132, 5  # pixels along each side of a picture of strata, and samples per pixel
 _TESTED = ((0.3, 0.6), (0.7, 0.8), (1.0, 0.7), (1.3, 0.5), (0.1, 0.31), (1.45, 0.62))
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
     """Diagnose an integrand that has an edge, and compare remedies with importance sampling."""
     few = 150 if quick else 1000
-    given: dict[str, Any] = {"edge plus ramp": edge(AT), "oblique edge": OBLIQUE}
     tried = {
         name: mcs.remedies(f, "jittered", BUDGET, realizations=few, rng=seed, kinds=["sampler"])
-        for name, f in given.items()
+        for name, f in GIVEN.items()
     }
     terms = {
         name: mcs.variance_terms(
             f, "jittered", BUDGET, half_width=_HALF_WIDTH, realizations=few, rng=seed, bands="anova"
         )
-        for name, f in given.items()
+        for name, f in GIVEN.items()
     }
-    found, slanted = tried.values()
+    found = tried["upright edge"]
     shares = {name: alone(data) for name, data in terms.items()}
-    realizations = 200 if quick else 1500
-    options: dict[str, Any] = {"realizations": realizations, "rng": seed}
+    changes = {
+        label: [_ratio(data, name) for data in tried.values()]
+        for label, name in (
+            ("Latin hypercube", "latin-hypercube"),
+            ("shifted lattice", "rank1-lattice | shift"),
+        )
+    }
+    latin, (_, lattice_ratio) = changes.values()
+
+    # Compare strata as given with strata that have a border at the edge
+    options: dict[str, Any] = {"realizations": 200 if quick else 1500, "rng": seed}
+    sides = [round(n**0.5) for n in COUNTS]
+    split = {AS_GIVEN: [SHARE] * len(sides), ALIGNED: [aligned_share(side) for side in sides]}
+    # The second color is the color of the strata that the edge cuts
     curves = {
-        "uniform points": mcs.convergence(edge(AT), "jittered", list(COUNTS), **options),
-        "importance sampling": mcs.convergence(_weighted(), "jittered", list(COUNTS), **options),
-        "aligned strata": _measured_aligned(realizations, seed),
+        ALIGNED: _aligned_curve(split[ALIGNED], options),
+        AS_GIVEN: mcs.convergence(importance_sampling(SHARE), "jittered", list(COUNTS), **options),
     }
     exact = {
-        "uniform points": _exact(),
-        "aligned strata": np.array(
-            [float(mcs.exact_variance(_aligned(n), "jittered", n)) for n in COUNTS]
-        ),
+        name: np.array([exact_variance(*pair) for pair in zip(each, sides, strict=True)])
+        for name, each in split.items()
     }
-    last = {name: Measured.of(curve.isel(n=-1), "variance") for name, curve in curves.items()}
+    best, given = (Measured.of(curve.isel(n=-1), "variance") for curve in curves.values())
     with tempfile.TemporaryDirectory() as folder:
         lattice = mcs.design(
             "lattice", "half-spaces", _LATTICE, rng=seed, path=Path(folder, "lattice.json")
         )
         ratio = _designed(lattice, 100 if quick else 1000, seed)
-    latin = [_ratio(data, "latin-hypercube") for data in tried.values()]
-    lattice_ratio = _ratio(slanted, "rank1-lattice | shift")
-    align = last["importance sampling"] / last["aligned strata"]
-    usual = last["importance sampling"] / last["uniform points"]
+    ratios = interval_panel(changes, list(GIVEN), "variance ratio", at=1.0, ratio=True)
+    panel = variance_panel(curves, exact=exact, rates=RATES, title="variance", beside=0.6)
+    ends = {float(n): str(n) for n in (COUNTS[0], COUNTS[-1])}
     return Exhibit(
         numbers={
-            "alone": number(100 * shares["edge plus ramp"], 2),
             "together": number(100 * (1 - shares["oblique edge"]), 2),
             "times": number(1 / latin[0].value, 2),
             "worse": number(latin[1].value, 2),
             "lattice": number(1 / lattice_ratio.value, 2),
-            "align": number(align.value, 2),
-            "usual": number(usual.value, 2),
-            "design": number(ratio.value, 2),
+            "align": number((given / best).value, 2),
             "budget": BUDGET,
             "N": COUNTS[-1],
         },
         plots=(
             plot_of(
                 "remedies",
+                _edges_panel(),
+                _share_panel(terms),
+                # The text of the slide has the ratios
+                replace(
+                    ratios,
+                    marks=tuple(m for m in ratios.marks if not isinstance(m, TextMark)),
+                    title="other samplers",
+                ),
+            ),
+            plot_of(
+                "all-remedies",
                 *(
                     panel
-                    for name in given
+                    for name in GIVEN
                     for panel in (_band_panel(terms[name], name), _change_panel(tried[name], name))
                 ),
             ),
             plot_of(
                 "better-than-importance",
-                _strata_panel(mcs.Estimator(edge(AT)), "uniform points", seed),
-                _strata_panel(_weighted(), "importance sampling by f", seed),
-                _strata_panel(_aligned(COUNTS[0]), "aligned strata", seed),
-                variance_panel(
-                    curves,
-                    exact=exact,
-                    rates=RATES,
-                    title="variance, jittered points",
-                    beside=0.6,
-                ),
+                _strata_panel(SHARE, AS_GIVEN, seed),
+                _strata_panel(aligned_share(_SIDE), ALIGNED, seed),
+                replace(panel, x=replace(panel.x, ticks=ends)),
             ),
         ),
         claims=(
@@ -152,9 +161,9 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 shown="a discontinuity on planes normal to an axis",
             ),
             Claim(
-                "Frequencies along single axes have more than 90 % of the variance of an edge plus "
-                "a ramp, by the terms.",
-                shares["edge plus ramp"],
+                "Frequencies along single axes have more than 90 % of the variance of an upright "
+                "edge, by the terms.",
+                shares["upright edge"],
                 above=0.9,
             ),
             Claim(
@@ -163,7 +172,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 below=0.9,
             ),
             Claim(
-                "For an edge plus a ramp, a Latin hypercube has less variance than jittered points "
+                "For an upright edge, a Latin hypercube has less variance than jittered points "
                 f"at {BUDGET} evaluations: ratio.",
                 latin[0],
                 below=1.0,
@@ -181,30 +190,30 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             *about(
                 "better-than-importance",
                 Claim(
-                    "Strata aligned with the edge: the exact variances have the rate −2.",
-                    slope(COUNTS, exact["aligned strata"]),
+                    "Importance sampling with strata aligned with the edge: the exact variances "
+                    "have the rate −2.",
+                    slope(COUNTS, exact[ALIGNED]),
                     expected=-2.0,
-                    # Rounding the edge to whole strata changes the variance by a fraction 1/s²
+                    # The share of points left of the edge is rounded to whole columns of strata
                     tolerance=0.05,
                     shown="−2 ± 0.05",
                 ),
                 Claim(
                     f"Aligned strata at N = {COUNTS[-1]} have the exact variance.",
-                    Measured.of(curves["aligned strata"].isel(n=-1), "variance", log=True),
-                    expected=float(exact["aligned strata"][-1]),
+                    Measured.of(curves[ALIGNED].isel(n=-1), "variance", log=True),
+                    expected=float(exact[ALIGNED][-1]),
                     digits=4,
                 ),
-                rate_claim(
-                    "Importance sampling by a table of f keeps the edge: the rate stays near −1.5.",
-                    curves["importance sampling"],
+                known_rate(
+                    "Importance sampling keeps the edge: the rate is −1.5 if it cuts strata.",
+                    curves[AS_GIVEN],
                     -1.5,
-                    0.25,
-                    "Tolerance: half of the distance to −2; exact variances are not known.",
+                    exact[AS_GIVEN],
                 ),
                 Claim(
-                    f"At N = {COUNTS[-1]}, aligned strata have less variance than importance "
-                    "sampling: ratio.",
-                    last["importance sampling"] / last["aligned strata"],
+                    f"At N = {COUNTS[-1]}, aligned strata have less variance than the same "
+                    "importance sampling with strata as given: ratio.",
+                    given / best,
                     above=1.0,
                 ),
                 Claim(
@@ -219,11 +228,16 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     )
 
 
-def alone(data: xr.Dataset) -> float:
-    """Return the share of frequencies along single axes in the sum of all variance terms."""
+def parts(data: xr.Dataset) -> Array:
+    """Return shares of the variance terms for each of `_BANDS`: along x₀, x₁, and both axes."""
     names = str(data["band"].attrs["labels"]).split(", ")
     rows = data["band_covariance"].sum("band_other").values
-    return float(sum(rows[names.index(axis)] for axis in ("x0", "x1")) / rows.sum())
+    return np.asarray([rows[names.index(band)] / rows.sum() for band in _BANDS])
+
+
+def alone(data: xr.Dataset) -> float:
+    """Return the share of frequencies along single axes in the sum of all variance terms."""
+    return float(parts(data)[:2].sum())
 
 
 def _ratio(data: xr.Dataset, name: str) -> Measured:
@@ -249,7 +263,7 @@ def _band_panel(data: xr.Dataset, title: str) -> Panel:
         for key, each, away, label in (
             ("power_term", value[:, 0], -0.26, "second term"),
             ("cross_term", value[:, 1], 0.0, "third term"),
-            ("predicted_variance", value.sum(axis=1), 0.26, "sum of both"),
+            ("predicted_variance", value.sum(axis=1), 0.26, "second + third"),
         )
     ]
     last = float(len(rows))
@@ -265,7 +279,7 @@ def _band_panel(data: xr.Dataset, title: str) -> Panel:
             color=TERM_COLORS["measured_variance"],
         ),
     ]  # fmt: skip
-    ticks = dict(enumerate((*_BANDS.values(), "all")))
+    ticks = dict(enumerate(("x₀", "x₁", "x₀ and x₁", "all m")))
     top, bottom = max(float(value.max()), whole.high), min(float(value.min()), 0.0)
     return Panel(
         marks=(*bars, ReferenceLine(at=0.0, color=INK, width=0.7)),
@@ -306,69 +320,118 @@ def _change_panel(data: xr.Dataset, title: str) -> Panel:
     )
 
 
-def _strata_panel(estimator: mcs.Estimator, title: str, seed: int) -> Panel:
-    """Return the strata of an estimator on the domain, a set of points, and the edge."""
-    n, side = COUNTS[0], round(COUNTS[0] ** 0.5)
-
-    def placed(u: Array) -> Array:
-        return u if estimator.density is None else np.asarray(estimator.density.sample(u))
-
-    # Place fine samples of each stratum on the domain, and find strata with samples on both sides
-    fine = _PIXELS * _FINE
-    t = (np.arange(fine) + 0.5) / fine
-    u = np.stack(np.meshgrid(t, t, indexing="ij"), axis=-1).reshape(-1, 2)
-    x = placed(u)
-    of = (u * side).astype(int) @ np.array([side, 1])
-    left = np.bincount(of, x[:, 0] < AT) / np.bincount(of)
-    kinds = np.where(left < _FEW, 0.0, np.where(left > 1 - _FEW, 1.0, 2.0))
-    values = np.full((_PIXELS, _PIXELS), np.nan)
-    pixel = np.minimum((x * _PIXELS).astype(int), _PIXELS - 1)
-    values[pixel[:, 1], pixel[:, 0]] = kinds[of]
-    # Assign a pixel that has no sample to the stratum of the nearest sampled pixel on its left
-    known = np.maximum.accumulate(np.where(np.isnan(values), 0, np.arange(_PIXELS)), axis=1)
-    values = np.take_along_axis(values, known, axis=1)
-    centers = (np.arange(_PIXELS) + 0.5) / _PIXELS
-    marks: list[Mark] = [
-        Heatmap(values=values, x=centers, y=centers, scale=_STRATA, name="stratum")
+def _edges_panel() -> Panel:
+    """Return the edges of both integrands in the unit square."""
+    ends = {"upright edge": [AT, AT], "oblique edge": [0.7, 0.082]}
+    lines = [
+        Line(x=np.array(x), y=np.array([0.0, 1.0]), color=color, width=3.0, label=name)
+        for (name, x), color in zip(ends.items(), PALETTE, strict=False)
     ]
-    # Draw the borders of strata
-    s = np.linspace(0.0, 1.0 - 1e-9, 400)
-    for border in np.arange(1, side) / side:
-        level = np.full_like(s, border)
-        for line in (np.stack([level, s], axis=-1), np.stack([s, level], axis=-1)):
-            x = placed(line)
-            marks.append(Line(x=x[:, 0], y=x[:, 1], color=GRAY, width=0.7))
-    dots = placed(mcs.sampler("jittered", 2).draw(n, rng=seed)[0])
-    marks += [
-        Dots(x=dots[:, 0], y=dots[:, 1], color=PALETTE[0], size=3.5),
-        Line(x=np.array([AT, AT]), y=np.array([0.0, 1.0]), color=INK, width=2.0),
+    texts = [
+        TextMark(x=x, y=y, text=text, side="middle")
+        for x, y, text in ((0.16, 0.25, "f = 1"), (0.82, 0.75, "f = 0"))
     ]
-    return unit_panel(marks, title)
+    return unit_panel((*lines, *texts), "two integrands")
 
 
-def _aligned(n: int) -> mcs.Estimator:
-    """Return an estimator whose strata have a border at the discontinuity of the integrand."""
-    return mcs.aligned(edge(AT), [[AT], []], n)
+def _share_panel(terms: dict[str, xr.Dataset]) -> Panel:
+    """Return bars of the shares of the variance along x₀, along x₁, and along both axes."""
+    marks: list[Mark] = []
+    at = np.arange(float(len(_BANDS)))
+    for k, (name, data) in enumerate(terms.items()):
+        value, places = 100 * parts(data), at + 0.36 * (k - 0.5)
+        marks.append(
+            BarChart(
+                at=places, value=value, color=PALETTE[k], lying=True, thickness=0.34, label=name
+            )
+        )
+        marks += [
+            TextMark(x=max(float(v), 0.0), y=float(y), text=f"{v:.0f} %", color=PALETTE[k])
+            for v, y in zip(np.abs(value.round()), places, strict=True)
+        ]
+    return Panel(
+        marks=tuple(marks),
+        x=Axis(
+            label="% of the variance",
+            low=0.0,
+            high=150.0,
+            ticks={0.0: "0", 50.0: "50", 100.0: "100"},
+        ),
+        y=name_axis(list(_BANDS.values())),
+        title="m varies along",
+    )
 
 
-def _measured_aligned(realizations: int, seed: int) -> xr.Dataset:
-    """Measure the variance with aligned strata, whose borders change with the number of points."""
-    options: dict[str, Any] = {"realizations": realizations, "rng": seed}
-    curves = [mcs.convergence(_aligned(n), "jittered", [n], **options) for n in COUNTS]
+def _strata_panel(share: float, title: str, seed: int) -> Panel:
+    """Return the strata of importance sampling on the domain, and a set of points."""
+    borders = np.arange(_SIDE + 1) / _SIDE
+    across, up = _placed(np.stack([borders, borders], axis=-1), share).T
+    points = _placed(mcs.sampler("jittered", 2).draw(_SIDE**2, rng=seed)[0], share)
+    return edge_panel(AT, across, up, title, points, y="" if share != SHARE else "y")
+
+
+def aligned_share(side: int) -> float:
+    """Return the share of points left of the edge, rounded to whole columns of strata."""
+    return round(SHARE * side) / side
+
+
+def _placed(u: Array, share: float) -> Array:
+    """Warp primary points to importance samples, of which a `share` is left of the edge."""
+    left = u[..., 0] / share * AT
+    right = AT + (u[..., 0] - share) / (1 - share) * (1 - AT)
+    x = np.where(u[..., 0] < share, left, right)
+    # Along the other axis, the density is (AT + y) / (AT + ½)
+    y = np.sqrt(AT**2 + 2 * (AT + 0.5) * u[..., 1]) - AT
+    return np.minimum(np.stack([x, y], axis=-1), np.nextafter(1.0, 0.0))
+
+
+def _density(x: Array, share: float) -> Array:
+    """Return the density of importance samples, of which a `share` is left of the edge."""
+    across = np.where(x[..., 0] < AT, share / AT, (1 - share) / (1 - AT))
+    return np.asarray(across * (AT + x[..., 1]) / (AT + 0.5))
+
+
+def importance_sampling(share: float) -> mcs.Estimator:
+    """Return importance sampling of an edge plus a ramp by the means of f along each axis.
+
+    The share of points left of the edge is `SHARE`, or `aligned_share`.
+    """
+    density = mcs.Density.from_functions(
+        pdf=lambda x: _density(x, share), sample=lambda u: _placed(u, share), dims=2
+    )
+    return mcs.Estimator(edge(AT), density)
+
+
+def exact_variance(share: float, side: int) -> float:
+    """Return the variance of jittered importance samples, by quadrature in each row of strata.
+
+    Within a row, f/p has one value left and another value right of the edge.
+    A column of strata that the edge cuts mixes both, with the fractions `cut` and 1 − `cut`.
+    """
+    t, weights = gauss_rule(_ORDER)
+    v = (np.arange(side)[:, None] + t) / side
+    # Left and right of the edge: mean and mean square of f/p in each row of strata
+    first, second = np.empty((2, side)), np.empty((2, side))
+    for k, u in enumerate((0.5 * share, 0.5 * (1 + share))):
+        x = _placed(np.stack([np.full_like(v, u), v], axis=-1), share)
+        value = edge(AT)(x) / _density(x, share)
+        first[k], second[k] = value @ weights, value**2 @ weights
+    whole = int(np.floor(share * side + 1e-9))
+    cut = max(share * side - whole, 0.0)
+    within = (second - first**2).sum(axis=1)
+    fractions = np.array([cut, 1 - cut])
+    mixed = (fractions @ second - (fractions @ first) ** 2).sum()
+    total = whole * within[0] + mixed + (side - whole - 1) * within[1]
+    return float(total) / side**4
+
+
+def _aligned_curve(shares: Sequence[float], options: dict[str, Any]) -> xr.Dataset:
+    """Measure the variance of aligned strata, whose share depends on the number of points."""
+    curves = [
+        mcs.convergence(importance_sampling(share), "jittered", [n], **options)
+        for share, n in zip(shares, COUNTS, strict=True)
+    ]
     return xr.concat([c[["mean", "variance", "variance_ci"]] for c in curves], dim="n")
-
-
-def _weighted() -> mcs.Estimator:
-    """Return traditional importance sampling: a density from a table of f."""
-    u = (np.arange(16 * _TABLE) + 0.5) / (16 * _TABLE)
-    values = np.asarray(edge(AT)(np.stack(np.meshgrid(u, u), axis=-1)))
-    table = values.reshape(_TABLE, 16, _TABLE, 16).mean(axis=(1, 3))
-    return mcs.Estimator(edge(AT), mcs.densities.PiecewiseConstant(values=table))
-
-
-def _exact() -> Array:
-    """Return exact variances of jittered points."""
-    return np.array([float(mcs.exact_variance(edge(AT), "jittered", n)) for n in COUNTS])
 
 
 def _designed(lattice: mcs.Sampler, realizations: int, seed: int) -> Measured:

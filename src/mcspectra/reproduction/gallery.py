@@ -95,6 +95,8 @@ class Slide:
         The corrected statement in a few words, if findings correct the slide.
     answer
         Answer to a question on the slide, or empty.
+    partly
+        Answer that the figure's examples give to an open question of the slide, or empty.
     explorer
         Query string of the explorer's state (`mcspectra.app.state`), not yet encoded, or empty.
     """
@@ -109,6 +111,7 @@ class Slide:
     holds_if: str = ""
     corrected: str = ""
     answer: str = ""
+    partly: str = ""
     explorer: str = ""
 
 
@@ -245,6 +248,7 @@ def make_exhibit(name: str, *, quick: bool, seed: int) -> tuple[Exhibit, tuple[S
             holds_if=filled(slide.holds_if),
             corrected=filled(slide.corrected),
             answer=filled(slide.answer),
+            partly=filled(slide.partly),
         )
         for slide in given.slides
     )
@@ -405,7 +409,7 @@ Mark: TypeAlias = Literal["yes", "some", "no", "none"]
 
 
 def verdict(slide: Slide, findings: Sequence[Finding]) -> tuple[str, str, Mark]:
-    """Return the verdict on a slide in one or two words, its condition, and its CSS class.
+    """Return the verdict on a slide in one to three words, its condition, and its CSS class.
 
     If a finding does not agree with its expected value, the verdict is "Not reproduced".
     The verdict is "Corrected" only if a measurement confirms the correction of the slide.
@@ -418,6 +422,8 @@ def verdict(slide: Slide, findings: Sequence[Finding]) -> tuple[str, str, Mark]:
         return "Corrected", slide.corrected, "no"
     if slide.answer:
         return "Answered", slide.answer, "some"
+    if slide.partly:
+        return "Answered in part", slide.partly, "some"
     if slide.holds_if:
         return "Holds if", slide.holds_if, "some"
     return "Holds", "", "yes"
@@ -448,6 +454,7 @@ def _deck(entries: Sequence[Entry], command: str, quick: bool, seed: int) -> htm
         except importlib.metadata.PackageNotFoundError:
             versions[name] = "not installed"
     facts = {"Command": command, "Seed": str(seed), "Quality": "quick" if quick else "full"}
+    count = sum(len(entry.findings) for entry in entries if not entry.problem)
     how = html.FactList(rows=tuple((facts | versions).items()), code=True)
     pairs = sorted(
         ((slide, entry) for entry in entries for slide in entry.slides),
@@ -464,8 +471,9 @@ def _deck(entries: Sequence[Entry], command: str, quick: bool, seed: int) -> htm
             ),
             html.Paragraph(
                 text="Holds: the findings agree with the slide. Holds if: they agree under this "
-                "condition. Corrected: they contradict the slide. Arrow keys turn the pages. "
-                "Links to the explorer need mcspectra app --port 5006.",
+                "condition. Corrected: they contradict the slide. Answered: they answer a question "
+                "of the slide; in part: by examples only. Arrow keys turn the pages. Links "
+                "to the explorer need mcspectra app --port 5006.",
                 kind="soft",
             ),
         ),
@@ -475,12 +483,12 @@ def _deck(entries: Sequence[Entry], command: str, quick: bool, seed: int) -> htm
             anchor="provenance",
             blocks=(
                 html.Paragraph(
-                    text=f"Intervals of {GALLERY_FINDINGS} true findings hold simultaneously with "
-                    "95 % (each with 99.98 %, Šidák). Intervals in plots are 95 %. A finding "
+                    text=f"This page has {count} findings. Each of their intervals has the level "
+                    f"99.98 %. By Šidák's rule, up to {GALLERY_FINDINGS} intervals then hold "
+                    "simultaneously with at least 95 %. Intervals in plots are 95 %. A finding "
                     "agrees if the expected value is in the interval or within the tolerance "
                     "given in the note. Findings that agree with our theory but limit or "
-                    "contradict "
-                    "the slide as printed, such as counterexamples, are counted apart."
+                    "contradict the slide as printed, such as counterexamples, are counted apart."
                 ),
                 html.Paragraph(
                     text="The slides are numbered by their titles in the talk. Steps of an "

@@ -2,14 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Axis, Dots, Heatmap, Line, Panel, Plot, ReferenceLine, Scale
+from mcspectra.plots.description import (
+    Axis,
+    Dots,
+    Heatmap,
+    Line,
+    Mark,
+    Panel,
+    Plot,
+    ReferenceLine,
+    Scale,
+    Segments,
+    TextMark,
+)
 from mcspectra.plots.scales import unit_panel
-from mcspectra.plots.style import ACCENT, INK, PALETTE
+from mcspectra.plots.style import ACCENT, FAINT, INK, PALETTE
 from mcspectra.plots.text import number
 from mcspectra.report.page import Slider
 from mcspectra.reproduction.claims import (
@@ -23,7 +37,7 @@ from mcspectra.reproduction.claims import (
 )
 from mcspectra.reproduction.panels import plot_of, strata, variance_panel
 
-__all__ = ["exhibit"]
+__all__ = ["edge", "edge_panel", "exhibit"]
 
 COUNTS = (16, 64, 256, 1024)
 # With 2^k strata, an edge at 1/3 cuts a stratum into 1/3 and 2/3, so s(1 − s) is always 2/9.
@@ -32,9 +46,13 @@ ALIGNED, CUT = PLACES
 RATES = {ALIGNED: -2.0, CUT: -1.5}
 _KINDS = Scale(
     kind="names",
-    names=("0", "1, left of the edge", "cut by the edge"),
+    names=("right of the edge", "left of the edge", "cut by the edge"),
     colors=("#FFFFFF", "#D6E6F1", "#F5C9A9"),
 )
+# The largest value of f is 2. With a higher limit, white texts and dots are readable on f
+_VALUES = Scale(high=2.6)
+_PIXELS = 240
+_SAME = 1e-9  # least distance of an edge from a border that is not a rounding error
 _OBLIQUE = "half-space(normal=[1, 0.618], offset=0.7)"
 
 
@@ -164,47 +182,81 @@ def measured(f: mcs.Integrand | str, sampler: str, realizations: int, seed: int)
     return mcs.convergence(f, sampler, list(COUNTS), realizations=realizations, rng=seed)
 
 
+def edge_panel(
+    a: float, across: Array, up: Array, title: str, points: Array | None = None, *, y: str = "y"
+) -> Panel:
+    """Return a map of f = 1[x < a] + y with strata, and mark the strata that the edge cuts.
+
+    The borders of strata, including 0 and 1, are at x = `across` and at y = `up`.
+    The panel also has the `points` (N, 2), if they are given.
+    """
+    u = (np.arange(_PIXELS) + 0.5) / _PIXELS
+    values = np.asarray(edge(a)(np.stack(np.meshgrid(u, u), axis=-1)))
+    upright = [[[x, 0.0], [x, 1.0]] for x in across[1:-1]]
+    lying = [[[0.0, y], [1.0, y]] for y in up[1:-1]]
+    marks: list[Mark] = [
+        Heatmap(values=values, x=u, y=u, scale=_VALUES, name="f"),
+        Segments(ends=np.array(upright + lying), color=FAINT, width=0.7),
+    ]
+    # An edge at a border of strata cuts no stratum
+    if np.abs(across - a).min() > _SAME:
+        k = int(np.searchsorted(across, a))
+        sides = [[[x, 0.0], [x, 1.0]] for x in across[k - 1 : k + 1]]
+        rungs = [[[across[k - 1], y], [across[k], y]] for y in up]
+        marks.append(
+            Segments(
+                ends=np.array(sides + rungs), color=ACCENT, width=1.8,
+                label="strata cut by the edge",
+            )
+        )  # fmt: skip
+    edges = np.array([a, a])
+    marks.append(Line(x=edges, y=np.array([0.0, 1.0]), color="#000000", width=2.6, label="edge"))
+    if points is not None:
+        # White dots with a black border are visible on all colors
+        for color, size in (("#000000", 5.0), ("#FFFFFF", 3.6)):
+            marks.append(Dots(x=points[:, 0], y=points[:, 1], color=color, size=size))
+    return unit_panel(marks, title, "x", y)
+
+
 def _cut(s: float) -> Plot:
-    """Plot strata and an edge at position s within a stratum; plot the variance against s."""
+    """Plot two edges, at a border of strata and at position s within strata; plot the variance."""
     side, n = 8, 64
-    a = (4 + s) / side
-    middle = (np.arange(side) + 0.5) / side
-    shares = np.clip(a * side - np.arange(side), 0.0, 1.0)
-    values = np.tile(
-        np.where((shares > 1e-9) & (shares < 1 - 1e-9), 2.0, np.floor(shares + 1e-9)), (side, 1)
-    )
-    picture = unit_panel(
-        (
-            Heatmap(values=values, x=middle, y=middle, scale=_KINDS, name="stratum"),
-            *strata(side),
-            Line(x=np.array([a, a]), y=np.array([0.0, 1.0]), color=INK, width=2.2),
-        ),
-        f"f = 1[x < {number(a, 3)}] + y",
-    )
+    borders = np.arange(side + 1) / side
+    pictures = []
+    for place, name in ((0.0, "aligned"), (s, "cut" if 0.0 < s < 1.0 else "aligned")):
+        picture = edge_panel(
+            (4 + place) / side, borders, borders, f"{name}: s = {place:g}",
+            y="" if pictures else "y",
+        )  # fmt: skip
+        texts = (
+            TextMark(x=x, y=0.06, text=text, color="#FFFFFF", side="middle")
+            for x, text in ((0.24, "f = 1 + y"), (0.82, "f = y"))
+        )
+        pictures.append(replace(picture, marks=(*picture.marks, *texts)))
     at = np.linspace(0.0, 1.0, 101)
 
     def variance(s: Array) -> Array:
         return np.asarray(1e4 * (s * (1 - s) / side**3 + 1 / (12 * n**2)))
 
-    here = np.array([s])
+    here = np.array([0.0, s])
     curve = Panel(
         marks=(
             Line(x=at, y=variance(at), color=PALETTE[0], width=1.8, label="jittered"),
             ReferenceLine(
                 at=float(1e4 * homogenised()[COUNTS.index(n)]),
-                color=ACCENT,
+                color=PALETTE[6],
                 dashes="--",
                 width=1.4,
-                label="jittered | shift",
+                label="after a random shift",
             ),
-            Dots(x=here, y=variance(here), color=INK, size=9.0),
+            Dots(x=here, y=variance(here), color=PALETTE[0], size=9.0),
         ),
-        x=Axis(label="position s of the edge in its strata", low=-0.02, high=1.02),
+        x=Axis(label="position s of the edge", low=-0.04, high=1.04),
         y=Axis(label="variance · 10⁴", low=0.0),
         title=f"exact variance, N = {n}",
         grid=True,
     )
-    return plot_of("edge-and-strata", picture, curve)
+    return plot_of("edge-and-strata", *pictures, curve)
 
 
 def _strata() -> Plot:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Plot, Scale
+from mcspectra.plots.description import Panel, Plot, TextMark
 from mcspectra.plots.scales import log_scale
 from mcspectra.plots.text import number
 from mcspectra.report.page import Slider
@@ -21,6 +23,9 @@ SAMPLERS = ("random", "jittered | shift", "poisson-disk")
 DENSITY = "linear(slope=1.5)"
 N = 64
 HALF_WIDTH = 12
+SHIFTED = SAMPLERS[1]
+# One scale for all maps: N ⟨P_S⟩ of random importance samples is 1.7, the largest value
+_POWER = log_scale("relative power", 1e-3, 2.0)
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
@@ -33,11 +38,6 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         for name in SAMPLERS
     }
     weighted = importance_terms(realizations, seed)
-    each = ", ".join(
-        f"{number(float(d['power_term']))} against {number(float(d['measured_variance']))} ({name})"
-        for name, d in terms.items()
-    )
-    missed = float(weighted["power_term"]) / float(weighted["measured_variance"])
     lost = Measured.of(weighted, "power_term") / exact_weighted()
 
     # Increase N. Sampling power ∝ ν² gives the rate −1 − 2/d = −2.
@@ -55,13 +55,15 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     shown["poisson-disk"] = Measured(
         power / variance.value, power / variance.high, power / variance.low
     )
-    shown[f"random, p = {DENSITY}"] = lost
+    shown["importance samples"] = lost
     x = "Σ P_f ⟨P_S⟩ / variance (1: complete)"
     return Exhibit(
         numbers={
-            "each": each,
-            "density": DENSITY,
-            "missed": number(missed),
+            "sum": number(float(np.nansum(_product_map(SHIFTED, N)))),
+            "variance": number(exact(SHIFTED)),
+            "missed": number(
+                float(np.nansum(_product_map("random", N, DENSITY))) / exact_weighted()
+            ),
             "N": N,
             "half_width": HALF_WIDTH,
         },
@@ -106,25 +108,40 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     )
 
 
-def _product(n: int) -> Plot:
-    """Return maps of ⟨P_S⟩, P_f and their product, for random and for shifted jittered points."""
+def _powers(name: str, n: int, density: str | None = None) -> tuple[Array, Array]:
+    """Return maps of ⟨P_S⟩ and P_f. The power at m = 0 is NaN."""
     side = np.arange(-HALF_WIDTH, HALF_WIDTH + 1)
     m = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1)
     bell = np.abs(mcs.integrand(BELL, 2).fourier_grid(HALF_WIDTH)) ** 2
-    zero = (m == 0).all(axis=-1)
-    top = float(bell[~zero].max())
-    power = Scale(label="", high=1.0 / 16)
-    decades = [log_scale("", 1e-4 * high, high) for high in (top, top / 16)]
-    panels = []
-    for name in SAMPLERS[:2]:
-        sampling = mcs.closed_form_power(name, n, m.reshape(-1, 2)).reshape(bell.shape)
-        total = float((sampling * bell)[~zero].sum())
+    bell[HALF_WIDTH, HALF_WIDTH] = np.nan
+    sampling = mcs.closed_form_power(name, n, m.reshape(-1, 2), density).reshape(bell.shape)
+    return sampling, bell
+
+
+def _product_map(name: str, n: int, density: str | None = None) -> Array:
+    """Return a map of ⟨P_S⟩ × P_f."""
+    sampling, bell = _powers(name, n, density)
+    return sampling * bell
+
+
+def _product(n: int) -> Plot:
+    """Return maps of ⟨P_S⟩, P_f and their product, for constant and for linear p."""
+    panels = list[Panel]()
+    for name, density, variance, title in (
+        (SHIFTED, None, exact(SHIFTED, n), "N ⟨P_S⟩, p = 1"),
+        ("random", DENSITY, exact_weighted(n), "N ⟨P_S⟩, p ≠ 1"),
+    ):
+        sampling, bell = _powers(name, n, density)
+        top, total = float(np.nanmax(bell)), float(np.nansum(sampling * bell))
+        product = frequency_panel(n * sampling * bell / top, _POWER, "= product", y=False)
+        texts = (
+            TextMark(x=0.0, y=y, text=f"{word} = {number(value)}", color="#FFFFFF", side="middle")
+            for y, word, value in ((-8.2, "Σ", total), (-10.6, "Var", variance))
+        )
         panels += [
-            frequency_panel(sampling, power, f"⟨P_S⟩, {name.replace(' | ', ', ')}"),
-            frequency_panel(bell, decades[0], "× P_f", y=False),
-            frequency_panel(
-                sampling * bell, decades[1], f"= product, Σ = {number(total, 2)}", y=False
-            ),
+            frequency_panel(n * sampling, _POWER, title),
+            frequency_panel(bell / top, _POWER, "× P_f", y=False),
+            replace(product, marks=(*product.marks, *texts)),
         ]
     return plot_of("variance-integral", *panels)
 
@@ -132,17 +149,17 @@ def _product(n: int) -> Plot:
 def importance_terms(realizations: int, seed: int) -> xr.Dataset:
     """Return the variance terms of importance samples, whose coefficients S_m are correlated."""
     return mcs.variance_terms(
-        _estimator(), "random", N, half_width=16, realizations=realizations, rng=seed
+        _estimator(), "random", N, half_width=HALF_WIDTH, realizations=realizations, rng=seed
     )
 
 
 def _estimator() -> mcs.Estimator:
-    return mcs.Estimator("linear(gradient=1.0, offset=0.5)", DENSITY, dims=1)
+    return mcs.Estimator(BELL, DENSITY, dims=2)
 
 
-def exact_weighted() -> float:
+def exact_weighted(n: int = N) -> float:
     """Return the exact variance of importance samples."""
-    return float(mcs.exact_variance(_estimator(), "random", N))
+    return float(mcs.exact_variance(_estimator(), "random", n))
 
 
 def exact(name: str, n: int = N) -> float:
