@@ -403,10 +403,10 @@ def _map_sums(dims: int, data: xr.Dataset) -> Claim:
 def _sizes() -> Plot:
     dims, marks = np.arange(1.0, 5.0), list[Mark]()
     for half_width, color, marker in zip((256, 64, 8), PALETTE, MARKERS, strict=False):
-        y = np.array([entries(int(d), half_width) for d in dims], float)
+        sizes = np.array([entries(int(d), half_width) for d in dims], float)
         label = f"K = {half_width}"
-        marks.append(Line(x=dims, y=y, color=color, width=1.8, label=label))
-        marks.append(Dots(x=dims, y=y, color=color, marker=marker, size=6.0, label=label))
+        marks.append(Line(x=dims, y=sizes, color=color, width=1.8, label=label))
+        marks.append(Dots(x=dims, y=sizes, color=color, marker=marker, size=6.0, label=label))
     memory = 2**36 / _BYTES
     marks += [
         ReferenceLine(at=memory, color=INK, dashes="--", width=1.2),

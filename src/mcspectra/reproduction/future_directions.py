@@ -382,7 +382,7 @@ def _placed(u: Array, share: float) -> Array:
     x = np.where(u[..., 0] < share, left, right)
     # Along the other axis, the density is (AT + y) / (AT + ½)
     y = np.sqrt(AT**2 + 2 * (AT + 0.5) * u[..., 1]) - AT
-    return np.minimum(np.stack([x, y], axis=-1), np.nextafter(1.0, 0.0))
+    return np.asarray(np.minimum(np.stack([x, y], axis=-1), np.nextafter(1.0, 0.0)))
 
 
 def _density(x: Array, share: float) -> Array:

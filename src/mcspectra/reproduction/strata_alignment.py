@@ -222,7 +222,7 @@ def _cut(s: float) -> Plot:
     """Plot two edges, at a border of strata and at position s within strata; plot the variance."""
     side, n = 8, 64
     borders = np.arange(side + 1) / side
-    pictures = []
+    pictures = list[Panel]()
     for place, name in ((0.0, "aligned"), (s, "cut" if 0.0 < s < 1.0 else "aligned")):
         picture = edge_panel(
             (4 + place) / side, borders, borders, f"{name}: s = {place:g}",
