@@ -11,7 +11,7 @@ import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.plots.description import Axis, Heatmap, Line, Mark, Panel, Plot, Scale
+from mcspectra.plots.description import Axis, Heatmap, Line, Mark, Panel, Plot, Scale, TextMark
 from mcspectra.plots.scales import unit_axis, unit_panel
 from mcspectra.plots.style import INK, PALETTE
 from mcspectra.plots.text import number
@@ -59,9 +59,11 @@ DOME = np.array(
      [_HAZE, _LEAF, _HAZE, _HAZE, _BRICK, _BRICK, _HAZE, _HAZE],
      [_LEAF, _LEAF, _LEAF, _HAZE, _BRICK, _BRICK, _LEAF, _HAZE]]
 )  # fmt: skip
-DOME_COUNTS = tuple(side**2 for side in (16, 23, 32, 45, 64))
+# With many counts, the fitted rate depends little on where single strata meet an edge
+DOME_COUNTS = tuple(side**2 for side in (16, 20, 25, 32, 40, 51, 64, 81, 102, 128))
 DOME_RATES = {"one": -1.5, "own": -2.0, "mis": -1.5}
 _SIDE = 256
+_ROOM = 0.08  # least width of a name in the figure of one row
 _COSTS = {"one": 1, "own": 3, "mis": 3}  # number of evaluations of f per point
 
 
@@ -84,16 +86,13 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     }
     gains = [_gain(c, curves) for c in range(3)]
 
-    # Sample the dome by the gray channel and by each color channel
+    # Sample the dome by the gray channel, by each color channel, and by all channels
     by = dome_ways()
-    options["realizations"] = 100 if quick else 600
+    options["realizations"] = 100 if quick else 300
     planes = {
         way: mcs.convergence(by[way], "jittered", DOME_COUNTS, **options) for way in DOME_RATES
     }
-    dome = {
-        way: ", ".join(rate_text(curve.sel(channel=c)) for c in range(3))
-        for way, curve in planes.items()
-    }
+    red = {f"dome_{way}": rate_text(curve.sel(channel=0)) for way, curve in planes.items()}
 
     # Sample red in the built-in sky, by bilinear densities of luminance and of red
     sky = "environment(channel={!r}, interpolation='bilinear')"
@@ -118,9 +117,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     ]
     return Exhibit(
         numbers={
-            "dome_gray": dome["one"],
-            "dome_own": dome["own"],
-            "dome_mis": rate_text(planes["mis"].sel(channel=0)),
+            **red,
             "gray": shown["one"],
             "own": shown["own"],
             "evaluations": COUNTS["one"][-1],
@@ -128,7 +125,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             "mis": shown["mis"],
         },
         plots=(
-            _sky(planes),
+            _jumps(planes),
+            _sky(),
             _toy(),
             plot_of("environment-channels", *panels),
         ),
@@ -208,15 +206,66 @@ def dome_radiance(x: Array) -> Array:
     return np.asarray(DOME[row, column] * np.sin(np.pi * x[..., 1])[..., None])
 
 
-def _sky(planes: Mapping[str, xr.Dataset]) -> Plot:
-    """Return the map, its convergence, and f/p of red on the unit square, for both densities."""
+def _jumps(planes: Mapping[str, xr.Dataset]) -> Plot:
+    """Plot f/p of red along the row of the sun, and the variances of red."""
+    row = 1
+    marks: list[Mark] = []
+    for k, (way, table) in enumerate(_tables().items()):
+        # The conditional density maps each pixel to an interval of random numbers
+        borders = np.concatenate([[0.0], np.cumsum(table[row]) / table[row].sum()])
+        ratio = DOME[row, :, 0] / table[row]
+        ratio /= ratio @ np.diff(borders)
+        u, y = np.repeat(borders, 2)[1:-1], np.repeat(ratio, 2)
+        marks.append(Line(x=u, y=y, color=PALETTE[k], width=2.4))
+        if way == "one":
+            marks += _kinds_of(row, borders, ratio)
+    section = Panel(
+        marks=tuple(marks),
+        x=unit_axis("random number u along the row"),
+        y=Axis(label="f/p of red (over its mean)", low=0.0, high=1.6),
+        title="a row of the map, red",
+        grid=True,
+    )
+    red = {_WAYS[way]: curve.sel(channel=0) for way, curve in planes.items()}
+    curves = variance_panel(
+        red,
+        rates={_WAYS[way]: rate for way, rate in DOME_RATES.items()},
+        title="variance of red, jittered",
+        x="number of points N",
+        beside=0.6,
+    )
+    return plot_of("environment-map", section, curves)
+
+
+def _kinds_of(row: int, borders: Array, ratio: Array) -> list[Mark]:
+    """Name what is seen in a row of the map, once for each wide run of equal pixels."""
+    names = {color: name for name, color in _KINDS.items()}
+    seen = [names[tuple(color)] for color in DOME[row].tolist()]
+    first = [0, *(k for k in range(1, len(seen)) if seen[k] != seen[k - 1])]
+    last = [*first[1:], len(seen)]
+    return [
+        TextMark(
+            x=float(borders[a] + borders[b]) / 2, y=float(ratio[a]), text=seen[a], side="above"
+        )
+        for a, b in zip(first, last, strict=True)
+        if borders[b] - borders[a] > _ROOM
+    ]
+
+
+def _tables() -> dict[str, Array]:
+    """Return the tables of the densities by the gray channel and by red."""
+    return {"one": DOME @ LUMINANCE, "own": DOME[..., 0]}
+
+
+def _sky() -> Plot:
+    """Return the map, and f/p of red on the unit square, for both densities."""
     u = (np.arange(_SIDE) + 0.5) / _SIDE
     grid = np.stack(np.meshgrid(u, u), axis=-1)
-    constant = mcs.densities.PiecewiseConstant
     values = []
-    for table in (DOME @ LUMINANCE, DOME[..., 0]):
-        x = constant(values=table).sample(grid.reshape(-1, 2)).reshape(grid.shape)
-        p = constant(values=table).pdf(x.reshape(-1, 2)).reshape(x.shape[:-1])
+    for table in _tables().values():
+        density = mcs.densities.PiecewiseConstant(values=table)
+        x = density.sample(grid.reshape(-1, 2)).reshape(grid.shape)
+        p = density.pdf(x.reshape(-1, 2)).reshape(x.shape[:-1])
         ratio = dome_radiance(x)[..., 0] / p
         values.append(ratio / ratio.mean())
     scale = Scale(label="f/p of red (over its mean)", high=float(max(map(np.max, values))))
@@ -227,16 +276,8 @@ def _sky(planes: Mapping[str, xr.Dataset]) -> Plot:
             "u₀",
             "u₁",
         )
-        for each, way in zip(values, ("one", "own"), strict=True)
+        for each, way in zip(values, _tables(), strict=True)
     ]
-    red = {_WAYS[way]: curve.sel(channel=0) for way, curve in planes.items()}
-    curves = variance_panel(
-        red,
-        rates={_WAYS[way]: rate for way, rate in DOME_RATES.items()},
-        title="variance of red, jittered",
-        x="number of points N",
-        beside=0.6,
-    )
     kinds = {name: np.array(color) for name, color in _KINDS.items()}
     place = np.array(
         [[next(k for k, c in enumerate(kinds.values()) if (c == p).all()) for p in r] for r in DOME]
@@ -252,7 +293,7 @@ def _sky(planes: Mapping[str, xr.Dataset]) -> Plot:
     at = [(np.arange(size) + 0.5) / size for size in (columns, rows)]
     image = Heatmap(values=place[::-1].astype(float), x=at[0], y=at[1], scale=names, name="kind")
     shown = unit_panel([image], "the map of the dome", "azimuth", "zenith at the top")
-    return plot_of("environment-map", shown, curves, *maps)
+    return plot_of("dome-map", shown, *maps)
 
 
 def _rate_of(way: str, channel: int, curve: xr.Dataset, exact: Array) -> Claim:

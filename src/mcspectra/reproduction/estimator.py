@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 import mcspectra as mcs
@@ -10,14 +12,15 @@ from mcspectra.plots.description import (
     Axis,
     Dots,
     Line,
+    Mark,
     Panel,
     Plot,
     ReferenceLine,
     Segments,
     TextMark,
 )
-from mcspectra.plots.scales import unit_panel
-from mcspectra.plots.style import ACCENT, GRAY, INK, sampler_styles
+from mcspectra.plots.scales import name_axis, unit_axis, unit_panel
+from mcspectra.plots.style import INK, PALETTE, sampler_styles
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, about
 from mcspectra.reproduction.panels import plot_of
@@ -30,6 +33,8 @@ DENSITY = "linear(slope=-1.2)"
 SQUARE = "christensen-gaussian"
 N = 64
 _SHOWN = 16  # number of points in the figures of one dim
+_INTEGRAL = PALETTE[3]  # color of the integral
+_SETS = 60  # number of sets in the figure of estimates
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
@@ -50,7 +55,6 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         for name in SAMPLERS
         for data in [weighted.sel(sampler=name).isel(n=0)]
     }
-    means = ", ".join(f"{number(each.value, 3)} ({name})" for name, each in mean_of.items())
     # Sum conj(f_m) S_m for an integrand that has only the frequencies m = ±3
     at = _warped("jittered", N, seed, 1)[0]
     direct = float((np.cos(6 * np.pi * at) / pdf(at)).mean())
@@ -65,12 +69,12 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             "area": number(bell_area(), 4),
             "N": N,
             "shown": _SHOWN,
-            "means": means,
+            "sets": f"{realizations:,}",
             "variances": variances,
         },
         plots=(
             _area(),
-            _values(seed),
+            _values(seed, mean_of),
             plot_of("points", *panels),
             _combs(seed),
         ),
@@ -169,44 +173,73 @@ def _area() -> Plot:
     )
 
 
-def _values(seed: int) -> Plot:
-    """Plot f and p, and for three samplers the values f/p at the points and their mean I_N."""
+def _values(seed: int, mean_of: Mapping[str, Measured]) -> Plot:
+    """Plot f/p at one set of random points, and estimates from many sets of three samplers.
+
+    The means of the estimates, with their intervals, are `mean_of`.
+    """
     f, area = mcs.integrand(BELL, 1), bell_area()
     x = np.linspace(0.0, 1.0, 400, endpoint=False)
     y = np.asarray(f(x[:, None]))
-    top = Panel(
+    styles = sampler_styles(SAMPLERS)
+    at = _warped("random", _SHOWN, seed, 1)[0]
+    value = np.asarray(f(at[:, None])) / pdf(at)
+    mean = float(value.mean())
+    ends = np.stack([np.stack([at, 0 * value], -1), np.stack([at, value], -1)], 1)
+    color = styles["random"].color
+    one = Panel(
         marks=(
-            Line(x=x, y=y, low=0 * y, high=y, color="#D9E8F2", width=0.0),
+            Line(x=x, y=y, low=0 * y, high=y, color="#E9E9E9", width=0.0),
             Line(x=x, y=y, color=INK, width=1.4),
-            Line(x=x, y=pdf(x), color=ACCENT, dashes="--", width=1.4),
-            ReferenceLine(at=0.0, width=0.6),
-            TextMark(x=0.24, y=1.0, text="f(x)", side="left"),
-            TextMark(x=0.02, y=1.72, text="p(x)", color=ACCENT),
+            Line(x=x, y=pdf(x), color=INK, dashes="--", width=1.4),
+            Segments(ends=ends, color=color, width=1.3),
+            Dots(x=at, y=value, color=color, size=5.0),
+            ReferenceLine(
+                at=mean,
+                color=color,
+                width=2.2,
+                label=f"mean of the {_SHOWN} values f/p: {number(mean)}",
+            ),
+            ReferenceLine(
+                at=area,
+                color=_INTEGRAL,
+                dashes="--",
+                width=2.2,
+                label=f"integral I: {number(area)}",
+            ),
+            TextMark(x=0.2, y=0.75, text="f(x)", side="left"),
+            TextMark(x=0.08, y=1.58, text="p(x)"),
         ),
-        y=Axis(label="value", low=0.0, high=1.9),
+        x=unit_axis("x"),
+        y=Axis(
+            label="f, p, and f/p (dots)",
+            low=0.0,
+            high=1.75,
+            ticks={0.0: "0", 0.5: "0.5", 1.0: "1", 1.5: "1.5"},
+        ),
+        title=f"{_SHOWN} random samples",
     )
-    rows = []
-    for name, style in sampler_styles(SAMPLERS).items():
-        at = _warped(name, _SHOWN, seed, 1)[0]
-        value = np.asarray(f(at[:, None])) / pdf(at)
-        mean = float(value.mean())
-        ends = np.stack([np.stack([at, 0 * value], -1), np.stack([at, value], -1)], 1)
-        rows.append(
-            Panel(
-                marks=(
-                    Segments(ends=ends, color=style.color, width=1.3),
-                    Dots(x=at, y=value, color=style.color, size=4.5),
-                    ReferenceLine(at=area, color=GRAY, dashes="--", width=1.6, label="integral I"),
-                    ReferenceLine(
-                        at=mean, color=INK, width=1.6, label=f"I_N, the mean of {_SHOWN} values f/p"
-                    ),
-                ),
-                x=Axis(label="x (domain, 0 to 1)", low=0.0, high=1.0),
-                y=Axis(label="f/p", low=0.0, high=1.15, ticks={0.0: "0", 0.5: "0.5", 1.0: "1"}),
-                title=f"{name}: I_N = {number(mean)} (I = {number(area)})",
-            )
-        )
-    return Plot(kind="estimator", panels=(top, *rows), rows=(1.5, 1.0, 1.0, 1.0))
+    marks: list[Mark] = [ReferenceLine(at=area, axis="x", color=_INTEGRAL, dashes="--", width=2.2)]
+    height = np.linspace(0.1, -0.34, _SETS)
+    for k, (name, style) in enumerate(styles.items()):
+        at = _warped(name, _SHOWN, seed + 1, _SETS)
+        found = (np.asarray(f(at[..., None])) / pdf(at)).mean(axis=1)
+        each = mean_of[name]
+        low, high = np.array([each.low]), np.array([each.high])
+        marks += [
+            Dots(x=found, y=k + height, color=style.color, size=3.0),
+            Dots(
+                x=np.array([each.value]), y=np.array([k + 0.3]), low=low, high=high, across=True,
+                color=INK, marker="D", size=7.0, label="mean of the estimates, with 95 % interval",
+            ),
+        ]  # fmt: skip
+    many = Panel(
+        marks=tuple(marks),
+        x=Axis(label="estimate from one set"),
+        y=name_axis(["random", "jittered", "Poisson disk"]),
+        title=f"{_SETS} sets of {_SHOWN} samples",
+    )
+    return plot_of("estimator", one, many)
 
 
 def _combs(seed: int) -> Plot:

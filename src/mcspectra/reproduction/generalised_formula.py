@@ -13,6 +13,8 @@ from mcspectra.core.checks import Array
 from mcspectra.plots.description import (
     Axis,
     BarChart,
+    Heatmap,
+    Line,
     Mark,
     Panel,
     Plot,
@@ -20,7 +22,7 @@ from mcspectra.plots.description import (
     TextMark,
 )
 from mcspectra.plots.kinds import describe
-from mcspectra.plots.style import PALETTE, TERM_COLORS
+from mcspectra.plots.style import FAINT, INK, TERM_COLORS
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, about
 from mcspectra.reproduction.panels import in_columns, matrix_panel, plot_of, term_panel
@@ -32,7 +34,8 @@ LINE, BELL = "linear", "gaussian(center=0.35, width=0.12)"
 DENSITY = "linear(slope=1)"  # p = ½ + x, for which ∫1/p = ln 3
 N = 16
 HALF_WIDTH = 40
-_SHOWN = 16  # half width of the matrices in the figure
+_UNIT = 1e-5  # of terms in figures
+_SHOWN = 10  # half width of the matrices in the figure
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
@@ -68,9 +71,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     f = mcs.integrand(BELL, 1)
     mirrored = mcs.Integrand.from_function(lambda x: f(1.0 - x), dims=1, integral=f.integral)
     matrix = exact_matrix(f, "jittered", DENSITY, 64)
-    coefficient = f.fourier(np.arange(-64, 65)[:, None])
-    pairs = coefficient.conj()[:, None] * coefficient[None]
-    as_printed = float((pairs * (matrix / pairs).conj()).sum().real)
+    of_random = exact_matrix(f, "random", DENSITY, 128)
+    as_printed = _printed(f, matrix)
     reflected = mcs.Estimator(mirrored, DENSITY)
     known = [float(mcs.exact_variance(e, "jittered", N)) for e in (by_density, reflected)]
     texts = (
@@ -78,9 +80,6 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         "with ⟨conj(S_m) S_l⟩, as on the slides, it is the variance of the reflected f(1 − x)",
     )
     values = (float(matrix.sum().real), as_printed)
-
-    curve = mcs.convergence(reflected, "jittered", [N], realizations=2 * realizations, rng=seed)
-    other = Measured.of(curve.isel(n=0), "variance", log=True)
 
     # Compare the sum of the terms with the truncated variance in each case.
     # The third term of each case is the sum of the off-diagonal entries of its matrix
@@ -97,7 +96,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         "f = x, jittered": (line["jittered"], (0.0, *limits.values())),
         "bell, p = ½ + x, random": (
             weighted["random"],
-            split(exact_matrix(f, "random", DENSITY, 128)),
+            split(of_random),
         ),
         "bell, p = ½ + x, jittered": (weighted["jittered"], split(matrix)),
     }
@@ -105,31 +104,40 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         title: Measured.of(data, "measured_variance", log=True)
         for title, (data, _) in terms_of.items()
     }
-    random = terms_of["bell, p = ½ + x, random"][1]
+    cases = [
+        (title.rpartition(" ")[2], terms_of[title][1], measured[title], printed)
+        for title, printed in (
+            ("bell, p = ½ + x, random", _printed(f, of_random)),
+            ("bell, p = ½ + x, jittered", as_printed),
+        )
+    ]
+    first, second, third = split(matrix)
+    # The third term is a small part of the variance, so measure the variance precisely
+    curve = mcs.convergence(by_density, "jittered", [N], realizations=20 * realizations, rng=seed)
+    many = Measured.of(curve.isel(n=0), "variance")
     return Exhibit(
         numbers={
             "N": N,
-            "power": number(limits["second term is 1/(6N²) − 1/(12N³)"]),
-            "cross": number(-limits["third term is 1/(6N³) − 1/(6N²)"]),
-            "first": number(random[0]),
-            "all": number(sum(random)),
-            "right": number(values[0]),
-            "printed": number(values[1]),
+            "third": number(third / _UNIT, 2),
+            "printed": number((as_printed - first - second) / _UNIT, 2),
         },
         plots=(
             plot_of(
                 "exact-matrices",
-                _plain(matrix_panel("real part", entries.real)),
-                _plain(matrix_panel("imaginary part", entries.imag, y=False)),
-                _conjugates(values, [measured["bell, p = ½ + x, jittered"], other]),
+                *_third_maps(entries),
+                _conjugates(
+                    (third, as_printed - first - second),
+                    many - Measured.normal(first + second, 0.0),
+                ),
             ),
             _matrices(1, line),
             _matrices(2, bell),
+            plot_of("three-terms", *(_shares(*case) for case in cases)),
             plot_of(
-                "three-terms",
+                "four-cases",
                 *(
                     term_panel(
-                        known_terms, measured[title], 1e-5, title, "" if k % 2 else "terms · 10⁵"
+                        known_terms, measured[title], _UNIT, title, "" if k % 2 else "terms · 10⁵"
                     )
                     for k, (title, (_, known_terms)) in enumerate(terms_of.items())
                 ),
@@ -232,37 +240,82 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     )
 
 
-def _plain(panel: Panel) -> Panel:
-    """Return a map of a matrix with short labels, which leave room for the map."""
-    y = Axis(label="m", ticks=panel.y.ticks) if panel.y.label else Axis(ticks={})
-    return replace(panel, x=replace(panel.x, label="l"), y=y)
+def _printed(f: mcs.Integrand, matrix: Array) -> float:
+    """Return the sum of conj(f_m) f_l conj(C_ml), given the matrix conj(f_m) f_l C_ml."""
+    half = len(matrix) // 2
+    coefficient = f.fourier(np.arange(-half, half + 1)[:, None])
+    pairs = coefficient.conj()[:, None] * coefficient[None]
+    return float((pairs * (matrix / pairs).conj()).sum().real)
 
 
-def _conjugates(values: Sequence[float], variances: Sequence[Measured]) -> Panel:
-    """Plot the variance terms summed with ⟨S_m conj(S_l)⟩, and summed with ⟨conj(S_m) S_l⟩.
-
-    The measured variances of f(x) and f(1 − x) are plotted next to these two sums.
-    """
-    at, scale = np.arange(2.0), 1e-5
-    names = dict(zip(at.tolist(), ("⟨Sₘ Sₗ*⟩", "⟨Sₘ* Sₗ⟩"), strict=True))
-    value = np.array(values) / scale
-    marks: list[Mark] = [
-        BarChart(at=at, value=value, color=TERM_COLORS["predicted_variance"], thickness=0.5)
-    ]
-    for x, each, label in zip((0.6, 1.0), variances, ("f(x)", "f(1 − x)"), strict=True):
-        y = each.value / scale
-        marks.append(ReferenceLine(at=y, color=PALETTE[0], dashes="--", width=1.8))
-        marks.append(TextMark(x=x, y=y, text=f"Var, {label}", color=PALETTE[0], side="above"))
-    marks += [
-        TextMark(x=float(x), y=float(y) / 2, text=number(float(y), 3), side="middle")
-        for x, y in zip(at, value, strict=True)
-    ]
-    return Panel(
-        marks=tuple(marks),
-        x=Axis(low=-0.5, high=1.7, ticks=names),
-        y=Axis(label="sum · 10⁵", low=0.0, high=1.2 * float(value.max())),
-        title="sums",
+def _shares(title: str, known: Sequence[float], variance: Measured, printed: float) -> Panel:
+    """Plot the terms, their sum and the sum as printed, divided by the measured variance."""
+    panel = term_panel(known, variance, variance.value, title, "divided by the variance")
+    share = printed / variance.value
+    marks: tuple[Mark, ...] = (
+        BarChart(at=np.array([5.3]), value=np.array([share]), color=FAINT, thickness=0.72),
+        TextMark(x=5.3, y=share, text=number(share, 2), side="above"),
+        TextMark(x=5.3, y=0.5 * share, text="slide", side="middle"),
     )
+    return replace(
+        panel,
+        marks=(*panel.marks, *marks),
+        x=replace(panel.x, high=5.9),
+        y=replace(panel.y, low=0.0, high=1.25),
+    )
+
+
+def _third_maps(entries: Array) -> list[Panel]:
+    """Return maps of the real and imaginary parts of the third term, without the diagonal.
+
+    The diagonal belongs to the other terms. Without a color bar, the maps are larger.
+    """
+    shown = entries.copy()
+    np.fill_diagonal(shown, complex(np.nan, np.nan))
+    real = matrix_panel("real part", shown.real)
+    imaginary = matrix_panel("imaginary part", shown.imag, y=False)
+    scale = replace(real.scales[0], label="")
+    panels = []
+    for panel in (real, imaginary):
+        marks = tuple(
+            replace(mark, scale=scale) if isinstance(mark, Heatmap) else mark
+            for mark in panel.marks
+        )
+        y = Axis(label="m", ticks=panel.y.ticks) if panel.y.label else Axis(ticks={})
+        panels.append(replace(panel, marks=marks, x=replace(panel.x, label="l"), y=y))
+    return panels
+
+
+def _conjugates(values: Sequence[float], measured: Measured) -> Panel:
+    """Plot the third term with ⟨S_m conj(S_l)⟩, and with ⟨conj(S_m) S_l⟩.
+
+    A band is the 95 % interval of the measured third term.
+    """
+    at, value = np.arange(2.0), np.array(values) / _UNIT
+    names = dict(zip(at.tolist(), ("⟨Sₘ Sₗ*⟩", "⟨Sₘ* Sₗ⟩"), strict=True))
+    low, high = measured.low / _UNIT, measured.high / _UNIT
+    ends, one = np.array([-0.6, 1.6]), np.ones(2)
+    texts = (
+        TextMark(x=float(x), y=min(float(y), low), text=number(float(y), 2), side="below")
+        for x, y in zip(at, value, strict=True)
+    )
+    middle = measured.value / _UNIT * one
+    return Panel(
+        marks=(
+            BarChart(at=at, value=value, color=TERM_COLORS["cross_term"], thickness=0.6),
+            Line(
+                x=ends, y=middle, low=low * one, high=high * one, color=INK, dashes="--",
+                width=1.4,
+            ),
+            ReferenceLine(at=0.0, color=INK, width=0.7),
+            *texts,
+            TextMark(x=0.0, y=low - 3.0, text="measured", side="below"),
+            TextMark(x=0.0, y=low - 4.7, text=number(measured.value / _UNIT, 2), side="below"),
+        ),
+        x=Axis(low=-0.6, high=1.6, ticks=names),
+        y=Axis(label="third term · 10⁵", low=1.2 * float(value.min()), high=0.0),
+        title="sums",
+    )  # fmt: skip
 
 
 def terms(

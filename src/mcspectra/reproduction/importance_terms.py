@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
@@ -11,7 +11,8 @@ import xarray as xr
 import mcspectra as mcs
 from mcspectra.core.checks import Array
 from mcspectra.plots.description import Axis, Dots, Line, Mark, Panel, Plot, ReferenceLine
-from mcspectra.plots.style import GRAY, INK, TERM_COLORS
+from mcspectra.plots.scales import unit_axis
+from mcspectra.plots.style import FAINT, GRAY, INK, MARKERS, PALETTE, TERM_COLORS
 from mcspectra.plots.text import number
 from mcspectra.report.page import Slider
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, about, correction
@@ -22,6 +23,7 @@ __all__ = ["exhibit"]
 N = 16
 # Half widths of the sums over frequencies. A single frequency needs only the half width 1.
 _FEW, _MANY = 4, 64
+_SHAPE, _FILL = PALETTE[2], "#D5EAE2"  # colors of f and p
 
 
 @final
@@ -88,10 +90,10 @@ class TermsCase:
         first, second = float(matrix[1, 1]), float(matrix[0, 0] + matrix[2, 2])
         return first, second, float(matrix.sum()) - first - second
 
-    def panel(self, data: xr.Dataset, y: str = "") -> Panel:
+    def panel(self, data: xr.Dataset, y: str = "", *, digits: int = 2) -> Panel:
         """Return a waterfall of the exact terms, beside the measured variance."""
         variance = Measured.of(data, "measured_variance")
-        return term_panel(self.exact(), variance, 1e-3, self.title, y)
+        return term_panel(self.exact(), variance, 1e-3, self.title, y, digits=digits)
 
     def exact_random(self, *, printed: bool = False) -> tuple[float, float, float]:
         """Return the exact variance terms for random points.
@@ -148,7 +150,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     )
     every = [*(data for case, data in of.items() if case != FLAT), shifted]
     found = [Measured.of(data, "power_term") for data in every]
-    counter = BAR.panel(of[BAR], "terms · 10³")
+    counter = BAR.panel(of[BAR], digits=3)
     frames = {f"{a:g}": _scanned(a, counter) for a in (-0.8, -0.4, 0.0, 0.4, 0.8, 0.95)}
     return Exhibit(
         numbers={
@@ -294,21 +296,36 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def _scanned(slope: float, counter: Panel) -> Plot:
-    """Plot f and p = 1 − a sin(2πx), and the exact terms for random points against a.
+    """Plot two cases: f and p on top, and the terms below.
 
-    The given panel `counter` is the third panel of the plot; it shows a counterexample.
+    On the left, p = 1 − a sin(2πx) with a = `slope`, and terms of random points against a.
+    On the right is the counterexample, whose terms are the panel `counter`.
     """
     x = np.linspace(0.0, 1.0, 200)
     wave = np.sin(2 * np.pi * x)
     pair = Panel(
         marks=(
-            Line(x=x, y=1 - wave, color=INK, width=1.8, label="f(x) = 1 − sin 2πx"),
-            Line(x=x, y=1 - slope * wave, color=GRAY, dashes="--", width=1.8, label="density p(x)"),
+            Line(x=x, y=1 - wave, low=0 * x, high=1 - wave, color=_FILL, width=0.0),
+            Line(x=x, y=1 - wave, color=_SHAPE, width=1.8, label="f"),
+            Line(x=x, y=1 - slope * wave, color=_SHAPE, dashes="--", width=1.8, label="p"),
         ),
-        x=Axis(label="x (domain, 0 to 1)", low=0.0, high=1.0),
-        y=Axis(low=0.0, high=2.1),
-        title="f and p",
-        grid=True,
+        x=unit_axis("x"),
+        y=Axis(low=0.0, high=2.1, ticks={0.0: "0", 1.0: "1", 2.0: "2"}),
+        title=f"random points, a = {slope:g}".replace("-", "−"),
+    )
+    edges = np.array([4.5, 10.5]) / N
+    x = np.repeat([0.0, *edges, 1.0], 2)[1:-1]
+    y = np.array([0.0, 0.0, 1.0, 1.0, 0.0, 0.0])
+    bar = Panel(
+        marks=(
+            Line(x=x, y=y, low=0 * y, high=y, color=_FILL, width=0.0),
+            *(ReferenceLine(at=k / N, axis="x", color=FAINT, width=0.7) for k in range(1, N)),
+            Line(x=x, y=y, color=_SHAPE, width=1.8),
+            Line(x=x, y=np.ones_like(x), color=_SHAPE, dashes="--", width=1.8),
+        ),
+        x=unit_axis("x"),
+        y=Axis(low=0.0, high=2.1, ticks={0.0: "0", 1.0: "1", 2.0: "2"}),
+        title="jittered points, p = 1",
     )
     names = {"dc_term": "first term", "power_term": "second term", "cross_term": "third term"}
     at = np.linspace(-0.9, 0.97, 80)
@@ -320,19 +337,22 @@ def _scanned(slope: float, counter: Panel) -> Plot:
     ]
     for k, (name, label) in enumerate(names.items()):
         color = TERM_COLORS[name]
-        marks.append(Line(x=at, y=known[:, k], color=color, width=1.8, label=label))
-        marks.append(Dots(x=np.array([slope]), y=here[k : k + 1], color=color, size=7.0))
+        marks.append(Line(x=at, y=known[:, k], color=color, width=2.0, label=label))
     total = known.sum(axis=1)
-    marks.append(Line(x=at, y=total, color=INK, width=2.4, label="variance (sum)"))
-    marks.append(Dots(x=np.array([slope]), y=here[None].sum(axis=1), color=INK, size=8.0))
+    marks.append(Line(x=at, y=total, color=INK, width=2.0, label="sum, the variance"))
+    colors = [*(TERM_COLORS[name] for name in names), INK]
+    marks += [
+        Dots(x=np.array([slope]), y=np.array([y]), color=color, marker=marker, size=6.0)
+        for y, color, marker in zip([*here, here.sum()], colors, MARKERS, strict=False)
+    ]
     curves = Panel(
         marks=tuple(marks),
-        x=Axis(label="a (a > 0: p follows f)", low=-0.92, high=1.0),
-        y=Axis(label="terms · 10³", low=-170.0, high=270.0),
-        title=f"random, a = {number(slope, 2)}",
+        x=Axis(label="a (p follows f if a > 0)", low=-0.92, high=1.0),
+        y=Axis(label="terms · 10³", low=-120.0, high=160.0),
         grid=True,
     )
-    return plot_of("importance-terms", pair, curves, counter)
+    plot = plot_of("importance-terms", pair, bar, curves, replace(counter, title=""))
+    return replace(plot, rows=(0.5, 1.2))
 
 
 def _negative(statement: str, data: xr.Dataset) -> Claim:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
+from mcspectra.plots.description import Panel, TextMark
 from mcspectra.reproduction.claims import (
     Claim,
     Exhibit,
@@ -39,35 +41,15 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     toy = toy_curves(400 if quick else 4000, seed)
     sides = [side if quick else 2 * side for side in _SIDES]
     pixels = {name: _pixel(name, sides, 80 if quick else 500, seed) for name in _PIXELS}
-    rates = "; ".join(
-        f"{_WHERE[where]}: "
-        + ", ".join(
-            f"{name} {rate_text(found.isel(estimator=i))}"
-            for i, name in enumerate(_RATES)
-            if name != "light sampling"
-        )
-        for where, found in pixels.items()
-    )
+    light, bsdf, mis = (rate_text(pixels["wall"].isel(estimator=i)) for i in range(3))
     known = dict(zip(toy, (exact(0), exact(1), exact(0) + exact(1)), strict=True))
     bottleneck = toy["sum"].attrs["bottleneck"]
     variances = np.array([mcs.exact_variance(_toy(), "jittered", n) for n in _COUNTS])
     return Exhibit(
-        numbers={"rates": rates},
+        numbers={"light": light, "bsdf": bsdf, "mis": mis},
         plots=(
-            plot_of(
-                "mis-slowest",
-                *(
-                    variance_panel(
-                        {name: found.isel(estimator=i) for i, name in enumerate(_RATES)},
-                        rates=_RATES,
-                        relative=True,
-                        title=_WHERE[where],
-                        x="samples N of each technique",
-                        beside=0.6,
-                    )
-                    for where, found in pixels.items()
-                ),
-            ),
+            plot_of("mis-slowest", _techniques("wall", pixels["wall"])),
+            plot_of("mis-plate", _techniques("plate", pixels["plate"])),
             plot_of(
                 "toy-techniques",
                 variance_panel(
@@ -152,6 +134,25 @@ def _pixel(where: str, sides: Sequence[int], realizations: int, seed: int) -> xr
         realizations=realizations,
         rng=seed,
     )
+
+
+def _techniques(where: str, found: xr.Dataset) -> Panel:
+    """Plot the variances of both techniques and of MIS, with lines of the theoretical slopes."""
+    panel = variance_panel(
+        {name: found.isel(estimator=i) for i, name in enumerate(_RATES)},
+        rates=_RATES,
+        relative=True,
+        title=f"a pixel of {_WHERE[where]}, jittered",
+        x="samples N of each technique",
+        beside=0.4,
+    )
+    marks = (
+        replace(mark, text=mark.text.replace("slope", "theory"))
+        if isinstance(mark, TextMark)
+        else mark
+        for mark in panel.marks
+    )
+    return replace(panel, marks=tuple(marks))
 
 
 def _follows(where: str, found: xr.Dataset) -> Claim:

@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
 
 import numpy as np
 import xarray as xr
 
 import mcspectra as mcs
 from mcspectra.core.confidence import CONFIDENCE_Z
-from mcspectra.plots.description import Axis, Dots, Line, Mark, Marker, Panel
-from mcspectra.plots.style import INK, PALETTE
+from mcspectra.plots.description import Axis, Dots, Line, Mark, Panel, ReferenceLine
+from mcspectra.plots.scales import log_axis, name_axis
+from mcspectra.plots.style import INK, MARKERS, PALETTE
 from mcspectra.plots.text import number
 from mcspectra.reproduction.claims import Claim, Exhibit, Measured, largest_distance
-from mcspectra.reproduction.panels import interval_panel, plot_of, whiskers
+from mcspectra.reproduction.panels import plot_of, whiskers
 
 __all__ = ["exhibit"]
 
 SAMPLERS = ("random", "jittered", "poisson-disk")
 _COUNTED = ("jittered | shift", "poisson-disk")
 _TITLES = {
-    "jittered | shift": "jittered, shifted",
+    "random": "random",
     "poisson-disk": "Poisson disk",
+    "jittered | shift": "jittered, shifted",
     "jittered": "jittered, not shifted",
 }
 _SMOOTH = "christensen-gaussian"
@@ -38,6 +40,12 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     curve = mcs.convergence(_SMOOTH, "jittered", [N], realizations=10 * realizations, rng=seed + 2)
     fixed = Measured.of(curve.isel(n=0), "variance")
     variances["jittered"] = averaged, fixed
+    # The closed form of G, which depends on both positions
+    closed = {
+        name: float(_from_pairs(_SMOOTH, name, N)["predicted_variance"])
+        for name in ("random", "jittered")
+    }
+    known = {name: float(mcs.exact_variance(_SMOOTH, name, N)) for name in closed}
     n, ramp = 16, mcs.Estimator("linear", dims=1)
     value = float(_from_pairs(ramp, "jittered", n)["predicted_variance"])
 
@@ -52,32 +60,19 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         r, g = data["r"].values, data["pair_correlation"].values
         half = CONFIDENCE_Z * data["pair_correlation_se"].values
         line = g if name == "poisson-disk" else mcs.spectra.closed_form_pair_correlation(name, N, r)
-        label = _TITLES.get(name, name) if name == "poisson-disk" else name
+        label = name if name == "jittered" else _TITLES[name]
         marks.append(Line(x=r, y=line, color=PALETTE[k], width=1.2, label=label))
         marks.append(whiskers(r, g, np.stack([g - half, g + half], axis=-1), k, label, 3.0))
     x = Axis(label="distance r (sides of the domain)", low=0.0, high=0.4)
     y = Axis(label="pair correlation g(r)", low=0.0)
-    rows = {_TITLES[name]: [each / 1e-4 for each in pair] for name, pair in variances.items()}
-    panel = interval_panel(rows, ("from pairs", "measured"), "variance · 10⁴")
-    # Colors other than those of the samplers
-    markers: tuple[Marker, ...] = ("D", "P")
-    recolored = tuple(
-        replace(mark, color=color, marker=marker)
-        for mark, color, marker in zip(panel.marks, (INK, PALETTE[3]), markers, strict=True)
-        if isinstance(mark, Dots)
-    )
     return Exhibit(
         numbers={
             "N": N,
-            "fixed": number(averaged.value, 2),
-            "fixed_measured": number(fixed.value, 2),
+            "times": number(averaged.value / fixed.value, 2),
         },
         plots=(
-            plot_of(
-                "pair-correlation",
-                Panel(marks=tuple(marks), x=x, y=y, title="pairs", grid=True),
-                replace(panel, marks=recolored, title="variance of exp(−x² − y²)"),
-            ),
+            plot_of("pair-variances", _predictions(variances, closed, known["random"])),
+            plot_of("pair-correlation", Panel(marks=tuple(marks), x=x, y=y, grid=True)),
         ),
         claims=(
             *(_as_closed(name, pairs[name]) for name in ("random", "jittered")),
@@ -98,12 +93,10 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 Claim(
                     f"The variance of exp(−x² − y²) from the closed-form pairs of {name} points "
                     "agrees with quadrature: relative difference.",
-                    float(_from_pairs(_SMOOTH, name, N)["predicted_variance"])
-                    / float(mcs.exact_variance(_SMOOTH, name, N))
-                    - 1,
+                    closed[name] / known[name] - 1,
                     at_most=1e-5,
                 )
-                for name in ("random", "jittered")
+                for name in closed
             ),
             *(_counted_pairs(name, *variances[name]) for name in _COUNTED),
             Claim(
@@ -120,6 +113,53 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 above=1.0,
             ),
         ),
+    )
+
+
+def _predictions(
+    variances: Mapping[str, tuple[Measured, Measured]], closed: Mapping[str, float], random: float
+) -> Panel:
+    """Plot variances from pairs divided by the variance, for one sampler per row.
+
+    Parameters
+    ----------
+    variances
+        Variances from counted pairs and measured variances, by sampler.
+    closed
+        Variances from the closed form of G, by sampler.
+    random
+        Exact variance of random points, whose g is 1.
+    """
+    ratios = {name: _ratio(*pair) for name, pair in variances.items()}
+    ratios["random"] = Measured(closed["random"] / random, *[closed["random"] / random] * 2)
+    names = [*_TITLES]
+    # For stationary points G is g, so both have the same prediction
+    both = {
+        **ratios,
+        "jittered": _ratio(Measured.normal(closed["jittered"], 0.0), variances["jittered"][1]),
+    }
+    marks: list[Mark] = [ReferenceLine(at=1.0, axis="x", color=INK, dashes="--")]
+    kinds = {
+        "from g: pairs by their difference": ratios,
+        "from G: pairs by both positions": both,
+    }
+    for k, (label, found) in enumerate(kinds.items()):
+        value, low, high = np.array(
+            [(found[name].value, found[name].low, found[name].high) for name in names]
+        ).T
+        place = np.arange(len(names)) + 0.2 * (2 * k - 1)
+        marks.append(
+            Dots(
+                x=value, y=place, low=low, high=high, across=True,
+                color=PALETTE[1 - k], marker=MARKERS[1 - k], size=9.0, label=label,
+            )
+        )  # fmt: skip
+    high = max(each.high for each in ratios.values())
+    return Panel(
+        marks=tuple(marks),
+        x=log_axis("prediction divided by the measured variance", 0.8, 1.3 * high),
+        y=name_axis([_TITLES[name] for name in names]),
+        grid=True,
     )
 
 
@@ -179,16 +219,21 @@ def _transformed(name: str) -> Claim:
     )
 
 
-def _counted_pairs(name: str, counted: Measured, measured: Measured) -> Claim:
-    """Compare the variance from pairs with the measured variance, by the interval of the ratio."""
+def _ratio(counted: Measured, measured: Measured) -> Measured:
+    """Divide the variance from pairs by the measured variance."""
     times = counted.value / measured.value
     errors = (
         (counted.high - counted.value) / counted.value / CONFIDENCE_Z,
         float(np.log(measured.high / measured.low) / 2) / CONFIDENCE_Z,
     )
+    return Measured.normal(times, times * float(np.hypot(*errors)))
+
+
+def _counted_pairs(name: str, counted: Measured, measured: Measured) -> Claim:
+    """Compare the variance from pairs with the measured variance, by the interval of the ratio."""
     return Claim(
         f"The variance from counted pairs of {name} points agrees with the measured one: ratio.",
-        Measured.normal(times, times * float(np.hypot(*errors))),
+        _ratio(counted, measured),
         expected=1.0,
         shown="1",
     )

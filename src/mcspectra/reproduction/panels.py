@@ -354,15 +354,22 @@ def interval_panel(
 
 
 def term_panel(
-    terms: Sequence[float], variance: Measured, scale: float, title: str, y: str = ""
+    terms: Sequence[float],
+    variance: Measured,
+    scale: float,
+    title: str,
+    y: str = "",
+    *,
+    digits: int = 2,
 ) -> Panel:
     """Return a waterfall of the three terms and their sum, beside the measured variance.
 
-    All values are divided by `scale`. The measured variance has its 95 % interval.
+    All values are divided by `scale` and written with `digits` significant digits.
+    The measured variance has its 95 % interval.
     """
     value = np.array([*terms, sum(terms), variance.value]) / scale
     rounding = _ROUNDING * np.abs(value).max()
-    texts = [number(v, 2) if abs(v) > rounding else "0" for v in value]
+    texts = [number(v, digits) if abs(v) > rounding else "0" for v in value]
     at, base = np.arange(5.0), np.zeros(5)
     base[1:3] = np.cumsum(value[:2])
     value += base

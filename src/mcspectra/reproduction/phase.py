@@ -38,10 +38,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     realizations = 1000 if quick else 10_000
     scan = {offset: bar_terms(offset, realizations, seed) for offset in OFFSETS}
     curves = {offset: displaced_curve(offset, realizations, seed) for offset in LABELS}
-    second, third = (
-        np.array([float(data[name]) for data in scan.values()])
-        for name in ("power_term", "cross_term")
-    )
+    second = np.array([float(data["power_term"]) for data in scan.values()])
     rates = ", ".join(f"{rate_text(curve)} ({LABELS[offset]})" for offset, curve in curves.items())
 
     # Move f instead of the points: each coefficient is multiplied by a phase
@@ -59,35 +56,36 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     direct = [_stratified(m, f) for f in functions]
     times = (one_second + one_third) / (other_second + other_third)
 
-    # Draw the variance terms against the offset of the strata
-    names = {"power_term": "second term", "cross_term": "third term", "predicted_variance": "sum"}
-    at, s = np.array(OFFSETS), np.linspace(0.0, 1.0, 100)
+    # Draw the exact terms over all frequencies, and the measured variance
+    at, s = np.array(OFFSETS), np.linspace(0.0, 1.0, 101)
+    power = exact_second(N)
+    total = np.array([exact_bar(float(t), N) for t in s])
+    lines = {
+        "power_term": ("second term: from powers alone", np.full_like(s, power)),
+        "cross_term": ("third term: from phases, too", total - power),
+        "predicted_variance": ("their sum, the variance", total),
+    }
     marks: list[Mark] = [ReferenceLine(at=0.0, color=INK, width=0.7)]
-    for k, (name, label) in enumerate(names.items()):
-        found = [Measured.of(data, name) / 1e-3 for data in scan.values()]
-        term = np.array([each.value for each in found])
-        ends = np.array([(each.low, each.high) for each in found])
-        marks += [
-            Line(x=at, y=term, color=TERM_COLORS[name], label=label),
-            replace(whiskers(at, term, ends, k, label), color=TERM_COLORS[name]),
-        ]
-    known = 1e3 * np.array([exact_bar(float(t), N) for t in s])
-    label = "exact variance, all frequencies"
-    marks.append(Line(x=s, y=known, color=INK, dashes="--", width=1.0, label=label))
-    x = Axis(label="offset of the strata (sides)", low=-0.02, high=1.02)
+    for name, (label, term) in lines.items():
+        color = TERM_COLORS[name]
+        marks.append(Line(x=s, y=1e3 * term, color=color, width=2.4, label=label))
+    found = [Measured.of(data, "measured_variance", log=True) for data in scan.values()]
+    value = 1e3 * np.array([each.value for each in found])
+    ends = 1e3 * np.array([(each.low, each.high) for each in found])
+    dots = whiskers(at, value, ends, 0, "measured variance", 6.0)
+    marks.append(replace(dots, color=INK))
+    x = Axis(label="offset of the strata, in widths", low=-0.02, high=1.02)
     terms = Panel(marks=tuple(marks), x=x, y=Axis(label="terms · 10³"), grid=True)
     frames = {f"{t:g}": _displaced(t, terms) for t in OFFSETS}
     exact = {LABELS[offset]: exact_curve(offset) for offset in curves}
     shown = {LABELS[offset]: curve for offset, curve in curves.items()}
     return Exhibit(
         numbers={
-            "second": number(second[0]),
+            "second": number(1e3 * power),
             "N": N,
-            "least": number(min(third)),
-            "most": number(max(third)),
+            "least": number(-1e3 * power),
+            "most": number(1e3 * (exact_bar(0.5, N) - power)),
             "rates": rates,
-            "pairs": f"{(2 * HALF_WIDTH + 1) * 2 * HALF_WIDTH:,}",
-            "half_width": HALF_WIDTH,
         },
         plots=(
             frames["0.5"],
@@ -99,7 +97,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             ),
             _functions(),
         ),
-        sliders={"phase-offsets": Slider("offset of the strata (sides)", frames, "0.5")},
+        sliders={"phase-offsets": Slider("offset of the strata, in widths", frames, "0.5")},
         claims=(
             Claim(
                 "The second term does not depend on the position of the strata, for "
@@ -192,7 +190,7 @@ def _displaced(offset: float, terms: Panel) -> Plot:
         ),
         x=Axis(label="x (domain, 0 to 1)", low=0.0, high=1.0),
         y=Axis(label="f(x)", low=0.0, high=1.1),
-        title=f"offset {offset:g}",
+        title=f"f and strata, offset {offset:g}",
     )
     here = ReferenceLine(at=offset, axis="x", color="#F5C9A9", width=5.0)
     return plot_of("phase-offsets", bar, replace(terms, marks=(here, *terms.marks)))
@@ -230,6 +228,11 @@ def displaced_curve(offset: float, realizations: int, seed: int) -> xr.Dataset:
 def exact_bar(offset: float, n: int) -> float:
     """Return 2 s(1 − s)/N²: both edges cut a stratum into the parts s = offset and 1 − s."""
     return 2 * offset * (1 - offset) / n**2
+
+
+def exact_second(n: int) -> float:
+    """Return 1/(3N²), the mean of `exact_bar` over all offsets: a shift leaves the second term."""
+    return 1 / (3 * n**2)
 
 
 def exact_curve(offset: float) -> Array:
