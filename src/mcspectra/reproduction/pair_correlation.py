@@ -131,7 +131,8 @@ def _predictions(
         Exact variance of random points, whose g is 1.
     """
     ratios = {name: _ratio(*pair) for name, pair in variances.items()}
-    ratios["random"] = Measured(closed["random"] / random, *[closed["random"] / random] * 2)
+    exact = closed["random"] / random
+    ratios["random"] = Measured(exact, exact, exact)
     names = [*_TITLES]
     # For stationary points G is g, so both have the same prediction
     both = {
