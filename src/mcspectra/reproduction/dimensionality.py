@@ -55,7 +55,6 @@ _ORDERS = {
     "two coordinates": PALETTE[5],
     "three coordinates": PALETTE[3],
 }
-_THIRD = 2.0  # position of the third variance term on the axis of a waterfall chart
 _BYTES = 16  # bytes per complex number
 _NEAR, _SHOWN = (
     3,
