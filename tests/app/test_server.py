@@ -271,7 +271,9 @@ def test_messages_of_closed_tabs_write_nothing_on_the_terminal(caplog):
     own = logging.getLogger("bokeh.server.protocol_handler")
     own.addFilter(server._has_open_tab)
     try:
-        asyncio.run(ProtocolHandler().handle(message, connection))
+        # ``asyncio.run`` would drop the loop of this thread, which earlier pages have opened.
+        with contextlib.closing(asyncio.new_event_loop()) as loop:
+            loop.run_until_complete(ProtocolHandler().handle(message, connection))
         assert caplog.text == ""
         own.error("a failure", exc_info=ValueError("no"))
         assert "a failure" in caplog.text
