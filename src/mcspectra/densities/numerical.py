@@ -353,7 +353,7 @@ def _missed(
 ) -> Array:
     """Return points where the interpolant of any row is inaccurate, except in cells at jumps."""
     at_nodes = function(cells.nodes)
-    total = _size(at_nodes, cells.width)
+    allowed = _OFF * (_size(at_nodes, cells.width) + np.abs(at_nodes).max(axis=(1, 2)))
     off = np.zeros(points.size, bool)
     for start in range(0, points.size, _PROBED):
         part = slice(start, start + _PROBED)
@@ -362,8 +362,7 @@ def _missed(
         basis = chebyshev.chebvander(cells.local(cell, x), _ORDER - 1) @ _TO_SERIES
         fitted = np.einsum("pn,pnr->pr", basis, at_nodes[cell])
         gap = np.abs(fitted - _checked(function(x[:, None]), subject)[:, 0]).max(axis=1)
-        allowed = _OFF * (total + np.abs(at_nodes[cell]).max(axis=(1, 2)))
-        off[part] = (gap > allowed) & (cells.width[cell] > _JUMP)
+        off[part] = (gap > allowed[cell]) & (cells.width[cell] > _JUMP)
     return points[off]
 
 

@@ -96,6 +96,7 @@ __all__ = [
     "estimated_variance",
     "exact_variance",
     "level_variances",
+    "of_curves",
     "of_integrand",
     "paired",
 ]
@@ -450,6 +451,17 @@ def _by_axes(law: Law, g: Integrand) -> tuple[Array, Array]:
     parts = separated(g)
     if parts is None:
         raise NoClosedForm(f"{g.spec} is neither a sum nor a product of functions of one axis.")
+    return of_curves(law, parts)
+
+
+def of_curves(law: Law, parts: Sequence[Separable]) -> tuple[Array, Array]:
+    """Return the variance of each channel, and its error bound, from functions of one axis.
+
+    Raises
+    ------
+    NoClosedForm
+        If the joint distribution of two points of the sampler is not known.
+    """
     found = [
         (math.inf, 0.0) if each.diverges and law.uniform else _of_separable(law, each)
         for each in parts

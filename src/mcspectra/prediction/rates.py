@@ -181,6 +181,7 @@ class LimitSettings:
         Largest difference between the last slope and a theoretical exponent.
         If the last slopes move away from the exponent, and differ from it by more than this number,
         the exponent is not the limit of the slopes.
+        If fewer than three slopes are known, all of them must be this close to the exponent.
         Allowed differences of slopes from 0.025 to 0.1 give the same limits for 64 test curves.
     still
         Three successive slopes count as constant if they differ by at most this number.
@@ -448,7 +449,8 @@ def rates_of(
         exponents += [(-2.0, 0.0), (-3.0, log), (-3.0, 0.0)]
         near = min(exponents, key=lambda each: abs(end - sum(each)))
         away = np.abs(steps[-3:] - sum(near))
-        leaves = len(away) == 3 and (np.diff(away) > 0.0).all() and away[-1] > settings.leaves
+        leaves = len(away) < 3 and away.max() > settings.leaves  # too few slopes to see a trend
+        leaves |= len(away) == 3 and (np.diff(away) > 0.0).all() and away[-1] > settings.leaves
         leaves |= len(away) == 3 and bool(
             np.ptp(away) <= settings.still and away.min() > settings.leaves
         )

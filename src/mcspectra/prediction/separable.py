@@ -31,12 +31,13 @@ from typing import final
 import numpy as np
 
 from mcspectra.core.checks import BELOW_ONE, Array
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.errors import BudgetError, McspectraError, ParameterError
+from mcspectra.core.tally import counting
 from mcspectra.estimators.quadrature import DIVERGES, looked_at, values_at
 from mcspectra.integrands import Integrand
 from mcspectra.integrands._quadrature import gauss_rule, probe
 
-__all__ = ["PiecewiseCurve", "PiecewiseSettings", "Separable", "separated"]
+__all__ = ["PiecewiseCurve", "PiecewiseSettings", "Separable", "separated", "separated_within"]
 
 
 @final
@@ -421,15 +422,47 @@ def separated(g: Integrand) -> tuple[Separable, ...] | None:
         found = None
         if not g.costly:
             with contextlib.suppress(ParameterError):  # g is infinite on lines through a pole
-                found = [_separated(g, c) for c in range(max(1, g.channels))]
+                breaks, points = looked_at(g).breaks, probe(g.dims)
+                found = [_separated(g, c, breaks, points) for c in range(max(1, g.channels))]
         whole = found is not None and all(each is not None for each in found)
         cache.separable = tuple(found) if whole and found is not None else ()
     return cache.separable or None
 
 
-def _separated(g: Integrand, channel: int) -> Separable | None:
+def separated_within(
+    g: Integrand, most: int, compared: int
+) -> tuple[tuple[Separable, ...] | None, int]:
+    """Return `separated` with few evaluations of g, and the number of evaluations made.
+
+    Breaks of g are not searched: the halved pieces of the curves also find them.
+
+    Parameters
+    ----------
+    g
+        The integrand. It is evaluated at distances down to 1e-19 from 0.
+        If it fails there, None is returned.
+    most
+        Largest number of evaluations. If they do not suffice, None is returned.
+    compared
+        Number of points at which the sum or product of the curves is compared with g.
+        A region of volume v is found with probability 1 − exp(−v `compared`).
+    """
+    points, channels = probe(g.dims)[:compared], range(max(1, g.channels))
+    found: list[Separable | None] = []
+    with counting("predict", most) as tally, contextlib.suppress(McspectraError):
+        for channel in channels:
+            found.append(_separated(g, channel, g.breaks, points))
+            if found[-1] is None:
+                break
+    parts = tuple(each for each in found if each is not None)
+    return (parts if len(parts) == len(channels) else None), tally.made
+
+
+def _separated(
+    g: Integrand, channel: int, breaks: Sequence[Sequence[float]], all_points: Array
+) -> Separable | None:
+    """Return a channel of g as a sum or product, which is compared with g at `all_points`."""
     d = g.dims
-    cut = looked_at(g)
 
     def value(x: Array) -> Array:
         with np.errstate(all="ignore"):
@@ -439,6 +472,8 @@ def _separated(g: Integrand, channel: int) -> Separable | None:
         """Return values of g, or NaN where g is not defined."""
         try:
             return value(x)
+        except BudgetError:
+            raise
         except ParameterError:
             if len(x) == 1:
                 return np.full(1, np.nan)
@@ -461,7 +496,7 @@ def _separated(g: Integrand, channel: int) -> Separable | None:
         return at
 
     # Test sums and products at a few points before computing curves
-    some = probe(d)[: _SETTINGS.candidates]
+    some = all_points[: _SETTINGS.candidates]
     values = value(some)
     if not np.isfinite(values).all():
         return None
@@ -497,7 +532,7 @@ def _separated(g: Integrand, channel: int) -> Separable | None:
         # Compute the curve of each axis. The first curve includes the constant factor or sum of g
         curves = []
         for axis in range(d):
-            curve = PiecewiseCurve.along(line(z, axis, constant, origin, product), cut.breaks[axis])
+            curve = PiecewiseCurve.along(line(z, axis, constant, origin, product), breaks[axis])
             if curve is None:
                 break
             curves.append(curve)
@@ -506,7 +541,6 @@ def _separated(g: Integrand, channel: int) -> Separable | None:
         found = Separable(tuple(curves), product, constant)
         if found.diverges:
             return found
-        all_points = probe(d)
         given, said = each(all_points), found(all_points)
         scale = np.abs(given) + math.sqrt(found.spread[0] + found.mean**2)
         if (np.abs(given - said) <= _SETTINGS.same * scale).all():

@@ -60,7 +60,7 @@ DOME = np.array(
      [_LEAF, _LEAF, _LEAF, _HAZE, _BRICK, _BRICK, _LEAF, _HAZE]]
 )  # fmt: skip
 # With many counts, the fitted rate depends little on where single strata meet an edge
-DOME_COUNTS = tuple(side**2 for side in (16, 20, 25, 32, 40, 51, 64, 81, 102, 128))
+DOME_COUNTS = tuple(side**2 for side in (16, 20, 25, 32, 40, 51, 64, 81, 102))
 DOME_RATES = {"one": -1.5, "own": -2.0, "mis": -1.5}
 _SIDE = 256
 _ROOM = 0.08  # least width of a name in the figure of one row
@@ -88,7 +88,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
     # Sample the dome by the gray channel, by each color channel, and by all channels
     by = dome_ways()
-    options["realizations"] = 100 if quick else 300
+    options["realizations"] = 80 if quick else 300
     planes = {
         way: mcs.convergence(by[way], "jittered", DOME_COUNTS, **options) for way in DOME_RATES
     }

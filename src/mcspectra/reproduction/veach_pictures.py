@@ -80,10 +80,10 @@ class Renders:
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
     """Render the scene several times by each strategy with 4 samples per pixel, and a reference."""
-    renders = _render(168, 128, 8, seed) if quick else _render(288, 1024, 12, seed)
+    renders = _render(168, 128, 8, seed) if quick else _render(288, 512, 12, seed)
     values = ", ".join(f"{number(float(renders.errors(s).mean()))} ({_SHORT[s]})" for s in _SAMPLES)
     spp = renders.reference_spp
-    fewer = f" Here the reference has {spp} instead of 1024 samples per pixel and technique."
+    fewer = f" Here the reference has N = {2 * spp} instead of 1024."
     images = {f"reference, {spp} + {spp} spp": renders.reference}
     images |= {title: renders.repeats[strategy][0] for strategy, title in _TITLES.items()}
     return Exhibit(
