@@ -6,8 +6,9 @@ By Parseval's theorem this is Σ_d h(d) C(d), a sum over the lags d between two 
 Here C(d) is the covariance of the errors of two pixels at a lag d, averaged over the image.
 The numbers h(d) are the autocorrelation of the filter's weights, with the transform |K(ν)|².
 The covariances use pairs inside the image: every pair counts once, without wrap-around.
-Near a border, the formula assumes that similar pixels continue beyond the border.
-Near a border, a filter that repeats or mirrors border pixels leaves somewhat more error.
+Near a border of the image, a filter repeats the border pixels, which changes its weights.
+Therefore h(d) is the mean autocorrelation over all pixels, those near the border included.
+If pixels near the border have another variance, `SpatialPower.uneven` corrects the sum.
 
 Filters in space are separable, with the same weights along rows and columns.
 Filters in time act on the frames of a sequence, such as ``ema``, the exponential moving average.
@@ -65,6 +66,10 @@ class Filter(Component, ABC):
     def weights(self) -> Array:
         """Return the weights along one axis; their sum is 1."""
 
+    def passes(self) -> list[Array]:
+        """Return the weights of each pass over the image; the filter is their product."""
+        return [self.weights()]
+
     def response(self, frequency: Array) -> Array:
         """Return K(ν) along one axis, for frequencies in cycles per pixel or per frame.
 
@@ -116,12 +121,15 @@ class ATrous(Filter):
     levels: int = whole(least=1, most=10)
 
     def weights(self) -> Array:
-        weights = np.ones(1)
+        return functools.reduce(np.convolve, self.passes())
+
+    def passes(self) -> list[Array]:
+        found = []
         for level in range(self.levels):
             spline = np.zeros(4 * 2**level + 1)
             spline[:: 2**level] = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16.0
-            weights = np.convolve(weights, spline)
-        return weights
+            found.append(spline)
+        return found
 
 
 @final
@@ -180,6 +188,11 @@ class Chain:
     def space(self) -> Array:
         """Weights of the pixels along one axis, of all filters in space together."""
         return _product(each for each in self.filters if not each.temporal)
+
+    @property
+    def passes(self) -> list[Array]:
+        """Weights of each pass over the image, of all filters in space."""
+        return [w for each in self.filters if not each.temporal for w in each.passes()]
 
     @functools.cached_property
     def time(self) -> Array:
@@ -272,10 +285,10 @@ class SpatialPower:
                     f"The filter {each.spec} covers {each.space.size} pixels, but the frames have "
                     f"{height} × {width}; give a narrower filter."
                 )
-        self.size = (height, width)
+        self.chains, self.size = tuple(chains), (height, width)
         self.shape = (next_fast_len(height + reach, True), next_fast_len(width + reach, True))
-        self.down = np.array([_response(c.space, height, self.shape[0]) for c in chains])
-        half = np.array([_response(c.space, width, self.shape[1]) for c in chains])
+        self.down = np.array([_response(c, height, self.shape[0]) for c in chains])
+        half = np.array([_response(c, width, self.shape[1]) for c in chains])
         across = self.shape[1] // 2 + 1
         # The transform has no negative column frequencies, so positive ones count twice
         both = np.full(across, 2.0)
@@ -296,6 +309,28 @@ class SpatialPower:
         """Return the variance after each filter, from |transform|² (…, y, x) at some rows."""
         inner = power @ self.across.T  # (…, y, filter)
         return np.asarray(np.einsum("...yf,fy->...f", inner, self.down[:, rows]) * self._scale)
+
+    def uneven(self, variance: Array) -> Array:
+        """Return the factor of `left` that is due to uneven variances of the pixels, (filter,).
+
+        A pixel near the border has other weights than a pixel inside the image.
+        The factor is exact for white noise that has the given variances of pixels (y, x).
+        """
+        height, width = variance.shape
+        factors = []
+        for chain in self.chains:
+            down, across = (_squares(chain, each) for each in (height, width))
+            seen = down @ variance @ across / (down.sum() * across.sum())
+            factors.append(float(seen / variance.mean()))
+        return np.array(factors)
+
+    @property
+    def white(self) -> Array:
+        """Variance that each filter in space leaves of white noise of variance 1, (filter,)."""
+        height, width = self.size
+        return np.array(
+            [_squares(c, height).mean() * _squares(c, width).mean() for c in self.chains]
+        )
 
     def noise(self, power: Array) -> Array:
         """Return the squared standard error of `left` for one image of normal errors."""
@@ -332,7 +367,13 @@ class Filtered:
 
 
 def filtered_of(
-    chains: Sequence[Chain], left: Array, noise: Array, scale: float, resolved: bool
+    chains: Sequence[Chain],
+    left: Array,
+    noise: Array,
+    uneven: Array,
+    white: Array,
+    scale: float,
+    resolved: bool,
 ) -> Filtered:
     """Return the variance after each chain of filters, with intervals from the spread of sequences.
 
@@ -344,6 +385,10 @@ def filtered_of(
         Covariance at each lag in frames after the filters in space, (sequence, filter, lag).
     noise
         Squared standard error of `left` at lag 0 for one image of normal errors, (filter,).
+    uneven
+        Factor due to uneven variances of pixels; see `SpatialPower.uneven`, (filter,).
+    white
+        Variance that the filters in space leave of white noise of variance 1, (filter,).
     scale
         Factor that corrects for subtracted means and for missing pixels.
     resolved
@@ -369,13 +414,15 @@ def filtered_of(
             late = own[:, 3 * times // 4 :].mean(axis=1)
             most = float(late.mean()) + student_t(count) * float(late.std(ddof=1)) / count**0.5
             more[k] = scale * rest * max(most, 0.0)
+    values, more = values * uneven, more * uneven
     variance = values.mean(axis=0)
     known = np.where(variance > 0, variance, np.nan)
     factor, floor = deviations_t(count) / math.sqrt(count), CONFIDENCE_Z * np.sqrt(least)
     half = np.fmax(factor * values.std(axis=0, ddof=1) / known, floor)
     apart = (values / known - values[:, :1] / known[0]).std(axis=0, ddof=1)
     ratio_half = np.fmax(factor * apart, floor)
-    white = np.array([chain.white for chain in chains]) * variance[0]
+    time = np.array([(chain.time**2).sum() for chain in chains])
+    white = white * time * uneven * variance[0]
     beyond = 1.0 + more / known
     open_end = 1.0 if resolved else np.inf
 
@@ -397,15 +444,43 @@ def _mirrored(lags: Array) -> Array:
     return np.concatenate([lags[:0:-1], lags])
 
 
-def _response(weights: Array, size: int, length: int) -> Array:
+def _response(chain: Chain, size: int, length: int) -> Array:
     """Return |K(ν)|² at the frequencies of a transform, corrected for the number of pixel pairs.
 
-    An image of N pixels along an axis has N − |d| pairs at a lag d.
-    The autocorrelation at lag d is therefore divided by 1 − |d|/N.
+    An image of N pixels along an axis has N − |d| pairs at a lag d, of which the mean is taken.
+    The sum Σ_x Σ_y K(x, y) K(x, y + d) is therefore divided by N − |d|.
     """
-    full = np.correlate(weights, weights, "full")
-    lags = np.arange(full.size) - (full.size // 2)
-    known = np.abs(lags) < size
+    sums = np.correlate(chain.space, chain.space, "full")[chain.space.size - 1 :][:size]
+    ends = _ends(chain, size)
+    products = ends.T @ ends
+    known = np.array([np.trace(products, lag) for lag in range(min(len(ends), sums.size))])
+    # Pixels inside the image add the autocorrelation of the weights
+    sums = sums[: known.size] * (size - len(ends)) + known
+    lags = np.arange(sums.size)
     row = np.zeros(length)
-    row[lags[known] % length] = full[known] / (1.0 - np.abs(lags[known]) / size)
+    row[lags] = row[-lags] = sums / (size - lags)
     return np.asarray(np.fft.fft(row).real)
+
+
+def _squares(chain: Chain, size: int) -> Array:
+    """Return Σ_x K(x, y)² for each pixel y along an axis of `size` pixels."""
+    squares = (_ends(chain, size) ** 2).sum(axis=0)
+    half = len(squares) // 2
+    inside = np.full(size - len(squares), float((chain.space**2).sum()))
+    return np.concatenate([squares[:half], inside, squares[half:]])
+
+
+def _ends(chain: Chain, size: int) -> Array:
+    """Return K(x, y), the weight of pixel y in the filtered pixel x, along an axis.
+
+    Each pass repeats the first and the last pixel beyond the ends, as ``nearest`` in scipy.
+    A long axis is shortened: pixels inside the image all have the same weights.
+    """
+    size = min(size, 4 * chain.space.size)
+    matrix = np.eye(size)
+    for weights in chain.passes:
+        x, step = np.indices((size, weights.size))
+        own = np.zeros((size, size))
+        np.add.at(own, (x, np.clip(x + step - weights.size // 2, 0, size - 1)), weights[step])
+        matrix = own @ matrix
+    return matrix

@@ -840,6 +840,8 @@ def _group(
             chains,
             np.stack(over_time.left) if over_time is not None else left[:, :, None],
             uneven * noise,
+            space.uneven(np.where(varied, moments.variance, 0.0)),
+            space.white,
             varied.size / np.isfinite(moments.mean).sum() * count / (count - 1),
             resolved,
         ),
