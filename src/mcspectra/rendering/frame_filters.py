@@ -209,12 +209,6 @@ class Chain:
         beyond = 2.0 * float(lags[count:].sum())
         return np.pad(whole, (0, count - whole.size)), beyond
 
-    @property
-    def white(self) -> float:
-        """Variance that remains after the chain filters white noise of variance 1."""
-        space, time = (float((each**2).sum()) for each in (self.space, self.time))
-        return space**2 * time
-
 
 def _product(filters: object) -> Array:
     weights = np.ones(1)
