@@ -41,11 +41,12 @@ def test_jittered_points_reach_the_error_at_the_smallest_count():
 def test_planned_counts_reach_the_error():
     f = mcs.integrand("disk(center=(0.4,0.55),radius=0.3)", dims=2)
     samplers = ["sobol | owen", "jittered | shift", "random"]
-    plan = mcs.plan(f, samplers, target_error=8e-3)
+    target = 1.6e-2
+    plan = mcs.plan(f, samplers, target_error=target)
     for sampler, n in zip(samplers, plan["planned_n"].values, strict=True):
         measured = mcs.convergence(f, sampler, [int(n)], realizations=1000, rng=3)
         low, _ = np.sqrt(measured["variance_ci"].values[0])
-        assert low <= 8e-3 * 1.05  # predictions for disks have this accuracy
+        assert low <= target * 1.05  # predictions for disks have this accuracy
     found = plan["planned_n"].sel(sampler="sobol | owen")
     assert int(found).bit_count() == 1
     assert f" {int(found):,} with sobol | owen" in plan.attrs["answer"]
@@ -186,7 +187,7 @@ SOME_PAIRS = [pair for place, pair in enumerate(ALL_PAIRS) if place % 3 == 0] + 
 def test_measured_plans_are_monotone_in_the_error(name, sampler):
     f, dims = FUNCTIONS[name]
     before = 0.0
-    for target in np.geomspace(0.3, 1e-3, 12):
+    for target in np.geomspace(0.3, 1e-3, 7):
         found = mcs.plan(f, sampler, dims=dims, target_error=target, rng=7)
         n, (low, high) = float(found["planned_n"]), found["planned_n_ci"].values
         assert before <= n
@@ -206,7 +207,7 @@ def test_measured_plans_are_monotone_in_the_error(name, sampler):
 )
 def test_predicted_plans_are_monotone_in_the_error(f, dims, sampler):
     f = mcs.integrand(f, dims=dims)
-    targets = np.geomspace(0.05, 4e-3, 9)
+    targets = np.geomspace(0.05, 4e-3, 6)
     counts = [float(mcs.plan(f, sampler, target_error=t)["planned_n"]) for t in targets]
     assert counts == sorted(counts)
 

@@ -327,9 +327,10 @@ def test_a_start_far_from_the_mean_is_reported_and_excluded(lifetime, rho):
 
 @pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
 def test_stationary_chains_have_no_burn_in(rho):
-    found = quantities(ar1(rho, (200, 4, 1000), seed=7))
+    seeds = 100
+    found = quantities(ar1(rho, (seeds, 4, 1000), seed=7))
     named = sum("burn-in" in str(name) for name in found["cause"].values)
-    assert named <= 0.02 * 200
+    assert named <= 0.02 * seeds
     assert not found["burn_in"].values.any()
 
 
