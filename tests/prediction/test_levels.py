@@ -37,9 +37,10 @@ def function(name, dims):
         ("sobol | owen", 2, 32),
         ("niederreiter | lms", 2, 32),
         ("halton | owen", 2, 36),
-        ("halton(scramble='owen')", 2, 36),
-        ("faure | owen", 3, 27),
-        ("jittered", 2, 25),
+        pytest.param("halton(scramble='owen')", 2, 36, marks=pytest.mark.slow),  # As halton | owen
+        ("faure | owen", 3, 9),
+        pytest.param("faure | owen", 3, 27, marks=pytest.mark.slow),
+        pytest.param("jittered", 2, 25, marks=pytest.mark.slow),  # As moved strata
         ("jittered | strata-shift(offset=0.3)", 2, 25),
         ("antithetic-jittered", 2, 50),
         ("latin-hypercube", 1, 9),
@@ -105,7 +106,7 @@ KNOWN_DISK = Known(function("disk", 2))
         ("rotated step", "sobol | owen", 2, 1024),
         ("rotated step", "sobol | digital-shift", 2, 256),
         ("rotated step", "jittered", 2, 1024),
-        ("rotated step", "halton | owen", 3, 216),
+        pytest.param("rotated step", "halton | owen", 3, 216, marks=pytest.mark.slow),
         ("disk", "sobol | owen", 3, 512),
         ("disk", "jittered", 3, 512),
         ("disk", "antithetic-jittered", 2, 512),

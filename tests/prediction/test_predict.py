@@ -2,6 +2,7 @@
 
 import math
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,17 +12,21 @@ import mcspectra as mcs
 from mcspectra.core.errors import CountError, NotPowerOfTwoWarning, ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.prediction import prediction as methods
+from mcspectra.prediction import torus
 from mcspectra.prediction.known import Known
 
 DISK = "disk(center=(0.4,0.55),radius=0.3)"
 
 
 @pytest.fixture(autouse=True)
-def small(use_settings, few_products):
+def small(use_settings, few_products, monkeypatch):
     """Use a quarter of the sets that measure f or its table, so intervals are twice as wide.
 
     Sums of products are small as well: tests of the fit are in test_subsets.
+    Power spectra of drawn sets are means over an eighth of the sets.
     """
+    few = replace(torus._DRAWN, points=torus._DRAWN.points // 8)
+    monkeypatch.setattr(torus, "_DRAWN", few)
     use_settings(
         table=methods.TableSettings(points=2**20),
         extrapolated=methods.ExtrapolationSettings(near_points=2**18),
@@ -41,7 +46,7 @@ def _measured(f, sampler, n, realizations):
     ("f", "sampler", "n"),
     [
         (DISK, "jittered | shift", 64),
-        ("christensen-triangle", "rank1-lattice | shift", 64),
+        pytest.param("christensen-triangle", "rank1-lattice | shift", 64, marks=pytest.mark.slow),
         ("christensen-gaussian", "halton | shift", 256),
         (DISK, "poisson-disk", 64),
     ],
@@ -169,7 +174,10 @@ def test_jumps_across_many_axes_are_seen_by_scrambles_of_the_set():
             16,
         ),
         # Twice the positive part of a sum of four minus two: E|Σx − 2| of Irwin and Hall is 7/15
-        (lambda x: np.abs(x.sum(-1) - 2.0), 7 / 15, "sobol | digital-shift", 256),
+        pytest.param(
+            *(lambda x: np.abs(x.sum(-1) - 2.0), 7 / 15, "sobol | digital-shift", 256),
+            marks=pytest.mark.slow,
+        ),
     ],
     ids=["jump", "kink"],
 )
@@ -260,7 +268,8 @@ def test_sets_that_are_scrambles_of_one_set_have_the_variance_of_a_scrambled_net
     assert high < 1.1 * float(found["predicted_variance"][0])
 
 
-def test_same_seed_same_bits_whatever_the_threads():
+def test_same_seed_same_bits_whatever_the_threads(monkeypatch):
+    monkeypatch.setattr(torus, "_DRAWN", replace(torus._DRAWN, points=2**10))
     one, two = (predict(DISK, "poisson-disk", [16], workers=w) for w in (1, 2))
     np.testing.assert_array_equal(one["predicted_variance_ci"], two["predicted_variance_ci"])
 
@@ -408,7 +417,8 @@ def test_jumps_decide_on_limits(f, density, sampler, counts, limit):
 
 
 def test_random_points_have_their_rate_in_many_dims():
-    f = mcs.Integrand.from_function(lambda x: np.exp(-x.sum(axis=-1)), dims=7)
+    integral = (1.0 - math.exp(-1.0)) ** 7
+    f = mcs.Integrand.from_function(lambda x: np.exp(-x.sum(axis=-1)), dims=7, integral=integral)
     assert float(predict(f, "random", [64, 256])["limit_rate"]) == -1.0
 
 

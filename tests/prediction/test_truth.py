@@ -237,7 +237,9 @@ def test_errors_of_a_function_are_named_as_its_own():
         predict(f, "random", [16])
 
 
-@pytest.mark.parametrize("exponent", [0.1, 0.2, 0.3, 0.4])
+@pytest.mark.parametrize(
+    "exponent", [*(pytest.param(e, marks=pytest.mark.slow) for e in (0.1, 0.2)), 0.3, 0.4]
+)
 def test_square_integrals_of_poles_that_cross_lie_within_their_errors(exponent):
     """Levels of (xy)^-2a shrink as k r^k: the claimed error was 5.9e-5, the true one 7.9e-5."""
     f = mcs.integrand(f"formula(expression='(x0*x1)**-{exponent}')", dims=2)
