@@ -1,7 +1,9 @@
 """Plans: the smallest count that reaches an error, predicted, measured, or extrapolated."""
 
+import functools
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from mcspectra.core.errors import BudgetError, ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.improve.planning import _Nets
 from mcspectra.plots.kinds import describe
+from mcspectra.prediction import prediction, subsets, torus
 
 
 def test_random_points_need_variance_over_squared_error():
@@ -102,6 +105,23 @@ def test_no_smaller_count_nearby_reaches_the_error(f, dims, sampler, target, mos
     assert float(found["planned_error"]) <= target
 
 
+@pytest.fixture
+def quick_predictions(monkeypatch):
+    """Fit few products and measure few sets, so that predictions have wider intervals."""
+    few = replace(subsets.SUBSET_SETTINGS, rank=2, sweeps=8)
+    monkeypatch.setattr(subsets, "SUBSET_SETTINGS", few)
+    monkeypatch.setattr(torus, "_MOVES", replace(torus._MOVES, offsets=2**11))
+    settings = prediction.ExtrapolationSettings(sets=500, near_sets=250, near_points=2**16)
+    methods = tuple(
+        replace(each, predict=functools.partial(each.predict, settings=settings))
+        if each.name == "extrapolated"
+        else each
+        for each in prediction.METHODS
+    )
+    monkeypatch.setattr(prediction, "METHODS", methods)
+
+
+@pytest.mark.usefixtures("quick_predictions")
 def test_plans_have_intervals():
     """The intervals follow from the predictions; the answer shows none for exact predictions."""
     f = mcs.integrand("christensen-disk", dims=2)

@@ -326,7 +326,7 @@ def test_a_start_far_from_the_mean_is_reported_and_excluded(lifetime, rho):
     assert ((low <= 0) & (high >= 0)).mean() >= 0.95 - 5 * np.sqrt(0.95 * 0.05 / seeds)
 
 
-@pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
+@pytest.mark.parametrize("rho", [0.0, pytest.param(0.5, marks=pytest.mark.slow), 0.9])
 def test_stationary_chains_have_no_burn_in(rho):
     seeds = 100
     found = quantities(ar1(rho, (seeds, 4, 1000), seed=7))

@@ -129,7 +129,11 @@ def test_the_median_of_linear_scrambles_converges_ever_faster():
 @pytest.mark.parametrize("seeds", SEEDS)
 @pytest.mark.parametrize(
     "f",
-    [pytest.param(smooth, marks=pytest.mark.slow), kink, pytest.param(jump, marks=pytest.mark.slow)],
+    [
+        pytest.param(smooth, marks=pytest.mark.slow),
+        kink,
+        pytest.param(jump, marks=pytest.mark.slow),
+    ],
     ids=lambda f: f.__name__,
 )
 def test_intervals_of_medians_cover(f, seeds):

@@ -28,7 +28,7 @@ TWO = mcs.MultipleImportance("gaussian", ["uniform", "linear(slope=1)"])
     ],
 )
 def test_modes_are_the_eigenvectors_of_the_cross_matrix(estimator, sampler, changes):
-    both = {"realizations": 80, "rng": 3, **changes}
+    both = {"realizations": 40, "rng": 3, **changes}
     found = mcs.covariance_modes(estimator, sampler, 16, modes=3, passes=40, **both)
     terms = mcs.variance_terms(estimator, sampler, 16, cross_matrix=True, **both)
     matrix = terms["cross_matrix"].values
