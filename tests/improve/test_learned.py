@@ -210,19 +210,19 @@ def test_a_density_that_raises_the_variance_is_not_returned(f, dims, kind, sampl
         assert p.spec == "uniform" or ratio < 1.0
 
 
-def test_exact_variances_equal_measured_variances():
+@pytest.mark.parametrize("sampler", ["jittered", pytest.param(OWEN, marks=pytest.mark.slow)])
+def test_exact_variances_equal_measured_variances(sampler):
     """In 2-D, the knots lie along curves of primary space."""
     f = mcs.Integrand.from_function(peaks, dims=2)
     estimator = mcs.Estimator(
         f, mcs.improve.learned_density(f, "mixture", OWEN, 64, evaluations=4096)
     )
-    for sampler in ("jittered", OWEN):
-        exact = mcs.exact_variance(estimator, sampler, 16, tolerance=0.05)
-        found = mcs.convergence(estimator, sampler, [16], realizations=4 * REALIZATIONS)
-        # Means of 16 values are nearly normal, so Var(s²) = 2 σ⁴/(R − 1); allow 4 sigma
-        assert float(found["variance"][0]) == pytest.approx(
-            exact, rel=0.05 + 4.0 * math.sqrt(2.0 / (4 * REALIZATIONS - 1))
-        )
+    exact = mcs.exact_variance(estimator, sampler, 16, tolerance=0.05)
+    found = mcs.convergence(estimator, sampler, [16], realizations=4 * REALIZATIONS)
+    # Means of 16 values are nearly normal, so Var(s²) = 2 σ⁴/(R − 1); allow 4 sigma
+    assert float(found["variance"][0]) == pytest.approx(
+        exact, rel=0.05 + 4.0 * math.sqrt(2.0 / (4 * REALIZATIONS - 1))
+    )
 
 
 def test_errors_say_what_to_do(tmp_path):

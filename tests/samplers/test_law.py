@@ -9,6 +9,9 @@ from tests.samplers.rows import ROWS
 
 import mcspectra as mcs
 from mcspectra.core.errors import CountError, NoClosedForm, ParameterError
+from mcspectra.core.streams import Stream
+from mcspectra.prediction.known import Known
+from mcspectra.prediction.prediction import predicted
 from mcspectra.samplers import RANDOMIZATIONS
 from mcspectra.samplers.law import (
     Choice,
@@ -322,7 +325,7 @@ class TestGroupedAxes:
             assert str(found["method"].values[1]) != "extrapolated"
 
     def test_predictions_of_a_product_that_mixes_both_groups(self):
-        """Pairs of shifted points give the variance of a product, as quick as it is fitted."""
+        """Pairs of shifted points give the variance of a product, whose fit is quick."""
 
         def product(x):
             return (1.0 + x[..., 1]) * np.exp(x[..., 2] - x[..., 3]) * (1.0 + x[..., 4] ** 2)
@@ -330,13 +333,12 @@ class TestGroupedAxes:
         integral = 1.5 * (np.e - 1.0) * (1.0 - np.exp(-1.0)) * 4.0 / 3.0
         f = mcs.Integrand.from_function(product, dims=5, integral=integral)
         sampler = self.sampler.then(mcs.samplers.Shift())
-        found = mcs.predict(f, sampler, [64], max_evaluations=2**30).isel(n=0)
+        found = predicted(sampler.law(64), Known(f), Stream.from_rng(0), "auto")
         means = product(sampler.draw(64, realizations=2000, rng=4)).mean(axis=1)
-        low, high = found["predicted_variance_ci"].values
         # 4.5 standard errors of 3.2 %
-        assert low - 0.14 * means.var() < means.var() < high + 0.14 * means.var()
-        assert high - low < 0.2 * float(found["predicted_variance"])
-        assert str(found["method"].values) != "extrapolated"
+        assert abs(found.variance[0] - means.var()) < found.error[0] + 0.14 * means.var()
+        assert found.error[0] < 0.3 * found.variance[0]  # Eight drawn lattices are shifted
+        assert found.method != "extrapolated"
         with pytest.raises(NoClosedForm, match="No law of pairs"):  # Other counts are measured
             mcs.predict(f, self.sampler, [64], method="subsets", max_evaluations=2**30)
 
