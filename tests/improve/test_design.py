@@ -1,6 +1,7 @@
 """Designs: objectives, searches, certificates, and the public functions."""
 
 import dataclasses
+import functools
 import itertools
 import json
 
@@ -83,12 +84,12 @@ def test_predicted_variances_of_searches_equal_measured_variances(kind, n, tmp_p
     found = min(searches.KINDS[kind](objective, n, stream, SMALL), key=lambda each: each.variance)
     sampler = found.make(tmp_path / "sets.npz")
 
-    # Average over 32 batches of 64 realizations, and over the members that the search used
+    # Average over 16 batches of 64 realizations, and over the members that the search used
     values = objective.functions(256, stream.generator(4 if kind == "digital-net" else 0))
     batches = [
-        searches.mean_variances(values, sampler, n, 64, seed).sum() for seed in range(100, 132)
+        searches.mean_variances(values, sampler, n, 64, seed).sum() for seed in range(100, 116)
     ]
-    sigma = np.std(batches, ddof=1) / np.sqrt(32)
+    sigma = np.std(batches, ddof=1) / np.sqrt(16)
     # The search itself measures nets with 64 sets; for strata, offsets inside cells add variance
     slack = {"digital-net": 5 * np.std(batches, ddof=1), "strata": 0.25 * found.variance}
     # A table of side 128 aliases (−116, 1) to (12, 1). Its amplitude is 1 %, so the power
@@ -128,9 +129,10 @@ def test_flipped_trees_keep_elementary_intervals():
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_designs_halve_the_variance_of_unfolded_rivals(kind):
-    sampler = design(kind, GAUSSIANS, 64, rng=5)
+    few = dataclasses.replace(SMALL, trials=2**16, frequencies=2**13)
+    sampler = design(kind, GAUSSIANS, 64, rng=5, settings=few)
     assert sampler.unbiased
-    found = mcs.certificate(sampler, GAUSSIANS, 64, rivals=UNFOLDED, members=400, rng=11)
+    found = mcs.certificate(sampler, GAUSSIANS, 64, rivals=UNFOLDED, members=200, rng=11)
     assert found["design_ratio_ci"].values[1] < 0.5
     assert float(found["design_ratio"]) == pytest.approx(
         float(found["mean_variance"][0] / found["mean_variance"][1:].min())
@@ -295,7 +297,7 @@ def test_starting_with_cosets_of_a_net_is_better():
     for cosets in (True, False):
         settings = dataclasses.replace(SMALL, trials=2**16, cosets=cosets)
         found = design("points", "gaussians", 64, dims=4, settings=settings)
-        told = mcs.certificate(found, "gaussians", 64, rivals=["sobol | owen"], members=1600)
+        told = mcs.certificate(found, "gaussians", 64, rivals=["sobol | owen"], members=800)
         ratios.append(told["design_ratio_ci"].values)
     assert ratios[0][1] < ratios[1][0]
 
@@ -413,9 +415,11 @@ def test_values_that_are_not_finite_are_refused():
         design("lattice", [f, poles], 16)
 
 
-def test_the_verb_prints_and_writes_spec_and_certificate(tmp_path, capsys):
+def test_the_verb_prints_and_writes_spec_and_certificate(tmp_path, monkeypatch, capsys):
+    from mcspectra.cli import designs as verb
     from mcspectra.cli.main import main
 
+    monkeypatch.setattr(verb.mcs, "design", functools.partial(mcs.design, settings=SMALL))
     out = tmp_path / "mine.json"
     arguments = [
         "design",

@@ -62,8 +62,8 @@ def plain(e):
     return Setup(e, mcs.sampler("random", dims=e.dims))
 
 
-# A quarter of the usual steps of a fit; the expected gain comes from evaluations outside the fit
-SHORT = ChangeSettings(splines=LearnSettings(steps=30))
+# An eighth of the usual steps of a fit; the expected gain comes from evaluations outside the fit
+SHORT = ChangeSettings(splines=LearnSettings(steps=15))
 
 
 @cache
@@ -152,10 +152,10 @@ def test_preintegration_leaves_only_the_bracket_of_the_jump():
 def test_evaluations_are_weighted_by_their_density():
     """The variance from points of density p agrees with the variance from uniform points."""
     e = estimator("smooth")
-    uniform = evaluated(e, 2**14, Stream.from_rng(4))
-    adapted = evaluated(e, 2**14, Stream.from_rng(5), adapt=True, settings=SHORT)
+    uniform = evaluated(e, 2**12, Stream.from_rng(4))
+    adapted = evaluated(e, 2**12, Stream.from_rng(5), adapt=True, settings=SHORT)
     assert adapted.pdf.std() > 0.1
-    assert adapted.variance() == pytest.approx(uniform.variance(), rel=SIGMAS * 3.0 / 2**7)
+    assert adapted.variance() == pytest.approx(uniform.variance(), rel=SIGMAS * 3.0 / 2**6)
 
 
 def test_changes_cost_the_evaluations_of_the_pilot_only():
@@ -179,7 +179,7 @@ def test_changes_cost_the_evaluations_of_the_pilot_only():
 @pytest.mark.parametrize(("name", "kind"), [("peak", "fitted"), ("smooth", "regression")])
 def test_remedies_recommend_changes_of_the_estimator(name, kind):
     found = mcs.remedies(
-        estimator(name), "random", 4096, realizations=100, rng=1, kinds=["mirrored", kind]
+        estimator(name), "random", 2048, realizations=100, rng=1, kinds=["mirrored", kind]
     )
     best = found.isel(remedy=0)
     assert (best["kind"], best["verdict"]) == (kind, "better")
@@ -205,7 +205,14 @@ def test_impossible_changes_give_a_reason():
 
 
 @pytest.mark.parametrize(
-    ("order", "dims"), [*itertools.product([1, 2, 3, 4, 5], [1, 2]), (2, 3), (3, 3)]
+    ("order", "dims"),
+    [
+        *itertools.product([1, 2, 3, 4], [1, 2]),
+        (5, 1),
+        (2, 3),
+        pytest.param(5, 2, marks=pytest.mark.slow),
+        pytest.param(3, 3, marks=pytest.mark.slow),
+    ],
 )
 def test_cubic_stratification_has_the_rate_of_its_order(order, dims):
     """The variance is proportional to n^(−1 − 2r/d) for order r.

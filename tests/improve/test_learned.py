@@ -103,7 +103,7 @@ def test_warps_keep_the_rate_of_nets(kind):
     A jump along a curve would give 16^1.5, and a smooth integrand 16^3. The noise of 50 nets is a
     factor of 3.
     """
-    p = mcs.improve.learned_density(peaks, kind, OWEN, 1024, dims=2)
+    p = mcs.improve.learned_density(peaks, kind, OWEN, 1024, dims=2, evaluations=2**13)
     noise = math.exp(4.0 * math.sqrt(2.0 * 2.0 / 49))
     assert variance(p, 2**14, 50) * noise < variance(p, 2**10, 50) * 16.0**-1.5
 
@@ -111,7 +111,7 @@ def test_warps_keep_the_rate_of_nets(kind):
 def test_the_same_seed_gives_the_same_density_and_its_spec_restores_it(tmp_path):
     def made(seed, **more):
         return mcs.improve.learned_density(
-            peaks, "mixture", OWEN, 64, dims=2, evaluations=1024, rng=seed, **more
+            peaks, "mixture", OWEN, 64, dims=2, evaluations=512, rng=seed, **more
         )
 
     first = made(1)
@@ -133,7 +133,7 @@ def test_the_size_and_the_sign_of_f_do_not_matter():
 
     def spec(factor, kind="mixture"):
         return mcs.improve.learned_density(
-            lambda x: factor * peaks(x), kind, OWEN, 64, dims=2, evaluations=1024
+            lambda x: factor * peaks(x), kind, OWEN, 64, dims=2, evaluations=512
         ).spec
 
     specs = [spec(factor) for factor in (1.0, -1.0, 2.0**-530, 2.0**530)]
@@ -145,7 +145,7 @@ def test_threads_and_blocks_do_not_matter():
     """The number of BLAS threads and the blocks of points do not change any bit."""
     specs = [
         mcs.improve.learned_density(
-            "gaussian(width=0.1, center=0.3)", kind, OWEN, 256, dims=3, evaluations=4096
+            "gaussian(width=0.1, center=0.3)", kind, OWEN, 128, dims=3, evaluations=2048
         ).spec
         for kind in KINDS
     ]
@@ -153,7 +153,7 @@ def test_threads_and_blocks_do_not_matter():
         "import mcspectra as mcs\n"
         f"for kind in {KINDS}: "
         "print(mcs.improve.learned_density('gaussian(width=0.1, center=0.3)', "
-        f"kind, {OWEN!r}, 256, dims=3, evaluations=4096).spec)"
+        f"kind, {OWEN!r}, 128, dims=3, evaluations=2048).spec)"
     )
     threads = "1" if os.environ["OPENBLAS_NUM_THREADS"] != "1" else "2"
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": threads}
@@ -196,7 +196,8 @@ def _ridge(x):
     [
         (_three_peaks, 3, "mixture", "random", (0,)),
         (_three_peaks, 3, "spline-flow", "random", (2,)),
-        (_ridge, 4, "mixture", OWEN, (1, 2)),
+        (_ridge, 4, "mixture", OWEN, (1,)),
+        pytest.param(_ridge, 4, "mixture", OWEN, (2,), marks=pytest.mark.slow),
     ],
 )
 def test_a_density_that_raises_the_variance_is_not_returned(f, dims, kind, sampler, seeds):
@@ -209,19 +210,19 @@ def test_a_density_that_raises_the_variance_is_not_returned(f, dims, kind, sampl
         assert p.spec == "uniform" or ratio < 1.0
 
 
-def test_exact_variances_equal_measured_variances():
+@pytest.mark.parametrize("sampler", ["jittered", pytest.param(OWEN, marks=pytest.mark.slow)])
+def test_exact_variances_equal_measured_variances(sampler):
     """In 2-D, the knots lie along curves of primary space."""
     f = mcs.Integrand.from_function(peaks, dims=2)
     estimator = mcs.Estimator(
         f, mcs.improve.learned_density(f, "mixture", OWEN, 64, evaluations=4096)
     )
-    for sampler in ("jittered", OWEN):
-        exact = mcs.exact_variance(estimator, sampler, 16, tolerance=0.01)
-        found = mcs.convergence(estimator, sampler, [16], realizations=4 * REALIZATIONS)
-        # Means of 16 values are nearly normal, so Var(s²) = 2 σ⁴/(R − 1); allow 4 sigma
-        assert float(found["variance"][0]) == pytest.approx(
-            exact, rel=4.0 * math.sqrt(2.0 / (4 * REALIZATIONS - 1))
-        )
+    exact = mcs.exact_variance(estimator, sampler, 16, tolerance=0.05)
+    found = mcs.convergence(estimator, sampler, [16], realizations=4 * REALIZATIONS)
+    # Means of 16 values are nearly normal, so Var(s²) = 2 σ⁴/(R − 1); allow 4 sigma
+    assert float(found["variance"][0]) == pytest.approx(
+        exact, rel=0.05 + 4.0 * math.sqrt(2.0 / (4 * REALIZATIONS - 1))
+    )
 
 
 def test_errors_say_what_to_do(tmp_path):

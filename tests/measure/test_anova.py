@@ -224,7 +224,12 @@ def test_effective_dimensions_beyond_the_order_have_no_upper_end():
 
 
 @pytest.mark.parametrize(
-    "oracle", [oracles.ishigami(), oracles.sobol_g([0.0, 1.0, 4.5, 9.0])], ids=["ishigami", "g"]
+    "oracle",
+    [
+        oracles.ishigami(),
+        pytest.param(oracles.sobol_g([0.0, 1.0, 4.5, 9.0]), marks=pytest.mark.slow),
+    ],
+    ids=["ishigami", "g"],
 )
 def test_intervals_of_sobol_indices_cover_them(oracle):
     """In 200 runs of 500 pairs, 90 to 99 % of the 95 % intervals of each index hold the truth."""

@@ -42,7 +42,7 @@ def test_random_points_give_the_parts_of_the_integrand(dims):
 def test_all_parts_sum_to_the_exact_variance():
     """In 3-D, the parts of all subsets sum to the variance by quadrature over the strata."""
     f = mcs.Estimator("gaussian(width=0.5)", dims=3)
-    found = mcs.measure.anova_spectrum(f, "jittered | shift", 27, order=3, frequencies=8192, rng=1)
+    found = mcs.measure.anova_spectrum(f, "jittered | shift", 27, order=3, frequencies=4096, rng=1)
     total = float(found["anova_variance"].sum())
     error = float(np.sqrt((found["anova_variance_se"] ** 2).sum()))
     assert (

@@ -1,5 +1,6 @@
 """The bench: its numbers equal those of the analyses, and its ranks hold simultaneously."""
 
+import functools
 import zlib
 
 import numpy as np
@@ -7,21 +8,31 @@ import pytest
 
 import mcspectra as mcs
 from mcspectra.core.errors import McspectraError, ParameterError
+from mcspectra.measure import bench
 from mcspectra.measure.bench import free_of, making_seconds, ranks, standard_tasks
 from mcspectra.samplers import Jittered, Owen, Shift
 
 SMALL = {"counts": (16, 64), "realizations": 40}
 
 
+@pytest.fixture(scope="module", autouse=True)
+def estimator_of():
+    """Share the estimators of all benches, which keep the quadratures of their integrands."""
+    with pytest.MonkeyPatch.context() as patch:
+        shared = functools.cache(mcs.Estimator)
+        patch.setattr(bench, "Estimator", shared)
+        yield shared
+
+
 @pytest.fixture(scope="module")
-def result():
+def result(estimator_of):
     return mcs.sampler_bench(["random", "jittered", "sobol"], **SMALL)
 
 
-def test_variances_equal_those_of_convergence(result):
+def test_variances_equal_those_of_convergence(result, estimator_of):
     seed = np.random.SeedSequence([0, zlib.crc32(b"jittered")])
     for k in (0, 6, 7):
-        estimator = mcs.Estimator(str(result["integrand_spec"].values[k]), dims=2)
+        estimator = estimator_of(str(result["integrand_spec"].values[k]), dims=2)
         alone = mcs.convergence(estimator, "jittered", (16, 64), realizations=40, rng=seed)
         one = result.sel(sampler="jittered").isel(integrand=k)
         for name in ("variance", "variance_ci", "rate", "rate_ci"):

@@ -73,7 +73,7 @@ def initial_monotone_sequence(x):
 )
 def test_errors_are_closer_than_those_of_the_initial_monotone_sequence(phi, n, worse):
     rng = np.random.default_rng(5)
-    x = lfilter([1.0], [1.0, *(-p for p in phi)], rng.standard_normal((200, n + 500)))[:, 500:]
+    x = lfilter([1.0], [1.0, *(-p for p in phi)], rng.standard_normal((100, n + 500)))[:, 500:]
     # Exact variance from the autocovariance, computed on a grid that resolves the spectrum
     grid = 1 << 16
     nu = np.fft.rfftfreq(grid)
@@ -248,7 +248,8 @@ def test_few_draws_are_named():
 
 def test_weighted_draws_have_the_right_mean_and_error():
     rng = np.random.default_rng(6)
-    x, w = rng.standard_normal((200, 1, 1000)), np.exp(0.5 * rng.standard_normal((200, 1, 1000)))
+    shape = (100, 1, 1000)
+    x, w = rng.standard_normal(shape), np.exp(0.5 * rng.standard_normal(shape))
     found = [mcs.measure.chain_error(a, weights=b) for a, b in zip(x, w, strict=True)]
     mean = np.array([float(each["mean"]) for each in found])
     np.testing.assert_allclose(mean, (w * x).sum(axis=(1, 2)) / w.sum(axis=(1, 2)))
@@ -257,7 +258,7 @@ def test_weighted_draws_have_the_right_mean_and_error():
     mcse = np.array([float(each["mcse"]) for each in found])
     assert mcse.mean() == pytest.approx(exact, rel=0.05)
     inside = [low <= 0 <= high for low, high in (each["mean_ci"].values for each in found)]
-    assert np.mean(inside) >= 0.95 - 5 * np.sqrt(0.95 * 0.05 / 200)
+    assert np.mean(inside) >= 0.95 - 5 * np.sqrt(0.95 * 0.05 / 100)
     same = mcs.measure.chain_error(x[0], weights=np.full((1, 1000), 3.0))
     assert same["mcse"].item() == pytest.approx(
         mcs.measure.chain_error(x[0])["mcse"].item(), rel=1e-12
@@ -325,11 +326,12 @@ def test_a_start_far_from_the_mean_is_reported_and_excluded(lifetime, rho):
     assert ((low <= 0) & (high >= 0)).mean() >= 0.95 - 5 * np.sqrt(0.95 * 0.05 / seeds)
 
 
-@pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
+@pytest.mark.parametrize("rho", [0.0, pytest.param(0.5, marks=pytest.mark.slow), 0.9])
 def test_stationary_chains_have_no_burn_in(rho):
-    found = quantities(ar1(rho, (200, 4, 1000), seed=7))
+    seeds = 100
+    found = quantities(ar1(rho, (seeds, 4, 1000), seed=7))
     named = sum("burn-in" in str(name) for name in found["cause"].values)
-    assert named <= 0.02 * 200
+    assert named <= 0.02 * seeds
     assert not found["burn_in"].values.any()
 
 

@@ -41,7 +41,7 @@ def test_a_short_spectrum_plus_its_tail_predicts_random_points(space):
     p = mcs.density("linear(slope=1)", dims=2)
     estimator = mcs.MultipleImportance(f, [p, "uniform"])
     found = mcs.variance_terms(
-        estimator, "random", 16, half_width=6, realizations=4000, space=space
+        estimator, "random", 16, half_width=6, realizations=2000, space=space
     )
     both = float(found["predicted_variance"] + found["tail_term"])
     # The three terms of a truncated sum have the same error as the measured variance

@@ -53,9 +53,23 @@ SEEDS = [200, pytest.param(400, marks=pytest.mark.slow)]
 """Intervals of 85 % fail nine times out of ten with 200 seeds, and always with 400."""
 
 
-@pytest.mark.parametrize("seeds", SEEDS)
-@pytest.mark.parametrize("budget", [256, 2000])
-@pytest.mark.parametrize("f", KNOWN, ids=lambda f: f.__name__)
+@pytest.mark.parametrize(
+    ("f", "budget", "seeds"),
+    [
+        (smooth, 256, 200),
+        (kink, 256, 200),
+        (jump, 2000, 200),
+        pytest.param(smooth, 2000, 200, marks=pytest.mark.slow),
+        pytest.param(kink, 2000, 200, marks=pytest.mark.slow),
+        pytest.param(jump, 256, 200, marks=pytest.mark.slow),
+        *(
+            pytest.param(f, budget, 400, marks=pytest.mark.slow)
+            for f in KNOWN
+            for budget in (256, 2000)
+        ),
+    ],
+    ids=lambda each: getattr(each, "__name__", str(each)),
+)
 def test_intervals_cover(f, budget, seeds):
     """At least the expected number of intervals less 3 σ cover the integral.
 
@@ -93,9 +107,9 @@ def test_the_median_of_linear_scrambles_converges_ever_faster():
     """The error for exp(x) falls faster than n^−3/2, the rate of the mean, and ever faster.
 
     The rate from n = 16 to 256 is steeper than −3/2, and from 256 to 4096 it is steeper still, each
-    by four standard errors of a bootstrap over 200 seeds.
+    by four standard errors of a bootstrap over 100 seeds.
     """
-    options, seeds = {"dims": 1, "combine": "median"}, 200
+    options, seeds = {"dims": 1, "combine": "median"}, 100
     draws, logs = np.random.default_rng(0).integers(seeds, size=(400, seeds)), []
     for n in (16, 256, 4096):
         found = [
@@ -113,7 +127,15 @@ def test_the_median_of_linear_scrambles_converges_ever_faster():
 
 
 @pytest.mark.parametrize("seeds", SEEDS)
-@pytest.mark.parametrize("f", KNOWN, ids=lambda f: f.__name__)
+@pytest.mark.parametrize(
+    "f",
+    [
+        pytest.param(smooth, marks=pytest.mark.slow),
+        kink,
+        pytest.param(jump, marks=pytest.mark.slow),
+    ],
+    ids=lambda f: f.__name__,
+)
 def test_intervals_of_medians_cover(f, seeds):
     """At least 95 % of the intervals cover, less 3 σ.
 
@@ -254,8 +276,17 @@ GROWTHS = {
 }
 
 
-@pytest.mark.parametrize("sampler", ["jittered", "sobol | owen"])
-@pytest.mark.parametrize("name", GROWTHS)
+@pytest.mark.parametrize(
+    ("name", "sampler"),
+    [
+        ("exponential", "sobol | owen"),
+        ("lognormal", "jittered"),
+        ("power", "sobol | owen"),
+        pytest.param("exponential", "jittered", marks=pytest.mark.slow),
+        pytest.param("lognormal", "sobol | owen", marks=pytest.mark.slow),
+        pytest.param("power", "jittered", marks=pytest.mark.slow),
+    ],
+)
 def test_intervals_cover_if_f_is_unbounded_at_the_border(name, sampler):
     """Student's interval would cover 90 to 93 % here, and miss on one side only."""
     f, integral = GROWTHS[name]
@@ -370,17 +401,19 @@ def test_the_answer_of_a_profile_and_its_evaluations_are_used():
 
 
 @pytest.mark.parametrize(
-    "f",
+    ("f", "seeds"),
     [
-        pytest.param(smooth, marks=pytest.mark.slow),
-        kink,
-        jump,
+        (kink, 80),
+        (jump, 80),
+        *(pytest.param(f, 200, marks=pytest.mark.slow) for f in (smooth, kink, jump)),
     ],
-    ids=lambda f: f.__name__,
+    ids=lambda each: getattr(each, "__name__", str(each)),
 )
-def test_intervals_with_a_profile_cover(f):
-    """At least 190 − 3 σ of 200 intervals cover, and 190 are narrower than those of the profile."""
-    seeds = 200
+def test_intervals_with_a_profile_cover(f, seeds):
+    """At least 95 % − 3 σ of the intervals cover; 95 % are narrower than those of the profile.
+
+    Intervals of 80 % fail nine times out of ten with 80 seeds: the limit is 71, of 64 ± 3.6.
+    """
     covered, better = 0, 0
     for seed in range(seeds):
         found = mcs.profile(f, dims=2, budget=512, rng=seed)
@@ -391,7 +424,7 @@ def test_intervals_with_a_profile_cover(f):
         before = np.ptp(found.interval)
         better += high - low <= before or not math.isfinite(before)
     assert covered >= least_covered(seeds)
-    assert better >= 190
+    assert better >= 0.95 * seeds
 
 
 @pytest.mark.parametrize(("f", "gain"), [(smooth, 1e3), (kink, 2.0)])
@@ -435,7 +468,11 @@ def test_a_profile_of_another_function_is_refused():
         mcs.integrate(smooth, budget=512, profile=draws)
 
 
-@pytest.mark.parametrize("f", KNOWN, ids=lambda f: f.__name__)
+@pytest.mark.parametrize(
+    "f",
+    [pytest.param(smooth, marks=pytest.mark.slow), kink, jump],
+    ids=lambda f: f.__name__,
+)
 def test_calls_stop_at_the_tolerance_and_intervals_cover(f):
     """At least 89 of 100 intervals cover: 95 − 3 σ, with σ = 2.2."""
     tolerance, covered = (2e-4 if f is kink else 4e-3), 0

