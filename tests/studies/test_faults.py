@@ -69,7 +69,8 @@ def straight(tmp_path_factory):
     return stored(out)
 
 
-PROGRAM = [sys.executable, "-m", "mcspectra"]
+PROGRAM = [sys.executable, "-m", "tests.studies.undrawn"]
+ROOT = Path(__file__).parents[2]
 
 
 def command(study, out, *more):
@@ -94,7 +95,7 @@ def assert_finished(out, straight):
 def test_killed_at_any_moment_and_resumed(study, tmp_path, straight, kills):
     """Uses forks with imported modules: see killed_runs.py."""
     program = ("-m", "tests.studies.killed_runs", study, tmp_path, kills, 1)
-    done = python(*program, cwd=Path(__file__).parents[2], env=ONE_THREAD, check=True)
+    done = python(*program, cwd=ROOT, env=ONE_THREAD, check=True)
     trials = list(map(json.loads, done.stdout.splitlines()))
     assert len(trials) == kills
     ends = [end for trial in trials for end in trial["ends"]]
@@ -277,7 +278,9 @@ def waiting_run(misbehaving, folder, limit=""):
     (misbehaving / "hang").touch()
     arguments = command(study, folder / "out", "--allow-code", "misbehaving:hangs")
     environment = process_env(misbehaving)
-    started = subprocess.Popen([*PROGRAM, *arguments], env=environment, stderr=subprocess.PIPE)
+    started = subprocess.Popen(
+        [*PROGRAM, *arguments], cwd=ROOT, env=environment, stderr=subprocess.PIPE
+    )
     return started, arguments
 
 
@@ -327,6 +330,7 @@ def children(pid):
     return found
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_no_worker_outlives_a_run_that_is_killed(misbehaving, tmp_path):
     """This holds even if a worker's task hangs; the store can be resumed at once."""
     process, arguments = waiting_run(misbehaving, tmp_path, "time_limit = 1000\n")
@@ -393,6 +397,7 @@ def on_small_disk(study, size, folder):
             *PROGRAM,
             *command(study, out),
         ],
+        cwd=ROOT,
         env={**ONE_THREAD, "OUT": str(out), "KEPT": str(kept)},
         capture_output=True,
         text=True,
