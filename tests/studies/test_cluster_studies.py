@@ -36,6 +36,7 @@ integrand = "gaussian"
 dims = 2
 """
 
+
 @pytest.fixture(scope="module")
 def expected(tmp_path_factory, stored_values):
     folder = tmp_path_factory.mktemp("threads")

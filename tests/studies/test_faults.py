@@ -33,7 +33,7 @@ seed = 11
 samplers = ["random", "jittered"]
 [convergence]
 counts = [16, 64]
-realizations = 100000
+realizations = 40000
 [predict]
 counts = [4]
 method = "exact"
@@ -129,7 +129,7 @@ class Interrupted:
             yield outcome
 
 
-def interrupted_run(out, outcomes=22, **options):
+def interrupted_run(out, outcomes=12, **options):
     """Compute some tasks of one block each, then stop."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(schedule, "_TARGET", 1e-9)
@@ -354,18 +354,30 @@ def test_no_worker_outlives_a_run_that_is_killed(misbehaving, tmp_path):
 
 
 MOUNTED = """
-set -e
-mount -t tmpfs -o size="$1" tmpfs "$2"
-shift 2
-status=0
-"$@" >/dev/null || status=$?
-mkdir -p "$KEPT"
-cp -a "$OUT/." "$KEPT"
-mount -o remount,size=64m "$OUT"
-again=0
-"$@" --resume >/dev/null || again=$?
-cp -a "$OUT/." "$KEPT-after"
-echo "$status $again"
+import os, shutil, subprocess, sys
+from tests.report.conftest import leave_out_figures
+from mcspectra.cli.main import main
+
+size, out, kept, *arguments = sys.argv[1:]
+
+def run(*more):
+    # A fork of this process, which has imported all modules
+    child = os.fork()
+    if child == 0:
+        leave_out_figures(setattr)
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        os._exit(main([*arguments, *more]))
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+def mount(*options):
+    subprocess.run(["mount", *options, out], check=True)
+
+mount("-t", "tmpfs", "-o", f"size={size}", "tmpfs")
+status = run()
+shutil.copytree(out, kept)
+mount("-o", "remount,size=64m")
+print(status, run("--resume"))
+shutil.copytree(out, f"{kept}-after")
 """
 NAMESPACE = ["unshare", "--user", "--map-root-user", "--mount"]
 
@@ -384,21 +396,11 @@ def on_small_disk(study, size, folder):
     """Run on a file system of `size` bytes and resume on a larger one; return codes and output."""
     out, kept = folder / "disk", folder / "kept"
     out.mkdir()
-    (folder / "kept-after").mkdir()
+    program = (*NAMESPACE, sys.executable, "-c", MOUNTED)
     done = subprocess.run(
-        [
-            *NAMESPACE,
-            "sh",
-            "-c",
-            MOUNTED,
-            "sh",
-            str(size),
-            str(out),
-            *PROGRAM,
-            *command(study, out),
-        ],
+        [*program, str(size), str(out), str(kept), *command(study, out)],
         cwd=ROOT,
-        env={**ONE_THREAD, "OUT": str(out), "KEPT": str(kept)},
+        env=ONE_THREAD,
         capture_output=True,
         text=True,
         check=True,
