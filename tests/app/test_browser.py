@@ -212,14 +212,6 @@ def test_another_sampler_and_a_randomization(page, address):
     expect(page.get_by_role("figure", name="plot of variance against n")).to_be_visible()
 
 
-def test_a_broken_picture_gets_a_sentence(page, address, tmp_path):
-    any_state(page, address)
-    file = tmp_path / "broken.png"
-    file.write_bytes(b"\x89PNG\r\n\x1a\nnothing")
-    page.locator("input[type=file]").set_input_files(file)
-    expect(page.get_by_role("alert")).to_contain_text("damaged")
-
-
 def test_a_formula(page, address):
     any_state(page, address)
     field = page.get_by_label("Formula, A", exact=True)
@@ -255,6 +247,14 @@ def test_a_pixel_of_the_scene(page, address):
     page.mouse.wheel(0, 200)
     page.wait_for_function("before => window.scrollY > before", arg=before)
     done(page)
+
+
+def test_a_broken_picture_gets_a_sentence(page, address, tmp_path):
+    any_state(page, address)
+    file = tmp_path / "broken.png"
+    file.write_bytes(b"\x89PNG\r\n\x1a\nnothing")
+    page.locator("input[type=file]").set_input_files(file)
+    expect(page.get_by_role("alert")).to_contain_text("damaged")
 
 
 def test_odd_addresses_get_a_sentence(page, address):

@@ -2,11 +2,12 @@
 
 import json
 import re
+from functools import partial
 
 import pytest
 
 from mcspectra.core.analysis import ANALYSES
-from mcspectra.studies import decode_study, make_plan, study_schema
+from mcspectra.studies import decode_study, estimate_study, make_plan, study_schema
 from mcspectra.studies.schema import template
 
 
@@ -81,8 +82,10 @@ def test_schema_prints_the_schema(run, tmp_path, monkeypatch):
     assert "--schema writes no file; leave s.toml out." in run("init", "s.toml", "--schema")[2]
 
 
-def test_whole_numbers_of_a_study_may_be_floats(run, file, tmp_path):
+def test_whole_numbers_of_a_study_may_be_floats(run, file, monkeypatch):
     """1e3 is a float in TOML, which used to be refused for an integer."""
+    untried = partial(estimate_study, probe_seconds=0)
+    monkeypatch.setattr("mcspectra.studies.estimate_study", untried)
     few = ("--dry-run", "--json", "--set", "convergence.counts=[1.6e1, 6.4e1]", "--set", "seed=1e0")
     assert run("run", file, *few)[0] == 0
     code, _, err = run("run", file, "--dry-run", "--set", "convergence.realizations=1.5e0")
@@ -90,16 +93,23 @@ def test_whole_numbers_of_a_study_may_be_floats(run, file, tmp_path):
     assert "convergence.realizations is 1.5; give a whole number from 2 to " in err
 
 
-def test_dry_run_writes_nothing(run, file, tmp_path):
+def test_dry_run_writes_nothing(run, file, tmp_path, monkeypatch):
+    found = []
+
+    def once(plan):  # Trial runs take seconds, and both outputs show the same
+        found[:] = found or estimate_study(plan)
+        return found
+
+    monkeypatch.setattr("mcspectra.studies.estimate_study", once)
     code, out, _ = run("run", file, "--dry-run", "--out", tmp_path / "o", "--workers", 2)
     assert code == 0
     assert not (tmp_path / "o").exists()
     assert re.search(r"with 2 workers; \d\d tasks", out)  # 18, or more on a slow machine
     rows = [line for line in out.splitlines() if " convergence " in line]
     assert [row.split()[0] for row in rows] == ["plain", "importance-sampled", "multiple"]
-    found = json.loads(run("run", file, "--dry-run", "--json")[1])
-    assert len(found["cells"]) == 18
-    assert all(cell["seconds"] >= 0 and cell["memory"] > 0 for cell in found["cells"])
+    data = json.loads(run("run", file, "--dry-run", "--json")[1])
+    assert len(data["cells"]) == 18
+    assert all(cell["seconds"] >= 0 and cell["memory"] > 0 for cell in data["cells"])
 
 
 @pytest.mark.parametrize(

@@ -282,7 +282,7 @@ def test_several_samplers_are_compared_and_resume(capsys, tmp_path):
 
 def test_a_map_of_black_pixels_has_a_page(capsys, tmp_path):
     asked = ("penumbra(width=24, height=18)", "--crop", "0,0,3,2", "--integrator", "path", "-m", 4,
-             "--chains", 8, "--out", tmp_path)  # fmt: skip
+             "--counts", "4,16", "--chains", 8, "--out", tmp_path)  # fmt: skip
     code, _, err = run(capsys, *asked)
     assert code == 0, err
     assert "variance by bounce: unknown." in (tmp_path / "report.html").read_text()

@@ -29,7 +29,6 @@ def run(study, out, moment=None, resume=False):
         os.dup2(silent, 1)
         schedule._TARGET, schedule._RECORDED_AFTER = 1e-9, 0.0
         ledger._COMMIT_SECONDS = 0.005
-        leave_out_figures(setattr)  # Pictures would take longer than all the rest
         arguments = ["run", str(study), "--out", str(out), "--workers", "1", "--quiet"]
         os._exit(main(arguments + ["--resume"] * resume))
     if moment is not None:
@@ -41,6 +40,7 @@ def run(study, out, moment=None, resume=False):
 def all_trials(study, folder, kills, seed):
     """Print the result of each trial."""
     chosen = random.Random(seed)
+    leave_out_figures(setattr)  # Pictures would take longer than all the rest
     # This also imports all modules before the first fork.
     with contextlib.redirect_stdout(None):
         main(["run", str(study), "--out", str(folder / "straight"), "--workers", "1", "--quiet"])

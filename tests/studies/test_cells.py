@@ -1,5 +1,7 @@
 """Cells of a study equal the results of the functions and are stored without text."""
 
+import functools
+
 import numpy as np
 import pytest
 
@@ -52,6 +54,7 @@ def finished(tmp_path_factory):
     return folder
 
 
+@functools.cache
 def _expected():
     edge = mcs.Estimator("linear", dims=1)
     both = mcs.estimators.TechniqueSum(["linear", "step(at=0.3)"], dims=1)
@@ -148,6 +151,7 @@ def test_the_report_contains_the_study(finished):
 
 
 @pytest.mark.render
+@pytest.mark.usefixtures("undrawn")
 def test_maps_equal_the_results_of_variance_map(tmp_path):
     from mcspectra.rendering import variance_map
 

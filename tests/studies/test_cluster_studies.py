@@ -7,13 +7,14 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 from tests.studies.local_cluster import local_cluster, scheduler, worker
 
 from mcspectra.cli.main import main
 from mcspectra.core.errors import StoreError
-from mcspectra.studies import run_study, schedule
+from mcspectra.studies import Trust, run_study, schedule
 from mcspectra.studies.executors import Cluster, ClusterLost, Dask
 from mcspectra.studies.files import decode_study
 from mcspectra.studies.ledger import Ledger
@@ -34,8 +35,6 @@ name = "smooth"
 integrand = "gaussian"
 dims = 2
 """
-
-SAMPLERS = ["random", "jittered", "jittered | shift", "n-rooks", "halton | shift", "sobol | owen"]
 
 
 @pytest.fixture(scope="module")
@@ -117,37 +116,68 @@ def test_the_command_runs_on_a_cluster(expected, cluster, tmp_path, capsys, stor
     assert stored_values(tmp_path / "out") == expected
 
 
-MANY = STUDY.replace('"random", "jittered | shift"', ", ".join(f'"{s}"' for s in SAMPLERS)).replace(
-    "realizations = 3000", "realizations = 100_000"
-)
+HANGS = """
+title = "hangs"
+seed = 3
+samplers = ["random", "jittered"]
+[convergence]
+counts = [4, 16]
+realizations = 10
+[[estimators]]
+name = "smooth"
+integrand = "gaussian"
+dims = 2
+[[estimators]]
+name = "hangs"
+integrand = "python(function='misbehaving:hangs')"
+dims = 1
+samplers = ["random"]
+"""
 
 
-def test_ctrl_c_leaves_a_resumable_store_and_no_cluster(tmp_path, hear_interrupts, stored_values):
-    (tmp_path / "many.toml").write_text(MANY)
-    command = [sys.executable, "-m", "mcspectra", "run", "many.toml", "--out", "out"]
+def test_ctrl_c_leaves_a_resumable_store_and_no_cluster(
+    misbehaving, tmp_path, hear_interrupts, stored_values
+):
+    """One task hangs until it is interrupted, so that the signal always comes before the end."""
+    (tmp_path / "study.toml").write_text(HANGS)
+    (misbehaving / "hang").touch()
+    out, allowed = tmp_path / "out", "misbehaving:hangs"
+    command = [sys.executable, "-m", "tests.studies.undrawn", "run", str(tmp_path / "study.toml")]
+    command += ["--out", str(out), "--cluster", "local", "--workers", "2"]
+    modules = os.pathsep.join([str(misbehaving), os.environ.get("PYTHONPATH", "")])
     process = subprocess.Popen(
-        [*command, "--cluster", "local", "--workers", "2"],
-        cwd=tmp_path,
+        [*command, "--allow-code", allowed],
+        cwd=Path(__file__).parents[2],
+        env={**os.environ, "PYTHONPATH": modules},
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
     )
-    end = time.monotonic() + 120
-    while not _some_are_done(tmp_path / "out") and time.monotonic() < end:
-        time.sleep(0.02)
-    os.killpg(process.pid, signal.SIGINT)  # Like a terminal: signals the command and its workers
-    _, err = process.communicate(timeout=120)
+    try:
+        end = time.monotonic() + 120
+        while not ((misbehaving / "begun").exists() and _some_are_done(out)):
+            assert process.poll() is None, process.communicate()[1]
+            assert time.monotonic() < end
+            time.sleep(0.02)
+        os.killpg(process.pid, signal.SIGINT)  # Like a terminal: signals it and its workers
+        _, err = process.communicate(timeout=120)
+    except BaseException:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        raise
     assert process.returncode == 130, err
     assert "Interrupted" in err
     assert "Traceback" not in err
     assert "distributed" not in err
     with pytest.raises(ProcessLookupError):
         _wait_for_group(process.pid)
-    stored = stored_values(tmp_path / "out")
-    run_study(decode_study(MANY), tmp_path / "out", resume=True, workers=1)
-    run_study(decode_study(MANY), tmp_path / "straight", workers=1)
-    assert stored_values(tmp_path / "out") == stored_values(tmp_path / "straight")
+    stored = stored_values(out)
+    (misbehaving / "hang").unlink()
+    config, trust = decode_study(HANGS), Trust((allowed,))
+    run_study(config, out, resume=True, trust=trust, workers=1)
+    run_study(config, tmp_path / "straight", trust=trust, workers=1)
+    assert stored_values(out) == stored_values(tmp_path / "straight")
     assert 0 < len(stored) < len(stored_values(tmp_path / "straight"))
 
 

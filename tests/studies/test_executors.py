@@ -135,7 +135,6 @@ def test_workers_that_cannot_build_the_study_are_an_error(misbehaving):
 
 MASKS = """
 import multiprocessing, signal
-from mcspectra.studies.executors import deaf
 
 def masked():
     return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())
@@ -143,7 +142,9 @@ def masked():
 def tell(pipe):
     pipe.send(masked())
 
-if __name__ == "__main__":
+if __name__ == "__main__":  # Only here, because the import takes a second
+    from mcspectra.studies.executors import deaf
+
     context = multiprocessing.get_context("spawn")
     for _ in range(2):
         ours, theirs = context.Pipe()

@@ -33,7 +33,7 @@ seed = 11
 samplers = ["random", "jittered"]
 [convergence]
 counts = [16, 64]
-realizations = 100000
+realizations = 40000
 [predict]
 counts = [4]
 method = "exact"
@@ -69,7 +69,8 @@ def straight(tmp_path_factory):
     return stored(out)
 
 
-PROGRAM = [sys.executable, "-m", "mcspectra"]
+PROGRAM = [sys.executable, "-m", "tests.studies.undrawn"]
+ROOT = Path(__file__).parents[2]
 
 
 def command(study, out, *more):
@@ -94,7 +95,7 @@ def assert_finished(out, straight):
 def test_killed_at_any_moment_and_resumed(study, tmp_path, straight, kills):
     """Uses forks with imported modules: see killed_runs.py."""
     program = ("-m", "tests.studies.killed_runs", study, tmp_path, kills, 1)
-    done = python(*program, cwd=Path(__file__).parents[2], env=ONE_THREAD, check=True)
+    done = python(*program, cwd=ROOT, env=ONE_THREAD, check=True)
     trials = list(map(json.loads, done.stdout.splitlines()))
     assert len(trials) == kills
     ends = [end for trial in trials for end in trial["ends"]]
@@ -128,7 +129,7 @@ class Interrupted:
             yield outcome
 
 
-def interrupted_run(out, outcomes=22, **options):
+def interrupted_run(out, outcomes=12, **options):
     """Compute some tasks of one block each, then stop."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(schedule, "_TARGET", 1e-9)
@@ -277,7 +278,9 @@ def waiting_run(misbehaving, folder, limit=""):
     (misbehaving / "hang").touch()
     arguments = command(study, folder / "out", "--allow-code", "misbehaving:hangs")
     environment = process_env(misbehaving)
-    started = subprocess.Popen([*PROGRAM, *arguments], env=environment, stderr=subprocess.PIPE)
+    started = subprocess.Popen(
+        [*PROGRAM, *arguments], cwd=ROOT, env=environment, stderr=subprocess.PIPE
+    )
     return started, arguments
 
 
@@ -327,6 +330,7 @@ def children(pid):
     return found
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_no_worker_outlives_a_run_that_is_killed(misbehaving, tmp_path):
     """This holds even if a worker's task hangs; the store can be resumed at once."""
     process, arguments = waiting_run(misbehaving, tmp_path, "time_limit = 1000\n")
@@ -350,18 +354,30 @@ def test_no_worker_outlives_a_run_that_is_killed(misbehaving, tmp_path):
 
 
 MOUNTED = """
-set -e
-mount -t tmpfs -o size="$1" tmpfs "$2"
-shift 2
-status=0
-"$@" >/dev/null || status=$?
-mkdir -p "$KEPT"
-cp -a "$OUT/." "$KEPT"
-mount -o remount,size=64m "$OUT"
-again=0
-"$@" --resume >/dev/null || again=$?
-cp -a "$OUT/." "$KEPT-after"
-echo "$status $again"
+import os, shutil, subprocess, sys
+from tests.report.conftest import leave_out_figures
+from mcspectra.cli.main import main
+
+size, out, kept, *arguments = sys.argv[1:]
+
+def run(*more):
+    # A fork of this process, which has imported all modules
+    child = os.fork()
+    if child == 0:
+        leave_out_figures(setattr)
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        os._exit(main([*arguments, *more]))
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+def mount(*options):
+    subprocess.run(["mount", *options, out], check=True)
+
+mount("-t", "tmpfs", "-o", f"size={size}", "tmpfs")
+status = run()
+shutil.copytree(out, kept)
+mount("-o", "remount,size=64m")
+print(status, run("--resume"))
+shutil.copytree(out, f"{kept}-after")
 """
 NAMESPACE = ["unshare", "--user", "--map-root-user", "--mount"]
 
@@ -380,20 +396,11 @@ def on_small_disk(study, size, folder):
     """Run on a file system of `size` bytes and resume on a larger one; return codes and output."""
     out, kept = folder / "disk", folder / "kept"
     out.mkdir()
-    (folder / "kept-after").mkdir()
+    program = (*NAMESPACE, sys.executable, "-c", MOUNTED)
     done = subprocess.run(
-        [
-            *NAMESPACE,
-            "sh",
-            "-c",
-            MOUNTED,
-            "sh",
-            str(size),
-            str(out),
-            *PROGRAM,
-            *command(study, out),
-        ],
-        env={**ONE_THREAD, "OUT": str(out), "KEPT": str(kept)},
+        [*program, str(size), str(out), str(kept), *command(study, out)],
+        cwd=ROOT,
+        env=ONE_THREAD,
         capture_output=True,
         text=True,
         check=True,

@@ -1,6 +1,7 @@
 """The ledger keeps committed data after any interruption; damage never gives a wrong value."""
 
 import contextlib
+import json
 import os
 import random
 import shutil
@@ -10,6 +11,7 @@ import sys
 import tempfile
 import threading
 import time
+import traceback
 from pathlib import Path
 
 import msgspec
@@ -32,6 +34,7 @@ NOTE = StudyNote(
 )
 PATHS = tuple(f"{e}/{s}/{a}" for e in "abcd" for s in "xyz" for a in ("convergence", "terms"))
 RUN = "0-0-10"
+ROOT = Path(__file__).parents[2]
 
 
 def payload(path, size=3000):
@@ -236,7 +239,7 @@ def test_a_noted_holder_is_not_a_lock(running):
         "import os, sys\nfrom tests.studies.test_ledger import *\n"
         f"ledger = Ledger.resume(Path({str(running)!r}), NOTE, PATHS)\nos.kill(os.getpid(), 9)\n"
     )
-    ended = subprocess.run([sys.executable, "-c", code], check=False, cwd=Path(__file__).parents[2])
+    ended = subprocess.run([sys.executable, "-c", code], check=False, cwd=ROOT)
     assert ended.returncode == -signal.SIGKILL
     assert not is_held(running)
     with Ledger.read(running) as ledger:
@@ -304,50 +307,70 @@ def test_a_commit_during_verification_is_not_damage(tmp_path, monkeypatch):
 
 
 KILLED = """
-import os, random, sys, threading, time
+import os, random, shutil, sys, threading, time
 from tests.studies.test_ledger import *
 import mcspectra.studies.ledger as module
 module._COMMIT_SECONDS = 0.001
-out, seed = Path(sys.argv[1]), sys.argv[2]
-chosen = random.Random(seed)
-def kill(moment=chosen.random() * 0.06):
-    time.sleep(moment)
-    os.kill(os.getpid(), 9)
-threading.Thread(target=kill, daemon=True).start()
-with Ledger.resume(out, NOTE, PATHS) as ledger:
-    for path in PATHS:
-        if path in ledger.done:
-            assert not ledger.tasks(path)
-            continue
-        for block in range(5):
-            state = payload(f"{path}{block}", 20_000)
-            if (RUN, (block, 1)) in ledger.tasks(path):
-                assert ledger.state(path, RUN, (block, 1)) == state
-            else:
-                ledger.record(path, RUN, (block, 1), state)
-            time.sleep(0.0003)
-        ledger.finish(path, payload(path))
+out, kills = Path(sys.argv[1]), int(sys.argv[2])
+
+def fill(seed):
+    chosen = random.Random(str(seed))
+    def kill(moment=chosen.random() * 0.06):
+        time.sleep(moment)
+        os.kill(os.getpid(), 9)
+    threading.Thread(target=kill, daemon=True).start()
+    with Ledger.resume(out, NOTE, PATHS) as ledger:
+        for path in PATHS:
+            if path in ledger.done:
+                assert not ledger.tasks(path)
+                continue
+            for block in range(5):
+                state = payload(f"{path}{block}", 20_000)
+                if (RUN, (block, 1)) in ledger.tasks(path):
+                    assert ledger.state(path, RUN, (block, 1)) == state
+                else:
+                    ledger.record(path, RUN, (block, 1), state)
+                time.sleep(0.0003)
+            ledger.finish(path, payload(path))
+
+killed = done = 0
+while killed < kills:
+    ended = forked(fill, killed)
+    assert ended in (0, -signal.SIGKILL), ended
+    killed += ended != 0
+    if (out / LEDGER_NAME).exists():
+        with Ledger.read(out) as ledger:
+            assert ledger.verify().damaged == {}
+            assert len(ledger.done) >= done
+            assert all(ledger.result(path) == payload(path) for path in ledger.done)
+            done = len(ledger.done)
+    if done == len(PATHS):
+        shutil.rmtree(out)
+        done = 0
 """
+
+
+def forked(call, *arguments):
+    """Return the exit code of a call in a fork, which need not import the modules again."""
+    child = os.fork()
+    if child == 0:
+        code = 1
+        try:
+            call(*arguments)
+            code = 0
+        except Exception:  # noqa: BLE001 - printed, and tests read the exit code
+            traceback.print_exc()
+        finally:
+            sys.stdout.flush()
+            os._exit(code)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
 
 
 @pytest.mark.parametrize("kills", [6, pytest.param(150, marks=pytest.mark.endurance)])
 def test_a_ledger_killed_at_any_moment_is_sound(tmp_path, kills):
     """Each killed run leaves a sound ledger, and together they finish all cells."""
-    folder, killed, done = tmp_path / "out", 0, 0
-    while killed < kills:
-        ended = python("-c", KILLED, folder, killed, cwd=Path(__file__).parents[2])
-        assert ended.stderr == ""
-        assert ended.returncode in (0, -signal.SIGKILL)
-        killed += ended.returncode != 0
-        if (folder / LEDGER_NAME).exists():
-            with Ledger.read(folder) as ledger:
-                assert ledger.verify().damaged == {}
-                assert len(ledger.done) >= done
-                assert all(ledger.result(path) == payload(path) for path in ledger.done)
-                done = len(ledger.done)
-        if done == len(PATHS):
-            shutil.rmtree(folder)
-            done = 0
+    ended = python("-c", KILLED, tmp_path / "out", kills, cwd=ROOT)
+    assert (ended.returncode, ended.stderr) == (0, "")
 
 
 def mutated(file, chosen):
@@ -449,46 +472,53 @@ def test_no_damage_gives_a_wrong_value(request, tmp_path, kind, number, seed):
 
 
 LIMITED = """
-import resource, sys
+import json, resource, sys
 from tests.studies.test_ledger import *
 import mcspectra.studies.ledger as module
 module._COMMIT_SECONDS = 0.001
-folder, limit = Path(sys.argv[1]), int(sys.argv[2])
-resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
-try:
-    with Ledger.resume(folder, NOTE, PATHS) as ledger:
-        for path in PATHS:
-            if path not in ledger.done:
-                ledger.finish(path, payload(path))
-                time.sleep(0.005)
-except StorageError as error:
-    print(error)
-    sys.exit(1)
+out, done = Path(sys.argv[1]), 0
+
+def fill(limit):
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+    try:
+        with Ledger.resume(out, NOTE, PATHS) as ledger:
+            for path in PATHS:
+                if path not in ledger.done:
+                    ledger.finish(path, payload(path))
+                    time.sleep(0.005)
+    except StorageError as error:
+        sys.stderr.write(f"{error}\\n")
+        sys.stderr.flush()
+        os._exit(3)
+
+for limit in map(int, sys.argv[2:]):
+    ended = forked(fill, limit)
+    assert not (out / f".{LEDGER_NAME}.partial").exists()
+    begun = (out / LEDGER_NAME).exists()
+    if begun:
+        with Ledger.read(out) as ledger:
+            assert ledger.verify().damaged == {}
+            assert len(ledger.done) >= done
+            done = len(ledger.done)
+            assert all(ledger.result(path) == payload(path) for path in ledger.done)
+    print(json.dumps([ended, begun, done]))
 """
 
 
 def test_a_full_disk_is_one_sentence_and_loses_nothing(tmp_path):
-    out, done = tmp_path / "out", 0
-    for limit in (10_000, 100_000, 120_000, 10**6):
-        ended = python("-c", LIMITED, out, limit, cwd=Path(__file__).parents[2])
-        assert ended.stderr == ""
-        assert ended.returncode == (limit < 10**6)
-        assert (
-            ended.stdout.count("cannot be written") == ended.stdout.count("\n") == (limit < 10**6)
-        )
-        assert not (out / f".{LEDGER_NAME}.partial").exists()
-        begun = (out / LEDGER_NAME).exists()
+    limits = (10_000, 100_000, 120_000, 10**6)
+    ended = python("-c", LIMITED, tmp_path / "out", *limits, cwd=ROOT, check=True)
+    said = ended.stderr.splitlines()
+    found = [json.loads(line) for line in ended.stdout.splitlines()]
+    assert [code for code, _, _ in found] == [3, 3, 3, 0]
+    assert len(said) == 3
+    for limit, sentence, (_, begun, done) in zip(limits, [*said, ""], found, strict=True):
+        assert ("cannot be written" in sentence) == (limit < 10**6)
         assert begun or limit == 10_000
-        assert ("nothing is finished yet" in ended.stdout) == (not begun)
-        assert ("finished work is stored" in ended.stdout) == (begun and limit < 10**6)
-        if begun:
-            with Ledger.read(out) as ledger:
-                assert ledger.verify().damaged == {}
-                assert len(ledger.done) >= done
-                done = len(ledger.done)
-                assert all(ledger.result(path) == payload(path) for path in ledger.done)
+        assert ("nothing is finished yet" in sentence) == (not begun)
+        assert ("finished work is stored" in sentence) == (begun and limit < 10**6)
         assert limit < 100_000 or done > 0
-    assert done == len(PATHS)
+    assert found[-1][2] == len(PATHS)
 
 
 def test_an_error_of_a_background_commit_ends_the_run(tmp_path, monkeypatch):
@@ -564,9 +594,7 @@ def test_folders_without_permission_give_a_sentence():
         for part, mode in (("", 0o755), ("closed", 0o000), ("read-only", 0o555)):
             Path(name, part).mkdir(exist_ok=True)
             Path(name, part).chmod(mode)
-        ended = python(
-            "-c", SHUT, f"{name}/read-only", f"{name}/closed", cwd=Path(__file__).parents[2]
-        )
+        ended = python("-c", SHUT, f"{name}/read-only", f"{name}/closed", cwd=ROOT)
         Path(name, "closed").chmod(0o700)
     assert "read-only' cannot be written: it cannot be opened" in ended.stdout
     assert "closed' cannot be written: Permission denied" in ended.stdout, ended.stderr

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from tests.fonts import fonts_once
 
 import mcspectra as mcs
 from mcspectra.cli.main import main
@@ -17,6 +18,8 @@ from mcspectra.report.path_page import path_answer, path_sentences, path_summary
 from mcspectra.samplers import as_sampler
 from mcspectra.studies import analyse_path
 from mcspectra.studies.path import path_remedies, shares_by_light
+
+__all__ = ["fonts_once"]
 
 pytestmark = [pytest.mark.render, pytest.mark.usefixtures("coarse_pixels")]
 
@@ -39,7 +42,7 @@ def test_shares_by_bounce_sum_to_the_variance_of_a_path(tree):
     assert float(whole) == pytest.approx(1.0, abs=1e-12)
     # Compare with the variance of other random paths, within 5 standard errors of both
     f = path_pixel(SCENE, X, Y, integrator=PATH)
-    values = f(np.random.default_rng(17).random((2**17, f.dims)))
+    values = f(np.random.default_rng(17).random((2**14, f.dims)))
     deviation = (values - values.mean()) ** 2
     total = parts["anova_variance"].sum() + parts["higher_order_variance"]
     count = parts.attrs["realizations"]

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from tests.fonts import fonts_once
 from tests.studies.conftest import of_a_bell, predicted_bell
 
 import mcspectra as mcs
@@ -26,6 +27,8 @@ from mcspectra.report.pixel_page import (
 )
 from mcspectra.studies import pixel as module
 from mcspectra.studies.pixel import EFFORTS, PIXEL_STRATEGIES, PixelEffort, analyse_pixel
+
+__all__ = ["fonts_once"]
 
 pytestmark = [pytest.mark.render, pytest.mark.usefixtures("coarse_pixels")]
 

@@ -612,16 +612,16 @@ def test_a_store_goes_to_a_folder_and_back(folder, tmp_path):
 
 
 def test_a_store_is_the_same_bytes_each_time(folder, tmp_path):
-    """The bytes are also the same in processes with other hash seeds."""
+    """The bytes are also the same in a process with another hash seed."""
     write = (
         "import sys, pytest; from tests.studies.made import admit; "
         f"admit(pytest.MonkeyPatch(), *{DECLARED!r}); "
         "from mcspectra.studies import export_results as e; e(*sys.argv[1:])"
     )
-    for seed in ("1", "2"):
-        command = [sys.executable, "-c", write, str(folder), str(tmp_path / f"{seed}.zarr")]
-        subprocess.run(command, check=True, env={**os.environ, "PYTHONHASHSEED": seed})
-        assert files_of(tmp_path / f"{seed}.zarr") == files_of(folder / "results.zarr")
+    seed = "1" if os.environ.get("PYTHONHASHSEED") != "1" else "2"
+    command = [sys.executable, "-c", write, str(folder), str(tmp_path / "x.zarr")]
+    subprocess.run(command, check=True, env={**os.environ, "PYTHONHASHSEED": seed})
+    assert files_of(tmp_path / "x.zarr") == files_of(folder / "results.zarr")
 
 
 def test_an_existing_store_is_not_overwritten(folder, tmp_path):

@@ -31,7 +31,7 @@ title = "t"
 seed = 5
 samplers = ["jittered | shift"]
 [pcf]
-n = 4096
+n = 1024
 realizations = 64
 [[estimators]]
 name = "a"
@@ -58,7 +58,7 @@ def test_keys_identify_tasks():
 def test_a_worker_needs_only_text():
     """The text is converted to JSON and back; the result equals that of the function."""
     text = msgspec.json.decode(msgspec.json.encode(_text()), type=StudyText)
-    wanted = mcs.pair_correlation(mcs.sampler("jittered | shift", 1), 4096, realizations=64, rng=5)
+    wanted = mcs.pair_correlation(mcs.sampler("jittered | shift", 1), 1024, realizations=64, rng=5)
     outcome = attempt(text, StudyTask(path=PATH, run=None))
     found = unpack(xr.Dataset, outcome.payload)
     assert found["pair_correlation"].identical(wanted["pair_correlation"])
@@ -70,6 +70,7 @@ def test_a_worker_needs_only_text():
     # The chunks of the reduction, which the worker finds by its key, give the same result
     cell = text.cells()[PATH]
     run = cell.analysis.reduction(cell.subject, Stream.from_rng(5))
+    assert run.blocks > 9
     tasks = [StudyTask(path=PATH, run=run.key, chunk=chunk) for chunk in chunks(run.blocks, 1)]
     tree = MergeTree()
     for task in tasks:
@@ -93,7 +94,7 @@ def test_trust_is_sent_with_the_text():
 
 
 FUNCTION = STUDY.replace('"linear"', "\"python(function='misbehaving:{}')\"").replace(
-    "[pcf]\nn = 4096\nrealizations = 64", "[convergence]\ncounts = [4]\nrealizations = 10"
+    "[pcf]\nn = 1024\nrealizations = 64", "[convergence]\ncounts = [4]\nrealizations = 10"
 )
 
 
