@@ -8,7 +8,7 @@ import mcspectra as mcs
 from mcspectra.core.errors import ParameterError
 from mcspectra.rendering import Pixel, describe_pixel, named_pixels, pixel_mis
 
-pytestmark = pytest.mark.render
+pytestmark = [pytest.mark.render, pytest.mark.usefixtures("coarse_pixels")]
 
 COUNTS = [16, 64, 256, 1024]
 WALL = {"scene": "veach", "x": 568, "y": 100, "light": "light-3"}

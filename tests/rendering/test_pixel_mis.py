@@ -14,7 +14,7 @@ from mcspectra.rendering import Pixel, load_mitsuba, named_pixels, pixel_mis, sk
 from mcspectra.rendering.pixel import Draws
 from mcspectra.samplers.registry import as_sampler
 
-pytestmark = pytest.mark.render
+pytestmark = [pytest.mark.render, pytest.mark.usefixtures("coarse_pixels")]
 
 WALL = {"scene": "veach", "x": 568, "y": 100, "light": "light-3"}
 PLATE = {"scene": "veach", "x": 600, "y": 430, "light": "light-3"}
