@@ -117,6 +117,14 @@ class Visit:
         assert self.complaints == []
 
 
+@pytest.fixture(scope="module", name="visit")
+def _visit(browser, folder):
+    """Open the report of the study once for all tests that leave it as it was."""
+    visit = Visit(browser, folder / "a" / "report.html")
+    yield visit
+    visit.leave()
+
+
 def sweep(visit, plot, word):
     """Move the pointer over a plot, row by row, until a tooltip shows `word`."""
     box = plot.bounding_box()
@@ -129,8 +137,7 @@ def sweep(visit, plot, word):
     return False
 
 
-def test_tooltips_show_exact_values(browser, folder):
-    visit = Visit(browser, folder / "a" / "report.html")
+def test_tooltips_show_exact_values(visit):
     assert sweep(visit, visit.show("Bars of the three terms"), "95 %:")
     assert sweep(
         visit,
@@ -139,11 +146,9 @@ def test_tooltips_show_exact_values(browser, folder):
         ),
         "power part:",
     )
-    visit.leave()
 
 
-def test_a_click_in_the_legend_hides_a_line(browser, folder):
-    visit = Visit(browser, folder / "a" / "report.html")
+def test_a_click_in_the_legend_hides_a_line(visit):
     plot = visit.show("Logarithmic plot of variance")
     hidden = """() => Bokeh.documents.flatMap(d => Array.from(d._all_models.values()))
         .filter(m => m.type === "GlyphRenderer" && !m.visible).length"""
@@ -152,11 +157,9 @@ def test_a_click_in_the_legend_hides_a_line(browser, folder):
     assert visit.page.evaluate(hidden) == 3  # points, whiskers and fitted line
     plot.get_by_text("jittered −3.00 ± 0.03").click()
     assert visit.page.evaluate(hidden) == 0
-    visit.leave()
 
 
-def test_the_summary_table_can_be_sorted(browser, folder):
-    visit = Visit(browser, folder / "a" / "report.html")
+def test_the_summary_table_can_be_sorted(visit):
     head = visit.page.get_by_role("button", name="Rate")
     rates = """() => Array.from(document.querySelectorAll(".sortable tbody tr"))
         .map(row => row.cells[2].dataset.order ?? null)"""
@@ -166,7 +169,6 @@ def test_the_summary_table_can_be_sorted(browser, folder):
     assert visit.page.evaluate(rates) == ["-1.0", "-1.2", "-3.0", None]
     assert visit.page.locator("th[aria-sort='descending']").count() == 1
     visit.page.get_by_role("button", name="Sampler").press("Enter")
-    visit.leave()
 
 
 @pytest.mark.parametrize("name", ["a/report.html", "comparison.html", "bench"])
@@ -217,10 +219,9 @@ def test_images_replace_plots_without_scripts_and_in_print(browser, folder):
     visit.leave()
 
 
-def test_a_link_into_closed_details_opens_them(browser, folder):
-    visit = Visit(browser, folder / "a" / "report.html")
+def test_a_link_into_closed_details_opens_them(visit):
+    visit.page.evaluate("document.querySelectorAll('details').forEach(d => { d.open = false; })")
     inside = visit.page.locator("details dl").first
     assert not inside.is_visible()
     inside.evaluate("d => { d.id = 'x'; location.hash = 'x'; }")
     inside.wait_for(state="visible")
-    visit.leave()
