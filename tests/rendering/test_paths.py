@@ -66,7 +66,7 @@ def renders(scene, integrator):
     return np.stack([np.asarray(image) for image in images]) @ [0.212671, 0.715160, 0.072169]
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", [pytest.param("veach", marks=pytest.mark.slow), "penumbra"])
 def test_mean_and_variance_agree_with_mitsubas_render(name):
     make, integrator, pixels = SCENES[name]
     scene = small(make())
@@ -371,7 +371,7 @@ def test_lights_chosen_by_second_moments_have_the_theoretical_variance():
 
 def test_roulette_costs_fewer_numbers():
     def asked(rr_depth):
-        integrator = f"path(max_depth=6, rr_depth={rr_depth})"
+        integrator = f"path(max_depth=4, rr_depth={rr_depth})"
         return path_pixel(small(cornell()), 6, 6, integrator=integrator).numbers_per_path
 
     assert asked(1) < asked(3) < asked(100)

@@ -118,7 +118,8 @@ def test_thumbnails_go_to_their_slides(visit):
 
 def test_a_slider_changes_the_figure(visit):
     page = visit()
-    page.goto(page.url + "#edge-and-strata")
+    page.evaluate("location.hash = '#edge-and-strata'")
+    page.wait_for_selector("#edge-and-strata.current")
     slider = page.locator("#edge-and-strata input")
     images = page.locator("#edge-and-strata .slides img")
     before = images.evaluate_all("all => all.findIndex(i => i.offsetHeight > 0)")
