@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 from tests.plots.drawing import drawn_by_both
-from tests.report.conftest import leave_out_figures
+from tests.report.conftest import leave_out_figures, no_pdf
 
 from mcspectra import rendering
 from mcspectra.cli.main import main
@@ -394,11 +394,11 @@ def test_tone_mapped_pictures_on_request(tmp_path):
     assert frames(tmp_path, tone_mapped=True)["variance"].shape == (1, 8, 8)
 
 
-def test_page_layers_and_json(tmp_path, capsys, plain, found, monkeypatch):
-    leave_out_figures(monkeypatch.setattr)
+def test_page_layers_and_json(tmp_path, capsys, plain, found):
     folder, out = plain["white"], tmp_path / "out"
     arguments = ["frames", str(folder), "--against", str(write(tmp_path / "b", seed=3))]
-    assert main([*arguments, "--target", "0.05", "--out", str(out)]) == 0
+    with no_pdf():
+        assert main([*arguments, "--target", "0.05", "--out", str(out)]) == 0
     text = capsys.readouterr().out
     assert "white between pixels" in text
     assert {file.name for file in out.iterdir()} >= {"frames.exr", "frames_rate.png"}
