@@ -52,7 +52,9 @@ def test_maps_have_a_plot_for_each_quantity():
 @pytest.mark.parametrize("kind", MAPS)
 def test_maps_are_drawn(kind):
     plot = describe(kind, {"a": variance_map(), "b | c": variance_map()})
-    drawn_by_both(plot)
+    # Layers have the same marks, so a pair of maps is drawn for a number and for names
+    pair = kind in ("map-mean", "map-best-sampler")
+    drawn_by_both(plot if pair else describe(kind, variance_map()))
     if kind == "map-picture":
         assert [mark.rgb.shape for mark in marks(plot, Pixels)] == [(3, 4, 3)]
         return

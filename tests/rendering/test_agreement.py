@@ -34,6 +34,19 @@ CHANGES = {
 STOCK = {"light": (1, 0), "bsdf": (0, 1), "mis": (1, 1)}
 
 
+# Each technique alone is tested quickly in one scene, and MIS in both
+QUICK = {("veach", "light"), ("layered", "bsdf"), ("veach", "mis"), ("layered", "mis")}
+
+
+def pairs(*strategies):
+    """Return parameters (scene, strategy), the slow ones marked."""
+    return [
+        pytest.param(name, each, marks=[] if (name, each) in QUICK else [pytest.mark.slow])
+        for name in CROPS
+        for each in strategies
+    ]
+
+
 @pytest.fixture(scope="module")
 def scenes(scene_files, tmp_path_factory):
     """Veach's scene, and a principled floor under a textured light and a sky."""
@@ -100,15 +113,13 @@ def ours(scene, name, strategy):
     return render(scene, strategy, "sobol | owen", **options, rng=5)
 
 
-@pytest.mark.parametrize("strategy", list(STOCK))
-@pytest.mark.parametrize("name", list(CROPS))
+@pytest.mark.parametrize(("name", "strategy"), pairs(*STOCK))
 def test_every_pixel_agrees_with_the_stock_integrator(scenes, stock, name, strategy):
     p = smallest_p_value(stock(name, strategy), ours(scenes[name], name, strategy))
     assert p > LEVEL
 
 
-@pytest.mark.parametrize("strategy", ["light", "bsdf"])
-@pytest.mark.parametrize("name", list(CROPS))
+@pytest.mark.parametrize(("name", "strategy"), pairs("light", "bsdf"))
 def test_an_error_of_two_percent_is_detected(
     monkeypatch,
     scenes,

@@ -70,7 +70,9 @@ def test_the_oracle_of_averages_over_frames():
     )
 
 
-@pytest.mark.parametrize("rho", [0.0, 0.5, 0.9, 0.97])
+@pytest.mark.parametrize(
+    "rho", [0.0, *(pytest.param(rho, marks=pytest.mark.slow) for rho in (0.5, 0.9)), 0.97]
+)
 def test_averages_over_frames_of_autoregressive_noise(tmp_path, rho):
     times = 48
     result = frames(write(tmp_path / "a", rho=rho, times=times), filters="ema(alpha=0.1)")

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 from tests.plots.drawing import drawn_by_both
+from tests.report.conftest import leave_out_figures, no_pdf
 
 from mcspectra import rendering
 from mcspectra.cli.main import main
@@ -254,7 +255,8 @@ def test_relative_errors_of_few_frames_have_the_right_median(tmp_path, count):
     assert abs((sigma < 1.0).mean() - 0.5) < 5 * 0.5 / np.sqrt(sigma.size)
 
 
-def test_earlier_output_files_are_not_frames(tmp_path):
+def test_earlier_output_files_are_not_frames(tmp_path, monkeypatch):
+    leave_out_figures(monkeypatch.setattr)
     folder = tmp_path / "a"
     folder.mkdir()
     for k, image in enumerate(np.random.default_rng(1).random((3, 8, 8))):
@@ -395,7 +397,8 @@ def test_tone_mapped_pictures_on_request(tmp_path):
 def test_page_layers_and_json(tmp_path, capsys, plain, found):
     folder, out = plain["white"], tmp_path / "out"
     arguments = ["frames", str(folder), "--against", str(write(tmp_path / "b", seed=3))]
-    assert main([*arguments, "--target", "0.05", "--out", str(out)]) == 0
+    with no_pdf():
+        assert main([*arguments, "--target", "0.05", "--out", str(out)]) == 0
     text = capsys.readouterr().out
     assert "white between pixels" in text
     assert {file.name for file in out.iterdir()} >= {"frames.exr", "frames_rate.png"}

@@ -9,7 +9,7 @@ from mcspectra.core.errors import ParameterError
 from mcspectra.rendering import Pixel, named_pixels
 from mcspectra.rendering.pixel import incident_light
 
-pytestmark = pytest.mark.render
+pytestmark = [pytest.mark.render, pytest.mark.usefixtures("coarse_pixels")]
 
 
 def solid_angles(data):

@@ -25,7 +25,7 @@ from mcspectra.rendering.maps import Map
 from mcspectra.samplers import sampler
 from mcspectra.testing import check_analysis
 
-pytestmark = pytest.mark.render
+pytestmark = [pytest.mark.render, pytest.mark.usefixtures("coarse_pixels")]
 
 COUNTS = (4, 16, 36)
 SMALL: dict[str, Any] = {"size": (24, 16), "counts": COUNTS, "realizations": 32, "rng": 7}

@@ -8,7 +8,7 @@ import mcspectra as mcs
 from mcspectra.core.errors import ParameterError
 from mcspectra.rendering import Pixel, describe_pixel, named_pixels, pixel_mis
 
-pytestmark = pytest.mark.render
+pytestmark = [pytest.mark.render, pytest.mark.usefixtures("coarse_pixels")]
 
 COUNTS = [16, 64, 256, 1024]
 WALL = {"scene": "veach", "x": 568, "y": 100, "light": "light-3"}
@@ -82,8 +82,15 @@ def test_mirroring_raises_the_shifted_rate(figure1):
     assert figure1["mirrored"][0] < -2.0 < figure1["mirrored"][2]  # without edges the rate is n^-2
 
 
-@pytest.mark.parametrize("place", [WALL, PLACES["plate-3"]], ids=["wall", "plate"])
-@pytest.mark.parametrize("strategy", ["light", "bsdf"])
+SPECTRA = [
+    pytest.param(WALL, "light", id="light-wall"),
+    pytest.param(WALL, "bsdf", id="bsdf-wall", marks=pytest.mark.slow),
+    pytest.param(PLACES["plate-3"], "light", id="light-plate", marks=pytest.mark.slow),
+    pytest.param(PLACES["plate-3"], "bsdf", id="bsdf-plate"),
+]
+
+
+@pytest.mark.parametrize(("place", "strategy"), SPECTRA)
 def test_spectrum_predicts_the_variance(place, strategy):
     """All of the variance for light sampling; for edges, the share below the half width.
 

@@ -14,7 +14,7 @@ from mcspectra.rendering import Pixel, load_mitsuba, named_pixels, pixel_mis, sk
 from mcspectra.rendering.pixel import Draws
 from mcspectra.samplers.registry import as_sampler
 
-pytestmark = pytest.mark.render
+pytestmark = [pytest.mark.render, pytest.mark.usefixtures("coarse_pixels")]
 
 WALL = {"scene": "veach", "x": 568, "y": 100, "light": "light-3"}
 PLATE = {"scene": "veach", "x": 600, "y": 430, "light": "light-3"}
@@ -159,21 +159,29 @@ def test_blocked_light_does_not_bias_optimal_weights():
     assert abs(mean - wanted) < SIGMAS * np.hypot(error, wanted_error)
 
 
-def test_densities_of_the_environment_are_techniques():
-    sky = [f"environment(interpolation='bilinear', channel={c})" for c in range(3)]
-    karlik = "environment(compensation=True)"
-    wanted, wanted_error = total(pixel_mis(**PLASTIC, channel="rgb", dims=3), seed=77)
-    for techniques, heuristic in (
-        (["environment", "bsdf"], "optimal"),
-        ([*sky, "bsdf"], "balance"),
-        ([karlik, "bsdf"], "optimal"),
-        (sky, "balance"),
-    ):
-        mis = pixel_mis(
-            **PLASTIC, techniques=techniques, heuristic=heuristic, channel="rgb", dims=3
-        )
-        mean, error = total(mis)
-        assert (abs(mean - wanted) < SIGMAS * np.hypot(error, wanted_error)).all()
+@pytest.fixture(scope="module")
+def plastic():
+    """Mean and error at the plastic ball by the techniques of the renderer."""
+    return total(pixel_mis(**PLASTIC, channel="rgb", dims=3), seed=77)
+
+
+SKY = [f"environment(interpolation='bilinear', channel={c})" for c in range(3)]
+
+
+@pytest.mark.parametrize(
+    ("techniques", "heuristic"),
+    [
+        pytest.param(["environment", "bsdf"], "optimal", marks=pytest.mark.slow),
+        ([*SKY, "bsdf"], "balance"),
+        (["environment(compensation=True)", "bsdf"], "optimal"),
+        pytest.param(SKY, "balance", marks=pytest.mark.slow),
+    ],
+)
+def test_densities_of_the_environment_are_techniques(plastic, techniques, heuristic):
+    wanted, wanted_error = plastic
+    mis = pixel_mis(**PLASTIC, techniques=techniques, heuristic=heuristic, channel="rgb", dims=3)
+    mean, error = total(mis)
+    assert (abs(mean - wanted) < SIGMAS * np.hypot(error, wanted_error)).all()
 
 
 def test_analyses_work():

@@ -99,6 +99,16 @@ _PIXEL = "value = float(mcs.integrand(pixel)([[0.3, 0.4]])[0])"
 _DRAW = "points.draw(4, rng=1)"
 
 
+def test_points_drawn_before_pixels_disturb_nothing():
+    """A new process that draws points first has the values of this process."""
+    steps = f"{_DRAW}; {_PIXEL}; again = value"
+    run = python("-c", _PROGRAM.format(steps=steps), check=True)
+    value = float(mcs.integrand("pixel(x=100, y=100)")([[0.3, 0.4]])[0])
+    points = mcs.sampler("mitsuba", 2).draw(4, rng=1).sum().hex()
+    assert run.stdout.split() == [str(value), str(value), points]
+
+
+@pytest.mark.slow
 def test_points_and_pixels_do_not_disturb_each_other_in_either_order():
     outputs = set()
     for steps in (

@@ -52,7 +52,9 @@ def use_values(scene):
     return Wavefront(scene).values("light", np.array([[4, 4]]), np.full((4, 2), 0.3))
 
 
-@pytest.mark.parametrize("case", _CASES)
+@pytest.mark.parametrize(
+    "case", ["normalmap", pytest.param("bumpmap", marks=pytest.mark.slow), "nested"]
+)
 def test_materials_that_cannot_be_evaluated_are_named(case, tmp_path):
     bsdf, reason = _CASES[case]
     file = tmp_path / "bad.xml"
@@ -63,7 +65,9 @@ def test_materials_that_cannot_be_evaluated_are_named(case, tmp_path):
             load_scene(str(file))
 
 
-@pytest.mark.parametrize("use", [use_pixel, use_map, use_means, use_values])
+@pytest.mark.parametrize(
+    "use", [use_pixel, use_map, pytest.param(use_means, marks=pytest.mark.slow), use_values]
+)
 def test_the_next_scene_works(use, tmp_path):
     file, good = tmp_path / "bad.xml", tmp_path / "good.xml"
     file.write_text(_TEXT.format(bsdf=_NORMALMAP), encoding="utf-8")

@@ -11,7 +11,7 @@ from mcspectra.densities import EnvironmentDensity
 from mcspectra.rendering import Pixel, load_mitsuba, load_scene, pixel_mis, sky_pixels
 from mcspectra.rendering.skies import Sky, sky_technique
 
-pytestmark = pytest.mark.render
+pytestmark = [pytest.mark.render, pytest.mark.usefixtures("coarse_pixels")]
 
 SIGMAS = 4.5
 FLOOR = {"x": 8, "y": 8}

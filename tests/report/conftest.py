@@ -3,6 +3,8 @@
 import itertools
 import math
 from collections import defaultdict
+from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 import msgspec
@@ -11,10 +13,14 @@ import pytest
 import xarray as xr
 from tests.fonts import fonts_once
 
+import mcspectra as mcs
 from mcspectra.core.analysis import ANALYSES
 from mcspectra.core.records import pack
 from mcspectra.core.results import dataset
+from mcspectra.plots import backend_matplotlib
 from mcspectra.report import page
+from mcspectra.report.bench_page import write_bench
+from mcspectra.report.sampler_cards import QUICK, measure_card
 from mcspectra.studies.files import Slugs, decode_study, plain_study, study_of
 from mcspectra.studies.ledger import Ledger, StudyNote
 
@@ -288,6 +294,30 @@ def _words_alone(figure, *_):
 def undrawn(monkeypatch):
     """Leave out figures of pages, for tests of other contents."""
     leave_out_figures(monkeypatch.setattr)
+
+
+@contextmanager
+def no_pdf():
+    """Write PDF files without contents, which take half of the time of a figure."""
+    usual = backend_matplotlib.rasterize
+
+    def rasterize(figure, *, with_pdf, dpi):
+        return usual(figure, with_pdf=False, dpi=dpi)[0], b" " if with_pdf else b""
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(backend_matplotlib, "rasterize", rasterize)
+        yield
+
+
+@pytest.fixture(scope="session")
+def bench_page(tmp_path_factory):
+    """Write the page of a bench of two samplers with their cards; return its path."""
+    bench = mcs.sampler_bench(["random", "sobol | owen"], counts=[4, 16], realizations=20)
+    effort = replace(QUICK, n=16, spectra=6, counts=())
+    cards = [measure_card(spec, effort=effort) for spec in bench["sampler"].values]
+    folder = tmp_path_factory.mktemp("bench") / "out"
+    # Two integrands: a figure of all eight takes most of the time
+    return write_bench(bench.isel(integrand=slice(2)), str(folder), cards)
 
 
 @pytest.fixture(name="make", scope="session")

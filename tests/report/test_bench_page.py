@@ -65,7 +65,9 @@ def test_every_part_has_a_figure(bench):
     assert all(plot.words for plot in plots.values())
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_all_file_formats_are_written(bench, tmp_path):
+    """The HTML is written without figures, which other tests draw."""
     bench = bench.isel(integrand=slice(2), sampler=slice(2))
     for extension in ("html", "pdf", "csv", "tex", "pgf"):
         write_bench(bench, str(tmp_path / f"r.{extension}"))
@@ -93,6 +95,7 @@ def test_all_file_formats_are_written(bench, tmp_path):
     assert r"\begin{pgfpicture}" in (tmp_path / "r.pgf").read_text()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_command_writes_files(capsys, tmp_path):
     arguments = ["bench", "jittered", "random", "-n", "16,64", "-m", "20"]
     folder = tmp_path / "page"

@@ -12,8 +12,8 @@ from mcspectra.report.result_files import write_result
 
 
 @pytest.fixture
-def shown(tmp_path):
-    """Write a page and return its text without markup."""
+def shown(tmp_path, undrawn):
+    """Write a page without figures and return its text without markup."""
 
     def write(result):
         page = write_result(result, tmp_path / "page.html").read_text(encoding="utf-8")

@@ -11,7 +11,6 @@ import pytest
 
 import mcspectra as mcs
 from mcspectra.core.errors import McspectraError, ParameterError, StoreError
-from mcspectra.report.bench_page import write_bench
 from mcspectra.report.sampler_cards import QUICK, all_samplers, measure_card, write_cards
 from mcspectra.samplers import SAMPLERS
 
@@ -70,15 +69,11 @@ class Reader(HTMLParser):
         self.loaded += [given[k] for k in ("src", "srcset", "data") if given.get(k)]
 
 
-def test_the_page_is_self_contained(tmp_path):
-    specs = ["random", "sobol | owen"]
-    bench = mcs.sampler_bench(specs, counts=[4, 16], realizations=20)
-    cards = [measure_card(spec, effort=replace(TINY, counts=())) for spec in specs]
-    page = write_bench(bench, str(tmp_path / "out"), cards)
-    text = page.read_text(encoding="utf-8")
+def test_the_page_is_self_contained(bench_page):
+    text = bench_page.read_text(encoding="utf-8")
     reader = Reader()
     reader.feed(text)
-    assert page.name == "index.html"
+    assert bench_page.name == "index.html"
     inside = {link for link in reader.links if not link.startswith("https://doi.org/")}
     assert {link.removeprefix("#") for link in inside} <= reader.ids
     assert (
@@ -86,7 +81,7 @@ def test_the_page_is_self_contained(tmp_path):
     )  # cards; convergence, 4 of spectra and pairs, quality, points
     assert text.count("<table") == 2
     assert "Rate on gaussian" not in text  # the bench has rates
-    assert (tmp_path / "out" / "bench.csv").stat().st_size > 1000
+    assert (bench_page.parent / "bench.csv").stat().st_size > 1000
     assert all(source.startswith("data:image/png;base64,") for source in reader.loaded)
     assert not re.search(r"url\(|@import|<script src|<link", text)
     assert "sobol | owen" in text

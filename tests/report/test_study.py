@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.report.conftest import no_pdf
 from tests.report.parsed import Parsed
 
 import mcspectra as mcs
@@ -29,9 +30,10 @@ Make = dict[str, Callable[..., Any]]
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory, request):
-    """Write the report of a small study."""
+    """Write the report of a small study; `test_page_at_another_path` writes PDF files as well."""
     study = request.getfixturevalue("study_folder")
-    write_report(study)
+    with no_pdf():
+        write_report(study)
     return Path(study)
 
 
@@ -88,7 +90,10 @@ def test_page_at_another_path(make, tmp_path):
     (tmp_path / "web").mkdir()
     page = write_report(study, tmp_path / "web" / "x.html")
     assert page == tmp_path / "web" / "x.html"
-    assert len(list((tmp_path / "web" / "figures").iterdir())) == 2 + 2  # points, f with points
+    files = list((tmp_path / "web" / "figures").iterdir())
+    assert len(files) == 2 + 2  # points, f with points
+    for file in files:
+        assert file.read_bytes().startswith(b"%PDF" if file.suffix == ".pdf" else b"\x89PNG")
     assert not (study / "report.html").exists()
     with pytest.raises(StoreError, match="cannot be written"):
         write_report(study, tmp_path / "nowhere" / "x.html")

@@ -34,38 +34,60 @@ def _gallery(tmp_path_factory):
     return made.page.as_uri()
 
 
-@pytest.fixture(name="visit")
-def _visit(browser, gallery):
-    """Open the gallery; at the end, check that there were no network requests or errors."""
-    asked: list[str] = []
-    complaints: list[str] = []
-    opened: list[Page] = []
+class Visits:
+    """Opened pages of the gallery, their network requests and their error messages."""
 
-    def route(asking):
+    def __init__(self, browser, gallery):
+        self.browser, self.gallery = browser, gallery
+        self.asked: list[str] = []
+        self.complaints: list[str] = []
+        self.page: Page | None = None
+
+    def open(self, **options):
+        """Open the gallery in a new page with these options of Playwright."""
+        page = self.browser.new_context(**options).new_page()
+        page.route("**/*", self._route)
+        page.on("console", self._note)
+        page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        page.goto(self.gallery)
+        return page
+
+    def __call__(self, width=1200, scheme="light"):
+        """Return the page that all tests share, at its first screen and with all details closed."""
+        if self.page is None:
+            self.page = self.open()
+        self.page.set_viewport_size({"width": width, "height": 800})
+        self.page.emulate_media(color_scheme=scheme)
+        self.page.evaluate("document.querySelectorAll('details').forEach(d => { d.open = false; })")
+        self.page.evaluate("location.hash = '#start'")
+        self.page.wait_for_selector("#start.current")
+        return self.page
+
+    def _route(self, asking):
         if asking.request.url.startswith(("file:", "data:")):
             asking.continue_()
         else:
-            asked.append(asking.request.url)
+            self.asked.append(asking.request.url)
             asking.abort()
 
-    def note(message):
+    def _note(self, message):
         if message.type in ("error", "warning"):
-            complaints.append(message.text)
+            self.complaints.append(message.text)
 
-    def visit(width=1200, **options):
-        context = browser.new_context(viewport={"width": width, "height": 800}, **options)
-        page = context.new_page()
-        page.route("**/*", route)
-        page.on("console", note)
-        page.on("pageerror", lambda error: complaints.append(str(error)))
-        page.goto(gallery)
-        opened.append(page)
-        return page
 
-    yield visit
-    for page in opened:
-        page.context.close()
-    assert (asked, complaints) == ([], [])
+@pytest.fixture(scope="module", name="opened")
+def _opened(browser, gallery):
+    visits = Visits(browser, gallery)
+    yield visits
+    if visits.page is not None:
+        visits.page.context.close()
+
+
+@pytest.fixture(name="visit")
+def _visit(opened):
+    """Show the gallery; at the end, check that there were no network requests or errors."""
+    yield opened
+    assert (opened.asked, opened.complaints) == ([], [])
 
 
 def _shown(page):
@@ -96,7 +118,8 @@ def test_thumbnails_go_to_their_slides(visit):
 
 def test_a_slider_changes_the_figure(visit):
     page = visit()
-    page.goto(page.url + "#edge-and-strata")
+    page.evaluate("location.hash = '#edge-and-strata'")
+    page.wait_for_selector("#edge-and-strata.current")
     slider = page.locator("#edge-and-strata input")
     images = page.locator("#edge-and-strata .slides img")
     before = images.evaluate_all("all => all.findIndex(i => i.offsetHeight > 0)")
@@ -107,10 +130,11 @@ def test_a_slider_changes_the_figure(visit):
 
 
 def test_without_scripts_all_slides_are_shown(visit):
-    page = visit(java_script_enabled=False)
+    page = visit.open(java_script_enabled=False)
     for name in SCREENS:
         assert page.locator(f"#{name}").is_visible()
     assert page.locator(".slider").first.is_hidden()
+    page.context.close()
 
 
 def test_failures_are_shown_and_run_no_scripts(visit):
@@ -125,7 +149,7 @@ def test_failures_are_shown_and_run_no_scripts(visit):
 
 @pytest.mark.parametrize(("width", "scheme"), [(390, "dark"), (1200, "light")])
 def test_nothing_overflows_and_every_image_loads(visit, width, scheme):
-    page = visit(width, color_scheme=scheme)
+    page = visit(width, scheme)
     for _ in SCREENS:
         assert page.evaluate("document.documentElement.scrollWidth") <= width
         page.keyboard.press("ArrowRight")
@@ -144,7 +168,7 @@ def test_nothing_overflows_and_every_image_loads(visit, width, scheme):
 
 @pytest.mark.parametrize(("width", "scheme"), [(390, "light"), (1300, "dark")])
 def test_axe_finds_nothing_serious_on_any_screen(visit, width, scheme):
-    page = visit(width, color_scheme=scheme)
+    page = visit(width, scheme)
     page.evaluate((files("axe_playwright_python") / "axe.min.js").read_text("utf-8"))
     wrong = set()
     for _ in SCREENS:
@@ -177,7 +201,7 @@ def test_the_figure_of_a_screen_is_large_and_fits(visit):
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_verdicts_have_enough_contrast(visit, scheme):
     """The WCAG 2.1 contrast is at least 4.5, as required for text of this size."""
-    page = visit(color_scheme=scheme)
+    page = visit(scheme=scheme)
     colors = page.evaluate(
         """() => [document.body, ...document.querySelectorAll(".contents .yes, .contents .no")].map(
         (e, k) => getComputedStyle(e)[k ? "color" : "backgroundColor"].match(/[0-9.]+/g)
