@@ -360,16 +360,18 @@ def term_panel(
     title: str,
     y: str = "",
     *,
-    digits: int = 2,
+    digits: int = 3,
 ) -> Panel:
     """Return a waterfall of the three terms and their sum, beside the measured variance.
 
-    All values are divided by `scale` and written with `digits` significant digits.
-    The measured variance has its 95 % interval.
+    All values are divided by `scale`. The measured variance has its 95 % interval.
+    All numbers have the same number of decimals, so that the printed terms can be added.
+    The largest number has `digits` significant digits.
     """
     value = np.array([*terms, sum(terms), variance.value]) / scale
-    rounding = _ROUNDING * np.abs(value).max()
-    texts = [number(v, digits) if abs(v) > rounding else "0" for v in value]
+    largest = np.abs(value).max()
+    decimals = max(digits - 1 - math.floor(math.log10(largest)), 0)
+    texts = [_decimal(v, decimals, _ROUNDING * largest) for v in value]
     at, base = np.arange(5.0), np.zeros(5)
     base[1:3] = np.cumsum(value[:2])
     value += base
@@ -394,3 +396,12 @@ def term_panel(
         y=Axis(label=y, low=bottom - 0.05 * room * (bottom < 0), high=top + 0.17 * room),
         title=title,
     )
+
+
+def _decimal(value: float, decimals: int, rounding: float) -> str:
+    """Format a number with fixed decimals; a number that they would hide has two digits."""
+    if abs(value) <= rounding:
+        return "0"
+    if abs(value) < 0.5 * 10.0**-decimals:
+        return number(value, 2)
+    return f"{value:.{decimals}f}".replace("-", "−")
