@@ -10,6 +10,7 @@ from mcspectra.core.streams import Stream
 from mcspectra.estimators import as_subject
 from mcspectra.explain.causes import CAUSE_SETTINGS, Evidence, causes_of, shares_of
 from mcspectra.explain.probing import LINE_SETTINGS, lines_of
+from mcspectra.explain.samples import NETS
 
 
 def subject(function, dims):
@@ -49,6 +50,17 @@ def test_thresholds_change_the_cause_without_new_evaluations():
     assert causes_of(replace(seen, lines=lines))[0].name == "none"
     many = replace(CAUSE_SETTINGS, least_lines=len(seen.each("axis")) + 1)
     assert causes_of(replace(seen, lines=lines, settings=many))[0].name == "few-realizations"
+
+
+@pytest.mark.parametrize("dims", [1, 2, 3, 4])
+def test_a_smooth_integrand_needs_a_steep_rate(dims):
+    """Lines may miss a jump. In up to three dims, the rate of nets shows it nevertheless."""
+    seen = evidence(lambda x: np.exp(x.sum(axis=-1)), dims)
+    assert causes_of(seen)[0].name == "none"
+    flat = {**seen.curves, NETS: replace(seen.curves[NETS], rate=-1.5, rate_se=0.05)}
+    found = causes_of(replace(seen, curves=flat))[0]
+    assert found.name == ("few-realizations" if dims < 4 else "none")
+    assert ("n^−1.50" in found.sentence) == (dims < 4)
 
 
 def test_nested_settings_reach_lines_and_curves():

@@ -48,6 +48,7 @@ __all__ = [
     "Name",
     "Replicates",
     "causes_of",
+    "flatter_than_smooth",
     "is_apart",
     "shares_of",
     "technique_name",
@@ -178,6 +179,11 @@ class CauseSettings:
     # If half of all lines cross a feature of g, 4 lines miss the feature with probability 1/16.
     # All test cases get the right cause with 2 to 8 lines.
     least_lines: int = 4
+    # Largest number of dims in which a flat rate of nets shows that g is not smooth.
+    # In more dims, nets of few points have a flat rate although g is smooth.
+    smooth_dims: int = 3
+    # Standard error of the theoretical rate of nets for smooth g, which holds for large n.
+    smooth_error: float = 0.08
     # Of the jumps that lines cross, the fraction that seems to lie on planes normal to an axis.
     # Above this limit, the discontinuity of g is reported as parallel to axes.
     # All test cases get the right cause with a limit from 0.35 to 0.7.
@@ -1019,6 +1025,17 @@ def causes_of(seen: Evidence) -> list[Cause]:
                 {"lines": float(looked)},
             )
         ]
+    nets = seen.curves[NETS]
+    if flatter_than_smooth(nets, seen.estimator.dims):
+        return [
+            Cause(
+                "few-realizations",
+                f"No problem was found, but the variance of nets falls only as n^{nets.rate:.2f}, "
+                f"slower than for a smooth integrand: {looked} tested lines through the cube may "
+                "have missed a jump or a kink. Give more evaluations.".replace("^-", "^−"),
+                {"lines": float(looked), "rate": nets.rate},
+            )
+        ]
     return [
         Cause(
             "none",
@@ -1026,3 +1043,17 @@ def causes_of(seen: Evidence) -> list[Cause]:
             "should.",
         )
     ]
+
+
+def flatter_than_smooth(nets: Curve, dims: int, settings: CauseSettings = CAUSE_SETTINGS) -> bool:
+    """Return whether the variance of nets falls more slowly in n than theory says for smooth g."""
+    if dims > settings.smooth_dims or not math.isfinite(nets.rate):
+        return False
+    # In theory, the variance is n^−3 (log n)^(d − 1). Assume two thirds of these logarithms,
+    # with an error of one third
+    third = (dims - 1) / (3.0 * math.log(nets.counts[-1]))
+    theory = -3.0 + 2.0 * third
+    return (
+        nets.rate > theory
+        and nets.towards(theory, math.hypot(settings.smooth_error, third)) is nets
+    )

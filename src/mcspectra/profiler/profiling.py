@@ -55,6 +55,7 @@ from mcspectra.explain.causes import (
     Evidence,
     Replicates,
     causes_of,
+    flatter_than_smooth,
     is_apart,
     shares_of,
 )
@@ -704,8 +705,9 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     calls += cost
     not_tried += reasons
     curves |= measured
+    smooth = _is_smooth(causes) and not flatter_than_smooth(curves[NETS], estimator.dims)
     curves |= {
-        name: _by_theory(name, curve, causes, estimator.dims, points)
+        name: _by_theory(name, curve, causes, estimator.dims, points, smooth)
         for name, curve in curves.items()
         if name not in rivals or rivals[name].kind == "sampler"
     }
@@ -820,10 +822,13 @@ def _shown(value: float, low: float, high: float) -> str:
     return f"{value:.{min(digits + 2, 17)}g} (95 %: {low:.{digits}g} to {high:.{digits}g})"
 
 
-def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, points: int) -> Curve:
+def _by_theory(
+    name: str, curve: Curve, causes: Sequence[Cause], dims: int, points: int, smooth: bool
+) -> Curve:
     """Return the curve with a weighted mean of its measured and its theoretical rate.
 
     The curve is extrapolated to at most `points` points.
+    Folded lattices get the rate for smooth g only if `smooth` is true.
     """
     names = {cause.name: cause for cause in causes}
     if "infinite-variance" in names:
@@ -847,7 +852,7 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
         limit = min(-4.0 + 4.0 * third, -1.0)
         curve = replace(curve, rate=max(curve.rate, limit))
         error = math.hypot(_SETTINGS.theory_error, 2.0 * third)
-        return curve.towards(limit, error) if name == _FOLDED and _is_smooth(causes) else curve
+        return curve.towards(limit, error) if name == _FOLDED and smooth else curve
     if name not in {NETS, "jittered"} or first not in _EXPONENTS or not math.isfinite(curve.rate):
         return curve
     # A jump cuts n^(1 − 1/d) of n strata.
