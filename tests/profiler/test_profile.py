@@ -953,6 +953,6 @@ def test_a_jump_that_no_line_crosses_is_seen_in_the_rate_of_nets():
     """Earlier versions advised a folded lattice with an RMSE up to 2.1e-5; it is 1.7e-4."""
     pixel = mcs.Estimator(mcs.integrand("pixel(scene='penumbra(width=64, height=48)', x=40, y=40)"))
     found = mcs.profile(pixel, sampler="sobol | owen", budget=4096, rng=0)
-    assert found.answer.best is None
+    assert found.answer.best.name == "sobol | owen"
     assert [cause.name for cause in found.answer.causes] == ["few-realizations"]
     assert "jump or a kink" in found.answer.causes[0].sentence
