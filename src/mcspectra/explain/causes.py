@@ -47,8 +47,8 @@ __all__ = [
     "Evidence",
     "Name",
     "Replicates",
+    "as_slow_as_a_jump",
     "causes_of",
-    "flatter_than_smooth",
     "is_apart",
     "shares_of",
     "technique_name",
@@ -179,10 +179,10 @@ class CauseSettings:
     # If half of all lines cross a feature of g, 4 lines miss the feature with probability 1/16.
     # All test cases get the right cause with 2 to 8 lines.
     least_lines: int = 4
-    # Largest number of dims in which a flat rate of nets shows that g is not smooth.
-    # In more dims, nets of few points have a flat rate although g is smooth.
+    # Largest number of dims in which the rate of nets shows a jump that all lines missed.
+    # In more dims, nets of few points have the rate of a jump although g is smooth.
     smooth_dims: int = 3
-    # Standard error of the theoretical rate of nets for smooth g, which holds for large n.
+    # Standard error of the theoretical rates of nets, which hold for large n.
     smooth_error: float = 0.08
     # Of the jumps that lines cross, the fraction that seems to lie on planes normal to an axis.
     # Above this limit, the discontinuity of g is reported as parallel to axes.
@@ -1026,13 +1026,13 @@ def causes_of(seen: Evidence) -> list[Cause]:
             )
         ]
     nets = seen.curves[NETS]
-    if flatter_than_smooth(nets, seen.estimator.dims):
+    if as_slow_as_a_jump(nets, seen.estimator.dims):
         return [
             Cause(
                 "few-realizations",
                 f"No problem was found, but the variance of nets falls only as n^{nets.rate:.2f}, "
-                f"slower than for a smooth integrand: {looked} tested lines through the cube may "
-                "have missed a jump or a kink. Give more evaluations.".replace("^-", "^−"),
+                f"as if the integrand jumped: {looked} tested lines through the cube may have "
+                "missed a jump. Give more evaluations.".replace("^-", "^−"),
                 {"lines": float(looked), "rate": nets.rate},
             )
         ]
@@ -1045,15 +1045,13 @@ def causes_of(seen: Evidence) -> list[Cause]:
     ]
 
 
-def flatter_than_smooth(nets: Curve, dims: int, settings: CauseSettings = CAUSE_SETTINGS) -> bool:
-    """Return whether the variance of nets falls more slowly in n than theory says for smooth g."""
+def as_slow_as_a_jump(nets: Curve, dims: int, settings: CauseSettings = CAUSE_SETTINGS) -> bool:
+    """Return whether the variance of nets falls in n as slowly as theory says for a jump of g."""
     if dims > settings.smooth_dims or not math.isfinite(nets.rate):
         return False
-    # In theory, the variance is n^−3 (log n)^(d − 1). Assume two thirds of these logarithms,
-    # with an error of one third
+    jump, error = -1.0 - 1.0 / dims, settings.smooth_error
+    # For smooth g, the variance is n^−3 (log n)^(d − 1) in theory.
+    # Assume two thirds of these logarithms, with an error of one third
     third = (dims - 1) / (3.0 * math.log(nets.counts[-1]))
-    theory = -3.0 + 2.0 * third
-    return (
-        nets.rate > theory
-        and nets.towards(theory, math.hypot(settings.smooth_error, third)) is nets
-    )
+    smooth = nets.towards(-3.0 + 2.0 * third, math.hypot(error, third)) is not nets
+    return not smooth and (nets.rate > jump or nets.towards(jump, error) is not nets)

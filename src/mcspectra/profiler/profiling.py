@@ -54,8 +54,8 @@ from mcspectra.explain.causes import (
     Cause,
     Evidence,
     Replicates,
+    as_slow_as_a_jump,
     causes_of,
-    flatter_than_smooth,
     is_apart,
     shares_of,
 )
@@ -705,7 +705,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     calls += cost
     not_tried += reasons
     curves |= measured
-    smooth = _is_smooth(causes) and not flatter_than_smooth(curves[NETS], estimator.dims)
+    smooth = _is_smooth(causes) and not as_slow_as_a_jump(curves[NETS], estimator.dims)
     curves |= {
         name: _by_theory(name, curve, causes, estimator.dims, points, smooth)
         for name, curve in curves.items()
