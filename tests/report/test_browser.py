@@ -216,6 +216,11 @@ def test_images_replace_plots_without_scripts_and_in_print(browser, folder):
     assert not plot.is_visible()
     assert visit.page.locator("img:visible").count() == visit.page.locator("img").count()
     assert visit.page.pdf().startswith(b"%PDF")
+    # A sheet of A4 is narrower than a tablet, but has two figures side by side
+    visit.page.set_viewport_size({"width": 794, "height": 1123})
+    columns = "g => getComputedStyle(g).gridTemplateColumns.split(' ').length"
+    galleries = visit.page.locator(".gallery:not(.strip)").all()
+    assert {gallery.evaluate(columns) for gallery in galleries} == {2}
     visit.leave()
 
 

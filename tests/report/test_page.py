@@ -100,6 +100,14 @@ def test_only_panels_in_one_row_scroll_on_a_phone(tmp_path, count, classes):
     assert Parsed(file.read_text("utf-8")).all("figure") == [{"class": classes}]
 
 
+def test_row_headers_that_are_numbers_have_a_label_on_a_phone(tmp_path):
+    table = table_of("", ("n", "Variance"), [("16", "0.5")], words=(), stacked=True)
+    section = Section(title="a", anchor="a", blocks=(table,))
+    file = write_page(Page(title="p", what="test", sections=(section,)), tmp_path / "x.html")
+    found = Parsed(file.read_text("utf-8"))
+    assert {"scope": "row", "data-label": "n"} in found.all("th")
+
+
 def test_figures_without_a_neighbor_are_full_width(tmp_path):
     """A figure without a neighbor takes both columns, and so does a row of live panels."""
     rows = Figure(plot=replace(plot(), panels=plot().panels * 4, columns=2), live=True)
