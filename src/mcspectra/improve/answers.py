@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Literal, final
 
-from mcspectra.core.display import between, escape_html
+from mcspectra.core.display import escape_html
 from mcspectra.core.errors import ParameterError
 from mcspectra.estimators import AbstractEstimator
 from mcspectra.explain.causes import Cause
@@ -333,10 +333,14 @@ def rounded(value: float) -> str:
 
 
 def _between(ends: tuple[float, float]) -> str:
-    """Format an interval in parentheses; return "" if the width is zero or infinite."""
+    """Format an interval in parentheses.
+
+    Return "" if the width is infinite or zero, also if it is zero after rounding to two digits.
+    """
     low, high = ends
     if math.isinf(high) and 0.0 < low < math.inf:
         return f" ({rounded(low)} or more)"
     if not (math.isfinite(high - low) and high > low):
         return ""
-    return f" ({between(rounded(low), rounded(high))})"
+    shown = rounded(low), rounded(high)
+    return "" if shown[0] == shown[1] else f" ({' to '.join(shown)})"
