@@ -201,7 +201,7 @@ def test_two_sets_are_compared(tmp_path, plain):
     low, high = same["picture_ratio_ci"].values
     assert low < 1.0 < high
     assert float(same["equal_time_ratio"]) == pytest.approx(2.0 * float(same["picture_ratio"]))
-    assert "The means agree" in said(same)
+    assert "No difference is found" in said(same)
     # Deviates of equal sets are standard normal: 12,288 of them
     z = same["difference_z"].values
     assert abs(z.std() - 1.0) < 4 / np.sqrt(2 * z.size)
@@ -404,7 +404,7 @@ def test_page_layers_and_json(tmp_path, capsys, plain, found):
     assert {file.name for file in out.iterdir()} >= {"frames.exr", "frames_rate.png"}
     told = json.loads((out / "frames.json").read_text())
     assert all(sentence in text for sentence in told["findings"])
-    assert "The means agree" in (out / "report.html").read_text()
+    assert "No difference is found" in (out / "report.html").read_text()
     layer = read_image(out / "frames.exr", layer="variance.n16")[..., 0]
     np.testing.assert_allclose(layer, found["white"]["variance"].sel(n=16), rtol=1e-6)
 

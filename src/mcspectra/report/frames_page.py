@@ -357,7 +357,8 @@ def _against(found: dict[str, Any]) -> Iterator[_Finding]:
     if not biased and abs(z) <= 3:
         yield _Finding(
             effect,
-            "The means agree: neither the image means nor any pixel differ significantly.",
+            "No difference is found between the means of the images, or of single pixels. "
+            "`mcspectra gate` also tests regions, and finds smaller differences.",
         )
 
 
