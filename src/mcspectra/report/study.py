@@ -606,11 +606,13 @@ def _setting(analysis: str, data: xr.Dataset) -> str:
     else:
         n = data["n"].values.tolist() if "n" in data else []
         counts = f"n = {n[0]} … {n[-1]}" if len(n) > 1 else ", ".join(f"n = {k}" for k in n)
-    realizations = f"{known.get('realizations', '?')} realizations"
-    if "relative_error" in known:
-        error = percent(float(known["relative_error"]))
-        realizations += f" at most, fewer once the variance has a standard error of {error}"
-    parts = [counts, realizations] if counts else [realizations]
+    parts = [counts] if counts else []
+    if "realizations" in known:
+        realizations = f"{known['realizations']} realizations"
+        if "relative_error" in known:
+            error = percent(float(known["relative_error"]))
+            realizations += f" at most, fewer once the variance has a standard error of {error}"
+        parts.append(realizations)
     if analysis == "convergence" and known.get("fit_window") == "auto":
         parts.append("rates fitted to the last counts that lie on a line")
     elif analysis == "convergence" and "fit_last" in known:
