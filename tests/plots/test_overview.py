@@ -57,5 +57,13 @@ def test_a_row_has_five_pictures_that_both_libraries_draw(dims):
         drawn_by_both(plot)
 
 
+def test_the_caption_of_the_terms_states_an_incomplete_sum():
+    terms = results(mcs.Estimator("gaussian(width=0.3)", dims=1), 1)["terms"]
+    for share, caption in ((0.95, "add up"), (0.29, "frequency 4 sum to 29 % of the measured")):
+        found = {"random": terms["random"].assign(captured=share)}
+        (plot,) = overview({"terms": found}, "random", sampler_styles(SAMPLERS))
+        assert caption in plot.caption
+
+
 def test_absent_analyses_have_no_picture():
     assert list(overview({"convergence": {}}, "random", {})) == []

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mcspectra.plots.description import BarChart, Line, Panel, Plot
 from mcspectra.plots.groups import Group, Styles, as_group
@@ -13,13 +14,18 @@ from mcspectra.plots.points import integrand, points
 from mcspectra.plots.scales import name_axis
 from mcspectra.plots.spectra import lines, radial, spectrum
 from mcspectra.plots.style import labels
+from mcspectra.plots.text import percent
 from mcspectra.plots.variance import convergence, terms
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 __all__ = ["overview"]
 
 _HEIGHT = 0.95  # height of a panel relative to its width, equal for all pictures
 _TITLE = 24  # largest number of letters in the title of a small picture
-_TERMS = ("dc", "power", "cross", "predicted", "measured")
+_COMPLETE = 0.1  # the terms add up to the measured variance up to this relative difference
+_TERMS = ("dc", "power", "cross", "sum", "measured")
 
 
 def overview(analyses: Mapping[str, Group], sampler: str, styles: Styles) -> Iterator[Plot]:
@@ -55,7 +61,7 @@ def overview(analyses: Mapping[str, Group], sampler: str, styles: Styles) -> Ite
         else:
             plot = (lines if PLOT_KINDS["lines"].fits(data) else radial)(spectra, styles)
             panel = replace(plot.panels[0], y=replace(plot.panels[0].y, label=""))
-        yield _small(plot, panel, "Spectrum: n · power, random 1")
+        yield _small(plot, panel, "Spectrum: n · power (random points: 1)")
     if curves := found.get("convergence"):
         plot = convergence(curves, styles, small=True)
         theory = any("predicted_n" in each for each in curves.values())
@@ -69,7 +75,16 @@ def overview(analyses: Mapping[str, Group], sampler: str, styles: Styles) -> Ite
         )
         names = _TERMS[: len(panel.y.ticks or ())]
         panel = replace(panel, marks=marks, y=name_axis(names), title=title)
-        yield _small(plot, panel, "Terms of the variance add up")
+        yield _small(plot, panel, _terms_caption(found["terms"][sampler]))
+
+
+def _terms_caption(data: xr.Dataset) -> str:
+    """Return a caption that tells whether the sum of the terms reaches the measured variance."""
+    share = float(data["captured"]) if "captured" in data else math.nan
+    if not math.isfinite(share) or abs(share - 1.0) <= _COMPLETE:
+        return "Terms of the variance add up"
+    width = data.sizes["half_width"] - 1
+    return f"Terms up to frequency {width} sum to {percent(share)} of the measured variance"
 
 
 def _small(plot: Plot, panel: Panel, caption: str) -> Plot:
