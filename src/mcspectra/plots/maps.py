@@ -175,7 +175,7 @@ def _over_pixels(
     scale: Scale,
     name: str,
     *,
-    labels: tuple[str, str] = ("x", "y"),
+    labels: tuple[str, str] = ("x (pixels)", "y (pixels)"),
     title: str = "",
 ) -> Panel:
     """Return a panel of values per pixel, with the first row on top and limits at pixel borders."""
@@ -400,7 +400,14 @@ def _correlation(group: Group, _: Styles) -> Plot:
     scale = Scale(label="correlation", low=-top, high=top, palette="diverging")
     return Plot(
         panels=(
-            _over_pixels(values, x, y, scale, "correlation", labels=("x to the right", "y down")),
+            _over_pixels(
+                values,
+                x,
+                y,
+                scale,
+                "correlation",
+                labels=("x to the right (pixels)", "y down (pixels)"),
+            ),
         ),
         caption="Correlation of the errors of two pixels by their distance. A reconstruction "
         "filter or shared points make it positive for neighbors; a blue-noise mask makes it "

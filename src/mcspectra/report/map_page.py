@@ -133,12 +133,14 @@ def write_map(result: xr.Dataset, folder: str | Path) -> Path:
         "analyzes the pixel.",
         ("Pixel", "Variance", "Share of all", "Command"),
         [_worst_row(each, known, root) for each in summary["worst_pixels"]],
+        stacked=True,
     )
     causes = tuple(
         html.table_of(
             caption,
             (kind.capitalize(), "Share of all", "Median share", "Largest at"),
             [(name, *map(percent, row.values())) for name, row in summary[f"{kind}s"].items()],
+            stacked=True,
         )
         for kind, caption in _CAUSES.items()
         if f"{kind}s" in summary
@@ -148,6 +150,7 @@ def write_map(result: xr.Dataset, folder: str | Path) -> Path:
         kind.removeprefix("map-").replace("-", "_"): kinds.describe(kind, result)
         for kind in sorted(shown, key=lambda each: each != "map-picture")
     }
+    first = {kind: plots.pop(kind) for kind in ("picture",) if kind in plots}
     own = ((name, summary[key]) for key, name in _PROVENANCE.items() if key in known)
     facts = ((name, ", ".join(map(str, v)) if isinstance(v, list) else str(v)) for name, v in own)
     page = html.Page(
@@ -160,7 +163,7 @@ def write_map(result: xr.Dataset, folder: str | Path) -> Path:
         ),
         sections=html.sections_of(
             {
-                "Summary": (map_table(summary), *sentences),
+                "Summary": (*html.figures_of(first), map_table(summary), *sentences),
                 "Where the variance comes from": causes,
                 "Worst pixels": (worst,) if worst.rows else (),
                 "Maps": html.figures_of(plots),
@@ -196,7 +199,7 @@ def map_table(summary: Mapping[str, Any]) -> html.Table:
     rows = summary["strategies"]
     columns = ("Strategy", *(_COLUMNS[name] for name in next(iter(rows.values()))))
     shown = [(_named(name), *_shown_numbers(row)) for name, row in rows.items()]
-    return html.table_of(map_note(summary), columns, shown)
+    return html.table_of(map_note(summary), columns, shown, stacked=True)
 
 
 def _worst_row(
@@ -582,9 +585,9 @@ def _sentences(summary: Mapping[str, Any]) -> Iterator[str]:
     if "mis_gain" in summary:
         gain = summary["mis_gain"]
         yield (
-            f"For equal total samples MIS has less variance than the better single strategy in "
-            f"{percent(gain['above_1'])} of the pixels and more in {percent(gain['below_1'])} (by "
-            f"95 % intervals). The median ratio of the variances is {number(gain['median'])}. "
-            f"Light sampling alone is the best in {percent(summary['light_suffices'])} of the "
-            "pixels."
+            f"For equal total samples MIS has significantly less variance than the better single "
+            f"strategy in {percent(gain['above_1'])} of the pixels, and significantly more in "
+            f"{percent(gain['below_1'])}. In the median pixel, the better strategy has "
+            f"{number(gain['median'])} times the variance of MIS. Light sampling alone is "
+            f"significantly better than MIS in {percent(summary['light_suffices'])} of the pixels."
         )
