@@ -32,6 +32,21 @@ def test_the_table_has_rates_and_ranks(bench):
                 assert text.endswith(f"({low:.0f})" if low == high else f"({low:.0f}–{high:.0f})")
 
 
+def test_the_first_sentence_counts_significant_first_ranks(bench):
+    alone = bench.copy(deep=True)
+    alone["rank_ci"][:] = 2.0
+    assert bench_page._answer(alone).startswith("No sampler is significantly the best on any of")
+    alone["rank_ci"][1, 1:] = 1.0
+    alone["rank_ci"][0, 0] = 1.0
+    count = bench.sizes["integrand"]
+    assert bench_page._answer(alone) == (
+        f"Of {count} integrands, sobol | owen has the least variance on {count - 1}, jittered on 1."
+    )
+    alone["rank_ci"][0, 0] = 1.0, 2.0
+    assert bench_page._answer(alone).endswith("; on 1 no sampler is significantly the best.")
+    assert bench_page._answer(alone.isel(sampler=[0])) == ""
+
+
 def test_many_samplers_become_rows_and_figures_of_ten(bench, tmp_path, monkeypatch):
     many = xr.concat([bench.isel(sampler=[k % 3]) for k in range(12)], "sampler")
     many = many.assign_coords(label=("sampler", [f"s{k}" for k in range(12)]))

@@ -53,6 +53,7 @@ _ROWS = 44  # lines of text per PDF sheet
 _ABREAST = 6  # with more samplers, each one is a row of a table instead of a column
 _IN_OVERLAY = 10  # largest number of samplers per plot
 _MOST_AXES = 10
+_WINNERS = 3  # largest number of samplers that the first sentence names
 # The caption states how many sets each sampler averages, and names samplers that differ.
 # If more than two samplers differ from the usual number of sets, the caption states a range
 _MOST_NAMED = 2
@@ -306,6 +307,23 @@ def _range(values: Iterable[float]) -> str:
     return " to ".join(map(str, found[:1] + found[1:][-1:]))
 
 
+def _answer(bench: xr.Dataset) -> str:
+    """Return a sentence that names the samplers with the least variance, or "" for one sampler."""
+    ranks = bench["rank_ci"].transpose("sampler", "integrand", "bound").values
+    first = (ranks == 1.0).all(axis=-1).sum(axis=-1)
+    total = bench.sizes["integrand"]
+    if bench.sizes["sampler"] < 2:
+        return ""
+    if not first.any():
+        return f"No sampler is significantly the best on any of the {total} integrands."
+    wins = sorted(zip(first.tolist(), bench_labels(bench), strict=True), key=lambda each: -each[0])
+    best, *others = [(name, count) for count, name in wins[:_WINNERS] if count]
+    told = "".join(f", {name} on {count}" for name, count in others)
+    open_ = total - int(first.sum())
+    rest = f"; on {open_} no sampler is significantly the best" if open_ else ""
+    return f"Of {total} integrands, {best[0]} has the least variance on {best[1]}{told}{rest}."
+
+
 def _said(bench: xr.Dataset) -> list[str]:
     """Describe the measurement in sentences."""
     low, high = bench["n"].values[[0, -1]]
@@ -361,7 +379,11 @@ def _page(bench: xr.Dataset, cards: Sequence[Card]) -> html.Page:
         sections.append(html.Section(title=title, anchor=f"part-{k}", blocks=blocks))
     if cards:
         sections += card_sections(cards, anchors)
-    lead = tuple(html.Paragraph(text=sentence) for sentence in _said(bench))
+    answer, *how = [_answer(bench), *_said(bench)]
+    lead = (
+        *([html.Paragraph(text=answer, kind="answer")] if answer else []),
+        *(html.Paragraph(text=sentence) for sentence in how),
+    )
     return html.Page(title="Sampler bench", what="bench", lead=lead, sections=tuple(sections))
 
 
@@ -370,7 +392,11 @@ def _sheets(bench: xr.Dataset) -> Iterator[Drawn]:
     from matplotlib.figure import Figure as MatplotlibFigure
 
     lines: list[tuple[str, bool]] = [("Sampler bench", True), ("", False)]
-    lines += [(line, False) for text in _said(bench) for line in textwrap.wrap(text, 108)]
+    lines += [
+        (line, False)
+        for text in (_answer(bench), *_said(bench))
+        for line in textwrap.wrap(text, 108)
+    ]
     alone, own = _sampler_table(bench)
     texts = [
         [name, *(text for text, _ in row)]
