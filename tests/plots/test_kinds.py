@@ -299,6 +299,13 @@ def test_frequencies_of_different_bases_are_shown_and_labeled(make, kind, option
     assert "basis" not in said(same)
 
 
+def test_convergence__intervals_without_upper_end_are_visible(make):
+    data = make["curve"]("random", rate=-1.0)
+    data["variance_ci"][0, 1] = math.inf
+    (panel,) = describe("convergence", {"random": data}).panels
+    assert panel.y.high >= 2.0 * float(data["variance"][0])
+
+
 @pytest.mark.parametrize("kind", ["contributions", "spectrum"])
 def test_different_half_widths_have_separate_limits(make, kind):
     make_it = make["terms" if kind == "contributions" else "spectrum"]

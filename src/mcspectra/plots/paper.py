@@ -9,7 +9,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, final
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
@@ -20,6 +20,9 @@ from mcspectra.plots import backend_matplotlib
 from mcspectra.plots.backend_matplotlib import Look
 from mcspectra.plots.description import Dots, Line, Mark, Panel, Plot, ReferenceLine, Segments
 from mcspectra.plots.style import GRAY, INK, PALETTE, LineStyle, sampler_styles
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = [
     "COLORS",
@@ -241,6 +244,20 @@ def _places(line: Line, panel: Panel, turn: int) -> Any:
     return known[np.unique(np.abs(x[None] - wanted[:, None]).argmin(axis=1))]
 
 
+def _spare_height(figure: Figure) -> float:
+    """Return the empty height in inches above and below the rows of square panels.
+
+    A square panel is smaller than its place in the layout if its width limits its size.
+    """
+    rows: dict[int, float] = {}
+    for axes in figure.axes:
+        if (place := axes.get_subplotspec()) is None:
+            continue  # a color bar
+        empty = axes.get_position(original=True).height - axes.get_position().height
+        rows[place.rowspan.start] = min(rows.get(place.rowspan.start, 1.0), empty)
+    return sum(rows.values()) * float(figure.get_figheight())
+
+
 def write_paper_figure(plot: Plot, stem: Path, style: PaperStyle, heading: str = "") -> list[Path]:
     """Write a plot as PDF, PGF and SVG, and return the paths.
 
@@ -266,6 +283,11 @@ def write_paper_figure(plot: Plot, stem: Path, style: PaperStyle, heading: str =
         figure.set_size_inches(width, height + 1.6 * style.look.title / 72.0)
         figure.suptitle(heading, fontsize=style.look.title, color=INK)
     figure.canvas.draw()
+    if all(panel.square for panel in plot.panels):
+        spare = _spare_height(figure)
+        width, height = figure.get_size_inches()
+        figure.set_size_inches(width, height - spare)
+        figure.canvas.draw()
     figure.set_layout_engine("none")  # computing the layout again would take most of the time
     written = []
     for extension in FORMATS:

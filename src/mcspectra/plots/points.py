@@ -363,17 +363,18 @@ def sampler_card(group: Group, projected: Array | None = None) -> Plot:
                 marks=(ReferenceLine(at=1.0), *sections),
                 x=Axis(label="m", low=0.0, high=float(half)),
                 y=Axis(low=0.0, high=min(1.4 * top, 4.0)),
-                title="n · power" if dims == 1 else "n · power along",
+                title="n · power" if dims == 1 else "n · power, sections",
             )
         )
     if projected is not None:
-        title = f"4-D: axes 2, 3 (n = {len(projected)})"
+        title = f"4-D, n = {len(projected)}"
         panels.append(_square(projected, INK, title=title, labels=("x₂", "x₃")))
     return Plot(
         kind="sampler-card",
         panels=tuple(panels),
         columns=len(panels),
-        caption="Points, power spectrum, its mean over directions, and sections along the axes.",
+        caption="Points, power spectrum, its mean over directions, and sections along the axes."
+        + (" Last: axes 2 and 3 of points in 4-D." if projected is not None else ""),
         words=f"{n} points in {dims} dims and their power spectrum.",
         height=1.0,
         wide=True,

@@ -5,6 +5,7 @@ Power is shown as n · power, so that random points have the value 1.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -78,6 +79,7 @@ _MOST_NUMBERS, _MOST_NAMES = 7, 13  # how many numbers, or how many names, may l
 _MOST_ENTRIES = 257  # largest number of entries along each side of a matrix that is drawn
 _MOST_CHAINS = 6  # largest number of quantities of Markov chains in one plot
 _SPACINGS = 6.0  # largest distance that is shown, in units of the mean spacing of points
+_TEXT_WIDTH = 0.16  # width of a text "slope 1", relative to the panel
 _SLOPES = (1, 2, 4)  # slopes of the guide lines for the radial mean
 _LEVEL = "expected power relative to random points (∫1/p / n); m = 0 is omitted."
 
@@ -687,11 +689,27 @@ def _with_guides(panel: Panel) -> Panel:
         start = max(left * 1.15, (1.3 * low) ** (1.0 / slope))
         at = np.array([start, 1.0])
         marks.append(Line(x=at, y=at**slope, color=GRAY, dashes=":", width=0.8))
-        # Place the text below the lower part of the line, where few curves pass
-        x = start**0.8
+        # Place the text below the line, where it is farthest from all curves
+        places = start ** np.linspace(0.85, 0.45, 9)
+        free = [_distance(panel, x, 0.6 * x**slope) for x in places]
+        x = float(places[int(np.argmax(free))])
         text = f"slope {slope}"
         marks.append(TextMark(x=x, y=0.75 * x**slope, text=text, color=GRAY, side="below"))
     return replace(panel, marks=(*marks, *panel.marks))
+
+
+def _distance(panel: Panel, x: float, y: float) -> float:
+    """Return the smallest |ln y' − ln y| over the curves within the width of a short text at x."""
+    span = math.log(panel.x.high / panel.x.low) if panel.x.low and panel.x.high else 1.0
+    at = math.log(x) + _TEXT_WIDTH * span * np.linspace(-0.5, 0.5, 7)
+    smallest = math.inf
+    for mark in panel.marks:
+        if isinstance(mark, Line):
+            known = (mark.y > 0) & (mark.x > 0)
+            if known.any():
+                curve = np.interp(at, np.log(mark.x[known]), np.log(mark.y[known]))
+                smallest = min(smallest, float(np.abs(curve - math.log(y)).min()))
+    return smallest
 
 
 def frequency_map(

@@ -76,11 +76,12 @@ __all__ = [
     "waterfall",
 ]
 
+_OPEN = 2.0  # least visible length of an interval without upper end, as a factor
 _TERMS = {
     "dc_term": "dc",
     "power_term": "power",
     "cross_term": "cross",
-    "predicted_variance": "sum: predicted",
+    "predicted_variance": "sum",
     "measured_variance": "measured",
 }
 _PARTS = 3  # number of terms (dc, power and cross) drawn before their sum
@@ -366,8 +367,9 @@ def terms(group: Group, _: Styles) -> Plot:
     panels = [waterfall(name, each) for name, each in group.items()]
     return Plot(
         panels=tuple(panels),
-        caption="The terms of the variance: dc + power + cross = predicted. Each bar begins where "
-        "the bar above it ends. The measured variance is below. Whiskers are 95 % intervals."
+        caption="The terms of the variance up to the half width of the spectrum: "
+        "dc + power + cross = sum. Each bar begins where the bar above it ends. The measured "
+        "variance has all frequencies. Whiskers are 95 % intervals."
         + (" Each panel has its own scale." if len(panels) > 1 else ""),
         words="Bars of the three terms. " + for_each(group, _term_words),
         height=0.24,
@@ -790,9 +792,13 @@ def _variance_panel(marks: Sequence[Mark], results: Iterable[xr.Dataset]) -> Pan
     """Return a panel of variances against n, with a note if all are at rounding level."""
     each = list(results)
     counts = [int(n) for data in each for n in data["n"].values]
-    ends = [data["variance_ci"].values[usable_counts(data)].ravel() for data in each]
-    every = np.concatenate(ends)
+    every = np.zeros(0)
     for data in each:
+        used = usable_counts(data)
+        variance, ends = data["variance"].values[used], data["variance_ci"].values[used]
+        # An interval without upper end reaches the top of the panel: leave some length to see
+        tops = np.where(np.isinf(ends[:, 1]), _OPEN * variance, variance)
+        every = np.concatenate([every, variance, tops, ends.ravel()])
         if "predicted_n" in data:
             counts += data["predicted_n"].values.astype(int).tolist()
             every = np.append(every, data["predicted_variance"].values)
