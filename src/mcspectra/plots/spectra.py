@@ -80,6 +80,7 @@ _MOST_ENTRIES = 257  # largest number of entries along each side of a matrix tha
 _MOST_CHAINS = 6  # largest number of quantities of Markov chains in one plot
 _SPACINGS = 6.0  # largest distance that is shown, in units of the mean spacing of points
 _TEXT_WIDTH = 0.16  # width of a text "slope 1", relative to the panel
+_TEXT_HEIGHT = 1.7  # factor from a line to the middle of the text next to it
 _SLOPES = (1, 2, 4)  # slopes of the guide lines for the radial mean
 _LEVEL = "expected power relative to random points (∫1/p / n); m = 0 is omitted."
 
@@ -689,12 +690,16 @@ def _with_guides(panel: Panel) -> Panel:
         start = max(left * 1.15, (1.3 * low) ** (1.0 / slope))
         at = np.array([start, 1.0])
         marks.append(Line(x=at, y=at**slope, color=GRAY, dashes=":", width=0.8))
-        # Place the text below the line, where it is farthest from all curves
-        places = start ** np.linspace(0.85, 0.45, 9)
-        free = [_distance(panel, x, 0.6 * x**slope) for x in places]
-        x = float(places[int(np.argmax(free))])
+        # Place the text above or below the line, where it is farthest from all curves
+        places = [
+            (_distance(panel, x, tall * x**slope), x, side)
+            for side, tall in (("below", 1.0 / _TEXT_HEIGHT), ("above", _TEXT_HEIGHT))
+            for x in start ** np.linspace(0.9, 0.45, 10)
+        ]
+        _, x, side = max(places)
+        y = float(x) ** slope * (0.75 if side == "below" else 1.33)
         text = f"slope {slope}"
-        marks.append(TextMark(x=x, y=0.75 * x**slope, text=text, color=GRAY, side="below"))
+        marks.append(TextMark(x=float(x), y=y, text=text, color=GRAY, side=side))
     return replace(panel, marks=(*marks, *panel.marks))
 
 
