@@ -171,6 +171,7 @@ def answer_table(tree: xr.DataTree) -> html.Table:
         ("Set-up", "RMSE", "95 % interval", "Gain", "Verdict"),
         rows,
         words=(0, -1),
+        stacked=True,
     )
 
 
