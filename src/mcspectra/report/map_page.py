@@ -150,7 +150,7 @@ def write_map(result: xr.Dataset, folder: str | Path) -> Path:
         kind.removeprefix("map-").replace("-", "_"): kinds.describe(kind, result)
         for kind in sorted(shown, key=lambda each: each != "map-picture")
     }
-    first = {kind: plots.pop(kind) for kind in ("picture",) if kind in plots}
+    picture = {kind: plots.pop(kind) for kind in ("picture",) if kind in plots}
     own = ((name, summary[key]) for key, name in _PROVENANCE.items() if key in known)
     facts = ((name, ", ".join(map(str, v)) if isinstance(v, list) else str(v)) for name, v in own)
     page = html.Page(
@@ -163,7 +163,7 @@ def write_map(result: xr.Dataset, folder: str | Path) -> Path:
         ),
         sections=html.sections_of(
             {
-                "Summary": (*html.figures_of(first), map_table(summary), *sentences),
+                "Summary": (*html.figures_of(picture), map_table(summary), *sentences),
                 "Where the variance comes from": causes,
                 "Worst pixels": (worst,) if worst.rows else (),
                 "Maps": html.figures_of(plots),
