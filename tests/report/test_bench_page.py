@@ -42,7 +42,7 @@ def test_the_first_sentence_counts_significant_first_ranks(bench):
     assert bench_page._answer(alone) == (
         f"Of {count} integrands, sobol | owen has the least variance on {count - 1}, jittered on 1."
     )
-    alone["rank_ci"][0, 0] = 1.0, 2.0
+    alone["rank_ci"][0, 0, 1] = 2.0
     assert bench_page._answer(alone).endswith("; on 1 no sampler is significantly the best.")
     assert bench_page._answer(alone.isel(sampler=[0])) == ""
 

@@ -397,7 +397,7 @@ def test_the_first_screen_has_answer_sentence_and_pictures_in_order(folder):
         "Points</figcaption>",
         "Spectrum: n",
         "Variance and its slope",
-        "Terms of the variance add up",
+        "<figcaption>Terms ",
         "All figures, numbers and settings",
         'id="summary"',
     )

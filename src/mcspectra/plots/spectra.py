@@ -692,14 +692,20 @@ def _with_guides(panel: Panel) -> Panel:
         marks.append(Line(x=at, y=at**slope, color=GRAY, dashes=":", width=0.8))
         # Place the text above or below the line, where it is farthest from all curves
         places = [
-            (_distance(panel, x, tall * x**slope), x, side)
-            for side, tall in (("below", 1.0 / _TEXT_HEIGHT), ("above", _TEXT_HEIGHT))
-            for x in start ** np.linspace(0.9, 0.45, 10)
+            (_distance(panel, x, tall * x**slope), x, tall)
+            for tall in (1.0 / _TEXT_HEIGHT, _TEXT_HEIGHT)
+            for x in map(float, start ** np.linspace(0.9, 0.45, 10))
         ]
-        _, x, side = max(places)
-        y = float(x) ** slope * (0.75 if side == "below" else 1.33)
-        text = f"slope {slope}"
-        marks.append(TextMark(x=float(x), y=y, text=text, color=GRAY, side=side))
+        _, x, tall = max(places)
+        marks.append(
+            TextMark(
+                x=x,
+                y=tall**0.55 * x**slope,
+                text=f"slope {slope}",
+                color=GRAY,
+                side="below" if tall < 1.0 else "above",
+            )
+        )
     return replace(panel, marks=(*marks, *panel.marks))
 
 
