@@ -223,8 +223,14 @@ def encode(figure: Figure, *, with_pdf: bool = True, dpi: float = _DPI) -> tuple
     return png_of(pixels, has_few_colors(figure)), pdf
 
 
-def rasterize(figure: Figure, *, with_pdf: bool, dpi: float) -> tuple[NDArray[np.uint8], bytes]:
-    """Return the pixels of a figure, shape (height, width, 3), and its PDF; see `encode`."""
+def rasterize(
+    figure: Figure, *, with_pdf: bool, dpi: float, like: Figure | None = None
+) -> tuple[NDArray[np.uint8], bytes]:
+    """Return the pixels of a figure, shape (height, width, 3), and its PDF; see `encode`.
+
+    If `like` has the same size and axes, the axes get the places of its axes.
+    The pictures of a slider then differ only inside the axes.
+    """
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.backends.backend_pdf import FigureCanvasPdf
@@ -235,7 +241,11 @@ def rasterize(figure: Figure, *, with_pdf: bool, dpi: float) -> tuple[NDArray[np
         figure.set_dpi(dpi)  # hinted text has other widths at another dpi
         engine = figure.get_layout_engine()
         if engine is not None:
-            engine.execute(figure)
+            if like is not None and _alike(figure, like):
+                for own, other in zip(figure.axes, like.axes, strict=True):
+                    own.set_position(other.get_position(original=True), which="original")
+            else:
+                engine.execute(figure)
             figure.set_layout_engine("none")
         canvas = FigureCanvasAgg(figure)
         canvas.draw()  # type: ignore[no-untyped-call]
@@ -249,6 +259,28 @@ def rasterize(figure: Figure, *, with_pdf: bool, dpi: float) -> tuple[NDArray[np
             figure.set_dpi(dpi)
             figure.set_canvas(canvas)
     return pixels, pdf.getvalue()
+
+
+def _alike(figure: Figure, other: Figure) -> bool:
+    """Return whether two figures have the same size, axes, labels and ticks.
+
+    Titles may differ, but take the same number of lines.
+    """
+    if len(figure.axes) != len(other.axes) or not np.array_equal(figure.bbox, other.bbox):
+        return False
+    return all(
+        _lines(first.get_title()) == _lines(second.get_title())
+        and all(
+            one.get_label_text() == two.get_label_text()
+            and np.array_equal(one.get_view_interval(), two.get_view_interval())
+            for one, two in ((first.xaxis, second.xaxis), (first.yaxis, second.yaxis))
+        )
+        for first, second in zip(figure.axes, other.axes, strict=True)
+    )
+
+
+def _lines(text: str) -> int:
+    return text.count("\n") + bool(text)
 
 
 def has_few_colors(figure: Figure) -> bool:

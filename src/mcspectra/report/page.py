@@ -616,10 +616,14 @@ def _images(figure: Figure, *, lecture: bool, filed: bool, with_pdf: bool) -> _I
     with_pdf = with_pdf and filed and bool(figure.name)
     pdf, palettes = b"", []
     pixels: list[NDArray[np.uint8]] = []
+    like = None
     for plot in (figure.plot, *_others(figure).values()):
         drawn = backend_matplotlib.draw(plot, look=look)
-        first = not pixels
-        found, file = backend_matplotlib.rasterize(drawn, with_pdf=with_pdf and first, dpi=look.dpi)
+        first = like is None
+        found, file = backend_matplotlib.rasterize(
+            drawn, with_pdf=with_pdf and first, dpi=look.dpi, like=like
+        )
+        like = drawn if first else like
         pdf = file if first else pdf
         pixels.append(found)
         palettes.append(backend_matplotlib.has_few_colors(drawn))

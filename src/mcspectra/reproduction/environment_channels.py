@@ -74,7 +74,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     A 2-D map of the sky is sampled by the gray channel and by the color channel.
     """
     by = ways()
-    options: dict[str, Any] = {"realizations": 400 if quick else 4000, "rng": seed}
+    options: dict[str, Any] = {"realizations": 300 if quick else 3000, "rng": seed}
     curves = {way: mcs.convergence(by[way], "jittered", COUNTS[way], **options) for way in _WAYS}
     exact = {
         way: np.array([mcs.exact_variance(by[way], "jittered", n) for n in COUNTS[way]])
@@ -88,7 +88,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
     # Sample the dome by the gray channel, by each color channel, and by all channels
     by = dome_ways()
-    options["realizations"] = 80 if quick else 300
+    options["realizations"] = 60 if quick else 200
     planes = {
         way: mcs.convergence(by[way], "jittered", DOME_COUNTS, **options) for way in DOME_RATES
     }
