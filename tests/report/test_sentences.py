@@ -304,3 +304,20 @@ def test_the_answer_is_the_least_error_that_is_significant_and_unbiased():
         found = answer({"random": random, "other": other})
         assert str(found) == "Keep random: no tested change is significantly better."
     assert not answer({"random": random})
+
+
+@pytest.mark.parametrize(
+    ("other", "verdict", "has_gain"),
+    [
+        (measured([0.02, 0.0001]), "better", True),
+        (measured([0.02, 0.0099]), "undecided", True),
+        (measured([0.2, 0.1]), "worse", True),
+        (measured([0.02, 0.0001], mean=1.1), "undecided", False),
+        (measured([0.0, 0.0]), "undecided", False),
+    ],
+)
+def test_verdicts_follow_from_the_intervals_of_the_gain(other, verdict, has_gain):
+    """Earlier versions called a set-up with another mean worse, beside a gain above 1."""
+    found = answer({"random": measured([0.04, 0.01]), "other": other}).results[1]
+    assert found.verdict == verdict
+    assert (found.gain == found.gain) == has_gain

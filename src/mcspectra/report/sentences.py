@@ -67,7 +67,7 @@ def compared(sizes: Mapping[str, Size], given: str, evaluations: int, why: str =
         Variances at equal evaluations, by name of the set-up.
     given
         Set-up with which the other set-ups are compared.
-        A set-up with a different mean or with zero variance is not recommended.
+        A set-up with a different mean or with zero variance has no gain: its verdict is undecided.
     evaluations
         Number of function evaluations per estimate.
     why
@@ -83,14 +83,14 @@ def compared(sizes: Mapping[str, Size], given: str, evaluations: int, why: str =
             (start.low, size.high),
             (start.high, size.low),
         )
-        gain, least, most = (a / b if b > 0.0 else math.nan for a, b in ratios)
+        gain, least, most = (a / b if known and b > 0.0 else math.nan for a, b in ratios)
 
         def needed(gain: float) -> float:
             """Return how many evaluations the given set-up needs for the same variance."""
             with_rate = start.rate < 0.0 and gain > 0.0
             return evaluations * gain ** (-1.0 / start.rate) if with_rate else math.nan
 
-        verdict: Verdict = "better" if known and least > 1.0 else "undecided" if known else "worse"
+        verdict: Verdict = "better" if least > 1.0 else "worse" if most < 1.0 else "undecided"
         results.append(
             CandidateResult(
                 name,
