@@ -76,7 +76,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     }
     weighted = mcs.variance_terms(
         mcs.Estimator(mcs.integrand(BELL, 2), mcs.density(DENSITY, 2)),
-        "random",
+        "jittered",
         64,
         half_width=24,
         realizations=400 if quick else 4000,
