@@ -126,7 +126,8 @@ def test_cards_show_points_spectrum_and_sections(dims, panels):
     assert len(marks(plot, Heatmap)) == (dims == 2)
     more = sampler_card({"points": points, "spectrum": power}, random_sets(1, 9, 2)[0])
     assert len(more.panels) == panels + 1
-    assert more.panels[-1].title == "4-D: axes 2, 3 (n = 9)"
+    assert more.panels[-1].title == "4-D, n = 9"
+    assert "axes 2 and 3 of points in 4-D" in more.caption
     along = [line for line in marks(plot, Line) if line.label]
     if dims == 2:
         shown = 16 * power["power"].sel(m0=[1, 2, 3], m1=0).values

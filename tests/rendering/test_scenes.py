@@ -155,7 +155,7 @@ _BITMAP = """<scene version="3.0.0"><sensor type="perspective"/>
         ("<scene version='3.0.0'>\n\n<integer name='a' value='b'/></scene>", "line 3"),
         ("<scene version='3.0.0'><shape type='$kind'/></scene>", "undefined parameter: $kind"),
         (_BITMAP.format("missing.png"), "missing.png"),
-        ("<scene version='3.0.0'><string name='\xff' value='b'/></scene>", "can't decode byte"),
+        ("<scene version='3.0.0'><string name='\xff' value='b'/></scene>", "utf-8"),
     ],
 )
 def test_broken_file_is_one_sentence(tmp_path, text, words):

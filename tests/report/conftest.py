@@ -301,8 +301,8 @@ def no_pdf():
     """Write PDF files without contents, which take half of the time of a figure."""
     usual = backend_matplotlib.rasterize
 
-    def rasterize(figure, *, with_pdf, dpi):
-        return usual(figure, with_pdf=False, dpi=dpi)[0], b" " if with_pdf else b""
+    def rasterize(figure, *, with_pdf, **options):
+        return usual(figure, with_pdf=False, **options)[0], b" " if with_pdf else b""
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(backend_matplotlib, "rasterize", rasterize)

@@ -485,7 +485,8 @@ def mitsuba_reason(error: Exception) -> str:
     if "Traceback" in text:
         text = text.splitlines()[-1].partition(": ")[2]
     words = " ".join(re.sub(r"\[\w+\.(?:cpp|h):\d+\]\s*", "", text).split()).rstrip(".")
-    return printable(words, _LONGEST_REASON)
+    # With bytes that are not UTF-8 in Mitsuba's message, some versions of Python leave it empty
+    return printable(words, _LONGEST_REASON) or "it gives no reason; is the file valid utf-8"
 
 
 def _as_file(request: str | Path) -> Path | None:

@@ -80,7 +80,7 @@ class Renders:
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
     """Render the scene several times by each strategy with 4 samples per pixel, and a reference."""
-    renders = _render(168, 96, 8, seed) if quick else _render(288, 512, 12, seed)
+    renders = _render(168, 64, 8, seed) if quick else _render(288, 512, 12, seed)
     values = ", ".join(f"{number(float(renders.errors(s).mean()))} ({_SHORT[s]})" for s in _SAMPLES)
     spp = renders.reference_spp
     fewer = f" Here the reference has N = {2 * spp} instead of 1024."
