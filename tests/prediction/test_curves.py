@@ -82,7 +82,7 @@ def test_the_limit_of_evaluations_holds(f, most):
 
 
 def test_a_function_that_is_a_sum_nearly_everywhere_is_measured():
-    """The square has the area 0.0016; 32,768 points miss it with probability e^-52."""
+    """The square has the area 0.0016; 2^17 points miss it with probability e^-210."""
     found = mcs.predict(bumpy, "sobol | owen", [64], dims=2)
     assert str(found["method"].values[0]) == "extrapolated"
 

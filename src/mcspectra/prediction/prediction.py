@@ -316,8 +316,8 @@ class EvaluationLimits:
     lines
         Fraction of the evaluations that compare g with a sum or product of functions of one axis.
         If g is such a sum or product, variances are computed from the functions, not measured.
-        With 2^18 evaluations, 32,768 points are compared.
-        They find a region of volume v where g differs with probability 1 − exp(−32768 v).
+        With 2^18 evaluations, 2^17 points are compared, as many as `exact_variance` compares.
+        They find a region of volume v where g differs with probability 1 − exp(−2^17 v).
     fitted
         Number of measured counts to whose variances a line is fitted.
         Five counts leave three degrees of freedom, for which Student's t is 3.2.
@@ -333,7 +333,7 @@ class EvaluationLimits:
     least_counts: int = 6
     beyond: int = 4
     probe: float = 1 / 16
-    lines: float = 1 / 8
+    lines: float = 1 / 2
     fitted: int = 5
 
 
@@ -1475,9 +1475,9 @@ def _curves_within(
 ) -> tuple[list[tuple[Separable, ...]] | None, int]:
     """Return functions of one axis for each technique, and the number of evaluations made.
 
-    The search makes at most half of `limit` evaluations.
+    The search makes at most three quarters of `limit` evaluations.
     """
-    counts, each = estimator.counts, limit // (2 * len(estimator.counts))
+    counts, each = estimator.counts, 3 * limit // (4 * len(estimator.counts))
     first = _PIECEWISE.candidates + 4 * _PIECEWISE.lines * estimator.dims
     found, used = list[tuple[Separable, ...]](), 0
     if first * estimator.evaluations_per_point > LIMITS.probe * each:
