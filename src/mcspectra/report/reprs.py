@@ -40,7 +40,9 @@ _CLIPPED = 0.5  # percentage of values clipped at each end, because functions ma
 _POINTS = 64
 _MOST_NUMBERS = 2**16  # largest number of coordinates (n · dims) of a set that is drawn
 _CELLS = {1: 192, 2: 48}  # number of cells along each axis of an image, by dims
-_TIME = 0.2  # limit in seconds for the time to compute an image, excluding its first row
+# Limit in seconds for the processor time to compute an image, excluding its first row. Processor
+# time does not depend on other processes, so that a component has an image on a busy machine too
+_TIME = 0.2
 _MOST_TECHNIQUES = 3
 _LONGEST = 160  # longest spec that is shown, in characters
 
@@ -180,8 +182,8 @@ def _values(function: Callable[[Array], Array], dims: int) -> Array | None:
         if dims > 1:
             x[:, 1] = centres
         rows.append(function(x))
-        start = start or time.monotonic()  # exclude the first row, which may load or compile code
-        if time.monotonic() - start > _TIME:
+        start = start or time.process_time()  # exclude the first row: it may load or compile code
+        if time.process_time() - start > _TIME:
             return None
     return np.stack(rows) if dims > 1 else np.concatenate(rows)
 
