@@ -28,6 +28,7 @@ from mcspectra.report.page import (
     anchors,
     columns_of,
     maths,
+    powers,
     table_of,
     write_json,
     write_page,
@@ -216,6 +217,19 @@ def test_values_inserted_in_html_are_escaped_once():
 )
 def test_subscripts_and_exponents_become_html(text, html):
     assert maths(text) == html
+
+
+@pytest.mark.parametrize(
+    ("text", "html"),
+    [
+        ("falls as n^−1.5. Then", "falls as n<sup>−1.5</sup>. Then"),
+        ("about as |t|^0.41", "about as |t|<sup>0.41</sup>"),
+        ("file a_b^2x <b>", "file a_b^2x &lt;b&gt;"),
+        (Markup("<i>n^2</i>"), "<i>n^2</i>"),
+    ],
+)
+def test_numbers_in_exponents_of_sentences_are_raised(text, html):
+    assert powers(text) == html
 
 
 def test_figures_of_a_deck_have_larger_texts_and_more_pixels():

@@ -780,10 +780,11 @@ def _slow_technique(seen: Evidence) -> Cause | None:
     if share < known.dominant and not (slower and share > known.largest_part):
         return None
     name = technique_name(seen.estimator, worst)
+    rate = f"{curves[worst].rate:.2f}".replace("-", "−")
     return Cause(
         "slow-technique",
-        f"{name} causes {100 * share:.0f} % of the variance at n = {n} with {NETS}, and its rate "
-        f"is {curves[worst].rate:.2f}.",
+        f"Technique {name} causes {100 * share:.0f} % of the variance at n = {n} with {NETS}, and "
+        f"its rate is {rate}.",
         {"share": share, "technique": float(worst), "rate": curves[worst].rate},
         ("heuristic", "techniques", "warp"),
     )

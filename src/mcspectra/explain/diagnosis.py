@@ -57,6 +57,11 @@ class Diagnosis:
     odd: float | None = None
 
     @property
+    def main(self) -> str:
+        """Sentences about the most important cause, or why causes could not be found."""
+        return self.causes[0].sentence if self.causes else self.unseen
+
+    @property
     def text(self) -> str:
         """Sentences about the causes, joined to one text."""
         found = [cause.sentence for cause in self.causes] or [self.unseen]

@@ -63,6 +63,7 @@ __all__ = [
     "maths",
     "number_cell",
     "page_file",
+    "powers",
     "provenance",
     "sections_of",
     "table_of",
@@ -522,6 +523,7 @@ def write_page(
 
         environment.globals["label"] = label
         environment.globals["maths"] = maths
+        environment.globals["powers"] = powers
         environment.globals["drawn"] = drawn
         script = ""
         if any(figure.live for figure in shown):
@@ -563,6 +565,17 @@ def maths(text: str) -> Markup:
     found = html.escape(_shown(text))
     found = re.sub(r"(?<![^\W\d_])([^\W\d_])_([^\W_]+)", r"\1<sub>\2</sub>", found)
     return Markup(re.sub(r"\^(?:\(([^()]+)\)|([^\W_]+))", r"<sup>\1\2</sup>", found))
+
+
+def powers(text: str) -> Markup:
+    """Return HTML in which numbers in exponents (``n^−1.5``) are raised.
+
+    Names of files and specs are not formulas, so subscripts remain as they are.
+    """
+    if hasattr(text, "__html__"):
+        return Markup(text)
+    found = html.escape(_shown(text))
+    return Markup(re.sub(r"\^([−-]?\d+(?:\.\d+)?)(?!\w)", r"<sup>\1</sup>", found))
 
 
 def _shown(value: Any) -> Any:

@@ -184,7 +184,7 @@ def _compared(tree: xr.DataTree) -> Answer | None:
         for sampler in map(str, curves["sampler"].values):
             setups[f"{name} with {sampler}"] = points.sel(sampler=sampler)
     given = f"{STRATEGY_NAMES[_GIVEN]} with {tree.attrs['sampler']}"
-    why = str(tree.attrs.get(f"diagnosis_{_GIVEN}", ""))
+    why = str(tree.attrs.get(f"cause_{_GIVEN}", ""))
     return answer(setups, given, why)
 
 
@@ -363,7 +363,7 @@ def pixel_summary(tree: xr.DataTree) -> dict[str, Any]:
     slow = int(techniques["bottleneck"])
     shares = ("technique_rate", "technique_rate_ci", "technique_variance", "rate", "rate_ci")
     found: dict[str, Any] = {
-        "pixel": {k: v for k, v in tree.attrs.items() if not str(k).startswith("diagnosis_")},
+        "pixel": {k: v for k, v in tree.attrs.items() if not str(k).startswith(("cause_", "diagnosis_"))},
         "rates": rates,
         "terms": terms,
         "techniques": {

@@ -190,7 +190,8 @@ def analyse_pixel(
         ``remedies``: result of `mcspectra.remedies` for the balance heuristic.
         Attributes of the root describe the pixel and what the pixel shows.
         The attribute ``sampler`` is the sampler of the variance terms.
-        The text ``diagnosis_STRATEGY`` describes the causes of the noise with this sampler.
+        The text ``diagnosis_STRATEGY`` describes the causes of the noise with this sampler, and
+        ``cause_STRATEGY`` the most important cause.
 
     Raises
     ------
@@ -308,6 +309,7 @@ def analyse_pixel(
     for strategy, estimator in strategies.items():
         diagnosis = diagnose(estimator, explained, Stream.from_rng(options["rng"]))
         tree.attrs[f"diagnosis_{strategy}"] = diagnosis.text
+        tree.attrs[f"cause_{strategy}"] = diagnosis.main
     return tree
 
 
