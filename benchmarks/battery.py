@@ -3,9 +3,12 @@
 Each case has a function or estimator with a sampler, and its true integral.
 A case also lists the causes that the profile may report first.
 A profile has a budget of 8,192 evaluations.
-The benchmark checks four properties of the profile of each case:
+The benchmark checks five properties of the profile of each case:
 
 * The interval of the profile contains the integral.
+* The error of the recommended set-up at the budget is the measured one within a factor of 1.5.
+  The measured error is the root mean square of the errors of 1,000 estimates at the same count.
+  The profile's interval of the error contains the measured error.
 * The first reported cause is an expected cause.
 * The recommended change lowers the variance.
   The variances before and after the change are measured again, at the same counts.
@@ -35,6 +38,7 @@ from mcspectra.explain.samples import Curve
 
 BUDGET, MORE = 8192, 262_144
 REALIZATIONS = 1000
+FACTOR = 1.5  # largest allowed ratio of a stated error to the measured error
 OF_RATES = 10_000  # number of realizations for reference rates
 SAW = tuple(2**k for k in range(4, 13))
 WITHIN = 0.1
@@ -268,6 +272,21 @@ class Outcome:
     covers: bool | None
     rates: tuple[tuple[Curve, float], ...]
     ratio: float
+    rmse: float  # measured error of the recommended set-up, at the count of the profile's error
+
+    @property
+    def stated(self) -> float:
+        """Ratio of the error that the profile states to the measured error."""
+        return self.found.answer.rmse / self.rmse
+
+    @property
+    def holds_error(self) -> bool:
+        """Whether the stated interval of the error contains the measured error.
+
+        The measured error has a relative standard error of about 2 % for normal estimates.
+        """
+        low, high = self.found.answer.rmse_ci
+        return low * 0.96 <= self.rmse <= high * 1.04
 
     @property
     def names_cause(self) -> bool:
@@ -318,8 +337,13 @@ def judge(case: Case, seed: int = 0) -> Outcome:
         if math.isfinite(rate):
             rates.append((curve, rate))
     ratio = math.nan
+    best, rmse = found.answer.best, math.nan
+    if not math.isnan(case.integral) and best.setup is not None and best.rmse > 0.0:
+        measured = mcs.convergence(
+            best.estimator, best.sampler, [best.n], realizations=REALIZATIONS, rng=seed + 3
+        )
+        rmse = math.sqrt(float(measured["variance"][0]) or float(measured["mse"][0]))
     if found.answer.changes:
-        best = found.answer.best
         changed = best.estimator
         n = max(int(c.counts[-1]) for c in found.samplers.values() if len(c.counts))
         pair = []
@@ -335,7 +359,7 @@ def judge(case: Case, seed: int = 0) -> Outcome:
             # Deterministic sets have a bias instead of a variance
             pair.append(float(measured["variance"][0]) or float(measured["mse"][0]))
         ratio = pair[0] / max(pair[1], 1e-300)
-    return Outcome(case, found, seconds, covers, tuple(rates), ratio)
+    return Outcome(case, found, seconds, covers, tuple(rates), ratio, rmse)
 
 
 def main() -> None:
@@ -350,7 +374,8 @@ def main() -> None:
         rates = ", ".join(f"{c.rate:.2f} ± {c.rate_se:.2f} ({r:.2f})" for c, r in found.rates)
         print(
             f"{case.name:40} {first:20} {'' if found.names_cause else 'WRONG':6}"
-            f"rates {rates:44} {best:16} × {found.ratio:8.3g} {found.seconds:.2f} s",
+            f"rates {rates:44} {best:16} × {found.ratio:8.3g} "
+            f"RMSE × {found.stated:.3g} {found.seconds:.2f} s",
             flush=True,
         )
 
@@ -359,6 +384,12 @@ def main() -> None:
 
     share("cause", [o.names_cause for o in outcomes])
     share("interval", [o.covers for o in outcomes if o.covers is not None])
+    known = [o for o in outcomes if not math.isnan(o.stated)]
+    share(
+        f"stated error within a factor of {FACTOR}",
+        [1.0 / FACTOR <= o.stated <= FACTOR for o in known],
+    )
+    share("interval of the error", [o.holds_error for o in known])
     for k, budget in enumerate((BUDGET, MORE)):
         some = [o.rates[k] for o in outcomes if len(o.rates) > k]
         share(f"rate to 0.1 by {budget:,} evaluations", [near(*each) for each in some])

@@ -11,6 +11,7 @@ from mcspectra.samplers.facts import sampler_facts
 
 FOLDER = Path(__file__).parents[2] / "docs" / "samplers"
 PAGE = (FOLDER / "index.md").read_text(encoding="utf-8")
+NUMBERS = json.loads((FOLDER / "gallery.json").read_text(encoding="utf-8"))
 SECTIONS = dict(re.findall(r"^## `(.+?)`\n(.*?)(?=^## |\Z)", PAGE, re.MULTILINE | re.DOTALL))
 
 
@@ -19,8 +20,7 @@ def test_every_sampler_has_a_section_and_a_picture():
     for section in SECTIONS.values():
         (picture,) = re.findall(r"\]\((.+?\.png)\)", section)
         assert (FOLDER / picture).is_file()
-    numbers = json.loads((FOLDER / "gallery.json").read_text(encoding="utf-8"))
-    assert [card["name"] for card in numbers] == list(SECTIONS)
+    assert [card["name"] for card in NUMBERS] == list(SECTIONS)
 
 
 def test_the_overview_shows_every_sampler_once():
@@ -38,3 +38,5 @@ def test_sections_match_the_facts_of_samplers(name):
     assert f"* Dims: {facts.dims}\n" in section
     assert f"* Counts: {facts.counts}\n" in section
     assert facts.sources in re.sub(r"<(https://\S+)>", r"\1", section)
+    (card,) = (card for card in NUMBERS if card["name"] == name)
+    assert card["facts"] == {key: getattr(facts, key) for key in card["facts"]}

@@ -124,6 +124,8 @@ class Curve:
         Curves that are not straight lines are extrapolated with `level` and `scatter`.
     bend
         Expected change of the slope beyond the measured counts, with an error of the same size.
+    noise
+        Variance that rounding alone may cause. Extrapolated variances are not smaller.
     """
 
     counts: Array
@@ -137,6 +139,7 @@ class Curve:
     level: float = 0.0
     scatter: float = 0.0
     bend: float = 0.0
+    noise: float = 0.0
 
     def at(self, n: float) -> tuple[float, float]:
         """Return the variance at n points, and the standard error of its logarithm.
@@ -157,7 +160,11 @@ class Curve:
         away = math.log(n / self.counts[-1])
         value = float(self.variance[-1]) * math.exp(self.level + slope * away)
         walk = self.drift * math.sqrt(away**3 / (3.0 * math.log(2.0)))
-        return value, math.hypot(float(self.relative_se[-1]), away * error, walk, self.scatter)
+        error = math.hypot(float(self.relative_se[-1]), away * error, walk, self.scatter)
+        if 0.0 < value < self.noise:
+            # The variance lies between the extrapolated value and the limit of rounding
+            return self.noise, max(error, math.log(self.noise / value))
+        return value, error
 
     def towards(self, rate: float, error: float) -> Curve:
         """Return the weighted mean of the measured and a theoretical rate if these rates agree."""
@@ -371,19 +378,23 @@ def _fitted(
     """
     degrees = len(left) - 1
     floor = rounding_floor(np.array(size))
-    used = found > floor
+    used, noise = found > floor, float(floor)
     gone = counts[np.maximum.accumulate(used[::-1])[::-1].sum() :]
     vanishes = float(gone[0]) if exact and len(gone) else math.inf
     counts, found, left = counts[used], found[used], left[:, used]
     if not len(counts):
-        return Curve(counts, found, found, math.nan, math.nan, degrees, 0.0, vanishes)
+        return Curve(
+            counts, found, found, math.nan, math.nan, degrees, vanishes=vanishes, noise=noise
+        )
     pseudo = np.log(np.maximum(left, np.maximum(floor, np.finfo(float).tiny))) - np.log(found)
     covariance = degrees * np.cov(pseudo.T, ddof=0).reshape(len(counts), -1)
     error = np.sqrt(np.diag(covariance))
     if rate is not None:
-        return Curve(counts, found, error, rate, 0.0, degrees, 0.0, vanishes)
+        return Curve(counts, found, error, rate, 0.0, degrees, vanishes=vanishes, noise=noise)
     if len(counts) < 2 or math.isfinite(vanishes):
-        return Curve(counts, found, error, math.nan, math.nan, degrees, 0.0, vanishes)
+        return Curve(
+            counts, found, error, math.nan, math.nan, degrees, vanishes=vanishes, noise=noise
+        )
     x, y = np.log(counts / counts[-1]), np.log(found)
     line, octave = np.stack([np.ones_like(x), x], axis=1), math.log(2.0)
     turns = octave * np.arange(settings.octaves, max(round(-x[0] / octave), settings.octaves))
@@ -403,7 +414,9 @@ def _fitted(
     slope = float(share @ fits[1])
     spread = float(share @ (fits[2] + (fits[1] - slope) ** 2))
     drift = math.sqrt(share @ np.square(settings.drifts))
-    return Curve(counts, found, error, slope, math.sqrt(spread), degrees, drift, vanishes)
+    return Curve(
+        counts, found, error, slope, math.sqrt(spread), degrees, drift, vanishes, noise=noise
+    )
 
 
 def _of_nets(part: _Part, n: int) -> Array:

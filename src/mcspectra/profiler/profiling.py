@@ -778,7 +778,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
             estimator, as_sampler(reference, estimator.dims) if reference != given.spec else given
         ),
         usable[reference], points, found, len(usable) - 1 + len(changed),
-        infinite=infinite, known=known,
+        infinite=infinite, known=known, noise=min(curve.noise for curve in usable.values()),
     )  # fmt: skip
     # Write the sentences that replace the advice or follow it
     changes = any(result.verdict == "better" for result in results)
@@ -1106,10 +1106,12 @@ def _results(
     *,
     infinite: bool,
     known: bool,
+    noise: float,
 ) -> list[CandidateResult]:
     """Return the given set-up, followed by candidates with simultaneous 95 % intervals of gains.
 
     If variances are not known, gains are NaN: only which variance is lower was measured.
+    Rounding of an estimate causes a variance of about `noise`. Smaller variances are not stated.
     """
     count = affordable_count(given, points * given.cost) or points
     at_budget, z = curve.at(count), simultaneous_z(comparisons)
@@ -1143,7 +1145,9 @@ def _results(
     ]
     for each in found:
         (value, error), candidate = each.variance, each.candidate
-        rmse, ends = with_ends(each.variance)
+        if 0.0 < value < noise:
+            value, error = noise, max(error, math.log(noise / value))
+        rmse, ends = with_ends((value, error))
         gain = math.inf if infinite or not value > 0.0 else at_budget[0] / value
         half = math.exp(z * math.hypot(error, at_budget[1]))
         gain_ci = (gain / half, gain * half)
