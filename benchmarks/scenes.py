@@ -7,7 +7,8 @@ The ratio of a scene is the geometric mean over its pixels.
 The predicted winner is wrong if the two intervals lie on opposite sides of 1.
 ``python -m benchmarks scenes --profile`` checks the samples per pixel that a profile states.
 ``python -m benchmarks scenes --bias`` tests renders against reference images with variances.
-``python -m benchmarks scenes --joint`` compares several numbers of joint dims and another sampler.
+``python -m benchmarks scenes --joint`` compares several numbers of joint dims.
+``python -m benchmarks scenes --default`` compares the default sampler with two others.
 The option ``--scene=NAME`` limits each of these commands to one scene.
 """
 
@@ -28,9 +29,9 @@ from mcspectra.rendering.scenes import as_scene
 
 WIDTH, HEIGHT = 24, 16
 RENDERS, PREDICTED = 200, 64
-OURS = {"type": "mcspectra"}
-APART = "larcher-pillichshammer | digital-shift(jitter=True)"
-PADDED = {"type": "mcspectra", "joint_dims": 0}
+OURS = {"type": "mcspectra", "spec": "sobol | owen"}
+DEFAULT = {4: 512, 16: 512, 64: 256, 256: 96, 1024: 40}  # numbers of renders, by samples per pixel
+PADDED = {**OURS, "joint_dims": 0}
 OTHERS = ("multijitter", "ldsampler", "independent")
 LUMINANCE = (0.212671, 0.715160, 0.072169)
 
@@ -135,14 +136,10 @@ def bias(scenes, spp=2**15):
 
 
 def joint(scenes, renders=256):
-    """Print variances divided by those of multijitter, for several numbers of joint dims.
-
-    The sampler ``larcher-pillichshammer | digital-shift(jitter=True)`` is printed as "apart".
-    The points of these 2-D nets are far apart. By default, the first two pairs of dims are joint.
-    """
+    """Print variances divided by those of multijitter, for several numbers of joint dims."""
     choices = {"multijitter": "multijitter"}
-    choices |= {f"joint {k}": {"type": "mcspectra", "joint_dims": k} for k in (0, 2, 4, 6, 8)}
-    choices |= {"independent": "independent", "apart": {"type": "mcspectra", "spec": APART}}
+    choices |= {f"joint {k}": {**OURS, "joint_dims": k} for k in (0, 2, 4, 6, 8)}
+    choices |= {"independent": "independent"}
     for name, scene in scenes.items():
         pixels = Pixels(scene, WIDTH, HEIGHT)
         for spp in (4, 16, 64):
@@ -160,6 +157,26 @@ def joint(scenes, renders=256):
             print(f"{name:6} {spp:4}  {'  '.join(parts)}", flush=True)
 
 
+def default(scenes):
+    """Print variances of the default sampler and of ``sobol | owen``, divided by multijitter's."""
+    choices = {"multijitter": "multijitter", "sobol | owen": OURS, "default": {"type": "mcspectra"}}
+    for name, scene in scenes.items():
+        pixels = Pixels(scene, WIDTH, HEIGHT)
+        for spp, renders in DEFAULT.items():
+            values = {
+                label: pixels.renders(plugin, spp, renders, Stream.from_rng(11).child(k))
+                for k, (label, plugin) in enumerate(choices.items())
+            }
+            given = values.pop("multijitter")
+            floor = (1e-6 * np.abs(given.mean(axis=0))) ** 2
+            kept = np.all([each.var(axis=0) > floor for each in (given, *values.values())], axis=0)
+            parts = []
+            for label, each in values.items():
+                log, se = ratio(each, given, kept)
+                parts.append(f"{label} {math.exp(log):.2f} ± {1.96 * se * math.exp(log):.2f}")
+            print(f"{name:6} {spp:4}  {'  '.join(parts)}", flush=True)
+
+
 def main(*flags):
     """Print the table of the five scenes, or the samples per pixel of profiles."""
     register_samplers()
@@ -167,7 +184,7 @@ def main(*flags):
     mitsuba.set_log_level(mitsuba.LogLevel.Error)
     chosen = [flag.partition("=")[2] for flag in flags if flag.startswith("--scene=")]
     scenes = {name: SCENES[name] for name in chosen or SCENES}
-    for flag, measure in (("--bias", bias), ("--joint", joint)):
+    for flag, measure in (("--bias", bias), ("--joint", joint), ("--default", default)):
         if flag in flags:
             measure(scenes)
             return

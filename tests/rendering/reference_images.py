@@ -23,9 +23,9 @@ OURS = (
     {"type": "mcspectra"},
     {"type": "mcspectra", "joint_dims": 0},
     {"type": "mcspectra", "joint_dims": 8},
+    {"type": "mcspectra", "spec": "sobol | owen"},
     {"type": "mcspectra", "spec": "halton | permute"},
     {"type": "mcspectra", "spec": "pmj02"},
-    {"type": "mcspectra", "spec": "larcher-pillichshammer | digital-shift(jitter=True)"},
 )
 BATCH = 256  # samples per pixel of one independent render of the reference
 

@@ -146,11 +146,13 @@ def render_(options: argparse.Namespace) -> VerbOutput:
     The verb prints the error of each image.
 
     With --integrator Mitsuba renders whole paths, and --sampler replaces the scene's own sampler.
-    With --spp-map each pixel has its own number of samples, by default of 'sobol | owen'.
+    With --spp-map each pixel has its own number of samples, by default of
+    'larcher-pillichshammer | digital-shift(jitter=True)'.
     Our samplers are padded: each request of the integrator has its own points.
     With randomized nets, the first 4 numbers of a path come from one point set (--joint-dims).
     A scene file can also name a sampler of this package:
     <sampler type="mcspectra"> with <string name="spec" value="sobol | owen"/>.
+    Without a spec, it is the default of --spp-map for powers of two, else 'sobol | owen'.
     """
     from mcspectra.rendering.files import check_image_path, write_render
     from mcspectra.rendering.image import reference, render
@@ -243,6 +245,7 @@ def _render_cost(
     from mcspectra.core.images import read_image
     from mcspectra.rendering.costs import SceneCost, timed_work
     from mcspectra.rendering.image import render
+    from mcspectra.rendering.plugin import default_spec
     from mcspectra.rendering.scenes import as_scene, film_size, render_file, sensor_of
 
     begin = time.perf_counter()
@@ -277,7 +280,7 @@ def _render_cost(
     pixels = size[0] * size[1]
     sampler = options.sampler or ("the scene's sampler" if whole else "sobol | owen")
     if options.spp_map is not None:
-        sampler = options.sampler or "sobol | owen"
+        sampler = options.sampler or default_spec(joint_dims=options.joint_dims)
     found = SceneCost(
         scene=scene,
         what=f"{spp} samples of each with {sampler}" + (f", {images} images" if images > 1 else ""),
@@ -404,6 +407,7 @@ def _by_map(options: argparse.Namespace, scene: str, files: list[Path]) -> VerbO
     from mcspectra.core.images import read_image
     from mcspectra.rendering.adaptive import render_adaptive
     from mcspectra.rendering.files import write_exr, write_png
+    from mcspectra.rendering.plugin import default_spec
 
     for name in ("spp", "variant", "sensor", "define"):
         if getattr(options, name) is not None:
@@ -425,7 +429,10 @@ def _by_map(options: argparse.Namespace, scene: str, files: list[Path]) -> VerbO
         else:
             write_png(file, image, exposure=options.exposure)
     height, width, _ = image.shape
-    sampler, mean = options.sampler or "sobol | owen", image.mean(axis=(0, 1))
+    sampler, mean = (
+        options.sampler or default_spec(joint_dims=options.joint_dims),
+        image.mean(axis=(0, 1)),
+    )
     size = f"{width} × {height} pixels, {seconds:.1f} s"
     ends = f"{spp.min():.0f} to {spp.max():.0f}, mean {spp.mean():.1f}"
     lines = [
@@ -636,8 +643,9 @@ def _map_options(parser: argparse.ArgumentParser) -> None:
     option("--resume", "continue the map in the output folder"),
     option(
         "--sampler SPEC",
-        "sampler (default jittered; with --integrator 'sobol | owen'); several are compared at "
-        "each pixel; repeatable",
+        "sampler (default jittered; with --integrator 'larcher-pillichshammer | "
+        "digital-shift(jitter=True)' for powers of two, else 'sobol | owen'); several are compared "
+        "at each pixel; repeatable",
         repeated="all",
     ),
     option("--workers N", "threads (default: all processors)", whole()),

@@ -45,6 +45,9 @@ class AnswerSettings:
     # An undecided change is mentioned if it may lower the variance by this factor or more.
     # For a smaller gain, a larger budget is not worthwhile.
     may_gain: float = 2.0
+    # If the ends of the interval of an RMSE differ by more than this factor, only the upper end
+    # is stated: the number between them would suggest a precision that it does not have.
+    wide: float = 100.0
 
 
 _SETTINGS = AnswerSettings()
@@ -144,6 +147,12 @@ class CandidateResult:
     needed_ci: tuple[float, float] = (math.nan, math.nan)
     verdict: Verdict = "given"
     setup: Setup | None = None
+
+    @property
+    def is_bounded(self) -> bool:
+        """Whether the interval of the RMSE is so wide that only its upper end is stated."""
+        low, high = self.rmse_ci
+        return _SETTINGS.wide * low < high < math.inf
 
     @property
     def estimator(self) -> AbstractEstimator:
@@ -276,11 +285,11 @@ class Answer:
                 "evaluations could not be extrapolated."
             )
         before = f"{given.rmse:.2g}" if math.isfinite(given.rmse) else "an infinite one"
-        text = (
-            f"{what}: RMSE {best.rmse:.2g}{_between(best.rmse_ci)} at {self.budget} evaluations "
-            f"instead of {before}"
-        )
-        if self.budget < best.needed < _SETTINGS.many:
+        text = f"{what}: RMSE {_stated(best)} at {self.budget} evaluations instead of {before}"
+        least = best.needed_ci[0]
+        if best.is_bounded and self.budget < least < _SETTINGS.many:
+            text += f"; {name} would need at least {rounded(least)} evaluations for this RMSE"
+        elif not best.is_bounded and self.budget < best.needed < _SETTINGS.many:
             needed = f"{rounded(best.needed)}{_between(best.needed_ci)}"
             text += f"; {name} would need about {needed} evaluations for the same RMSE"
         return f"{text}."
@@ -330,6 +339,13 @@ def rounded(value: float) -> str:
             scale = 1.0 if size < 1e6 else size
             return f"{float(f'{value / scale:.2g}'):.{0 if value / scale >= 10.0 else 1}f}{name}"
     return f"{value:.2g}"
+
+
+def _stated(result: CandidateResult) -> str:
+    """Format an RMSE with its interval. If the interval begins at zero, name only its upper end."""
+    if result.is_bounded:
+        return f"at most {result.rmse_ci[1]:.2g}"
+    return f"{result.rmse:.2g}{_between(result.rmse_ci)}"
 
 
 def _between(ends: tuple[float, float]) -> str:

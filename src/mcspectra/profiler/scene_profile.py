@@ -52,7 +52,7 @@ from mcspectra.rendering.paths import (
     window_dimensions,
 )
 from mcspectra.rendering.pixel import check_channel
-from mcspectra.rendering.plugin import JOINT_DIMS, PLUGIN, joint_dims_of
+from mcspectra.rendering.plugin import FAR_APART, JOINT_DIMS, PLUGIN, joint_dims_of
 from mcspectra.rendering.rendered import (
     OWN_SAMPLER,
     Film,
@@ -130,8 +130,6 @@ _SETTINGS = SceneSettings()
 _ENDLESS = 1e12  # numbers of samples above this are not printed
 _MITSUBA = ("independent", "multijitter", "ldsampler")
 _OURS = "sobol | owen"
-# A net whose points are far apart, digitally shifted: less variance at edges than scrambled nets
-_APART = "larcher-pillichshammer | digital-shift(jitter=True)"
 _CLASSES = {
     # Class of a sampler in Mitsuba, and name of its plugin
     "IndependentSampler": "independent",
@@ -465,8 +463,8 @@ def _candidates(
             name = f"{spec} ({f'joint_dims={k}' if k else 'padded'})"
             found.setdefault(name, {"type": PLUGIN, "spec": spec, "joint_dims": k})
     found.setdefault(
-        f"{_APART} (joint_dims={JOINT_DIMS})",
-        {"type": PLUGIN, "spec": _APART, "joint_dims": JOINT_DIMS},
+        f"{FAR_APART} (joint_dims={JOINT_DIMS})",
+        {"type": PLUGIN, "spec": FAR_APART, "joint_dims": JOINT_DIMS},
     )
     return found
 

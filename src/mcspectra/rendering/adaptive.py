@@ -39,7 +39,13 @@ from mcspectra.core.streams import Stream
 from mcspectra.rendering.backend import LOCK, load_mitsuba
 from mcspectra.rendering.files import write_exr
 from mcspectra.rendering.paths import SCENE_INTEGRATOR, Tracer, find_integrator
-from mcspectra.rendering.plugin import MOST_SAMPLES, PLUGIN, padded_sets, register_samplers
+from mcspectra.rendering.plugin import (
+    MOST_SAMPLES,
+    PLUGIN,
+    default_spec,
+    padded_sets,
+    register_samplers,
+)
 from mcspectra.rendering.scenes import (
     Scene,
     as_scene,
@@ -279,7 +285,7 @@ def render_adaptive(
         Mitsuba plugin, such as ``"path(max_depth=5)"``; by default the scene's own.
     sampler, joint_dims
         One of our samplers and its joint dims, as in `render_file`.
-        By default ``"sobol | owen"`` with 4 joint dims.
+        By default `mcspectra.rendering.plugin.default_spec` with 4 joint dims.
     seed
         Seed of the image, an integer of at least 0.
 
@@ -295,7 +301,7 @@ def render_adaptive(
     """
     request, spec = as_scene(scene), integrator or SCENE_INTEGRATOR
     stream = Stream.from_rng(as_integer("seed", seed, least=0, most=2**32 - 1))
-    points = "sobol | owen" if sampler is None else sampler
+    points = default_spec(joint_dims=joint_dims) if sampler is None else sampler
     register_samplers()
     with LOCK:
         load_scene(request)

@@ -46,6 +46,7 @@ from mcspectra.rendering.map_tiles import (
 from mcspectra.rendering.padding import Padded, as_rendered, padding_note
 from mcspectra.rendering.paths import Dimension, Tracer, window_dimensions
 from mcspectra.rendering.pixel import check_channel
+from mcspectra.rendering.plugin import default_spec
 from mcspectra.rendering.scene_checks import (
     camera_rays,
     check_lights,
@@ -405,7 +406,9 @@ class Map(Analysis, frozen=True, kw_only=True):
     @property
     def default_sampler(self) -> str:
         """Sampler that is used by default."""
-        return "jittered" if self.integrator is None else "sobol | owen"
+        if self.integrator is None:
+            return "jittered"
+        return default_spec(*self.counts or (), joint_dims=self.joint_dims)
 
     def _counts(self, sampler: Sampler) -> tuple[int, ...]:
         """Return the checked counts; by default the usual counts, or the nearest possible ones."""
@@ -491,7 +494,8 @@ def variance_map(
         ``"mis"``, and the parts of multiple importance sampling ``"mis-light"`` and ``"mis-bsdf"``.
         If ``"mis"`` is given, its two parts are measured as well.
     sampler
-        Sampler or its spec; by default ``"jittered"``, or ``"sobol | owen"`` with an integrator.
+        Sampler or its spec; by default ``"jittered"``.
+        With an integrator the default is `mcspectra.rendering.plugin.default_spec`.
         Each technique has its own points. A list of samplers compares them.
     counts
         Numbers of samples n of a technique: at least two, in ascending order.

@@ -363,7 +363,9 @@ def pixel_summary(tree: xr.DataTree) -> dict[str, Any]:
     slow = int(techniques["bottleneck"])
     shares = ("technique_rate", "technique_rate_ci", "technique_variance", "rate", "rate_ci")
     found: dict[str, Any] = {
-        "pixel": {k: v for k, v in tree.attrs.items() if not str(k).startswith(("cause_", "diagnosis_"))},
+        "pixel": {
+            k: v for k, v in tree.attrs.items() if not str(k).startswith(("cause_", "diagnosis_"))
+        },
         "rates": rates,
         "terms": terms,
         "techniques": {

@@ -54,6 +54,7 @@ from mcspectra.rendering.paths import (
     light_selection,
     parts_by_light,
 )
+from mcspectra.rendering.plugin import default_spec
 from mcspectra.rendering.rendered import preview
 from mcspectra.rendering.scenes import Scene, emitter_names, film_size, scene_name
 from mcspectra.samplers import Sampler, as_sampler
@@ -62,7 +63,11 @@ from mcspectra.studies.pixel import check_compared, find_pixel
 __all__ = ["PATH_SAMPLERS", "analyse_path", "path_remedies", "shares_by_light"]
 
 PATH_SAMPLERS = ("random", "latin-hypercube", "rank1-lattice | shift", "sobol | owen")
-"""Samplers that are compared by default; they support any count in any number of dims."""
+"""Samplers that are compared by default; they support any count in any number of dims.
+
+The sampler by which paths are rendered by default is compared as well, see
+`mcspectra.rendering.plugin.default_spec`.
+"""
 
 _EFFORTS = {
     # Each effort (quick or full) is a tuple of five settings.
@@ -106,7 +111,7 @@ def analyse_path(
     integrator: str = "scene",
     channel: str | int = "luminance",
     dims: int | None = None,
-    samplers: Sequence[Sampler | str] = PATH_SAMPLERS,
+    samplers: Sequence[Sampler | str] | None = None,
     counts: Sequence[int] | None = None,
     realizations: int | None = None,
     remedies: bool = True,
@@ -128,6 +133,7 @@ def analyse_path(
         (see `named_pixels`).
     samplers
         Samplers or their spec strings, all different. ``remedies`` uses the last sampler.
+        The default is `PATH_SAMPLERS` and the default sampler of rendered paths.
     counts, realizations
         Counts n of paths per estimate, at least two, ascending; number of estimates for each n.
     remedies
@@ -172,6 +178,10 @@ def analyse_path(
     usual, repeats, pairs, paths, predicted = _EFFORTS[as_choice("effort", effort, tuple(_EFFORTS))]
     f = PathPixel(scene=scene, x=x, y=y, integrator=integrator, channel=channel, dims=dims)
     asked = usual if counts is None else counts
+    if samplers is None:
+        _, ns = check_compared(PATH_SAMPLERS, asked, f.dims, most=_MOST_SAMPLES)
+        rendered = default_spec(*ns, joint_dims=joint_dims)
+        samplers = tuple(dict.fromkeys((*PATH_SAMPLERS[:-1], rendered, PATH_SAMPLERS[-1])))
     if isinstance(samplers, str) or not samplers:
         sources, ns = check_compared(samplers, asked, f.dims, most=_MOST_SAMPLES)
     padded = [as_rendered(each, f.dimensions, joint_dims) for each in samplers]
