@@ -15,7 +15,7 @@ import sys
 import time
 from pathlib import Path
 
-from tests.report.conftest import leave_out_figures
+from tests.report.figures import leave_out_figures
 
 from mcspectra.cli.main import main
 from mcspectra.studies import ledger, schedule

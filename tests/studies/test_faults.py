@@ -355,7 +355,7 @@ def test_no_worker_outlives_a_run_that_is_killed(misbehaving, tmp_path):
 
 MOUNTED = """
 import os, shutil, subprocess, sys
-from tests.report.conftest import leave_out_figures
+from tests.report.figures import leave_out_figures
 from mcspectra.cli.main import main
 
 size, out, kept, *arguments = sys.argv[1:]

@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 import pytest
 import xarray as xr
-from tests.report.conftest import leave_out_figures
+from tests.report.figures import leave_out_figures
 
 from mcspectra.cli.main import main
 from mcspectra.core.errors import McspectraError, StoreError

@@ -28,7 +28,7 @@ from pathlib import Path
 import msgspec
 import pytest
 from tests.processes import python
-from tests.report.conftest import leave_out_figures
+from tests.report.figures import leave_out_figures
 
 from mcspectra.cli.main import main
 from mcspectra.core.errors import StoreError
