@@ -56,11 +56,7 @@ def worker(address, host, name):
 
 
 def scheduler(host):
-    return started(
-        *dask(
-            "scheduler", "--host", host, "--port", str(PORT), "--dashboard-address", "127.0.0.1:0"
-        )
-    )
+    return started(*dask("scheduler", "--host", host, "--port", str(PORT), "--no-dashboard"))
 
 
 def ip(*arguments):

@@ -4,7 +4,6 @@ Stores are compared file by file, byte for byte: names, metadata, attributes and
 """
 
 import contextlib
-import json
 import os
 import re
 import shutil
@@ -17,7 +16,8 @@ import time
 from pathlib import Path
 
 import pytest
-from tests.processes import python
+from tests.processes import Command
+from tests.studies.killed_runs import all_trials
 
 from mcspectra.cli.main import main
 from mcspectra.core.errors import DamagedResultsWarning, StoreError
@@ -94,9 +94,7 @@ def assert_finished(out, straight):
 @pytest.mark.parametrize("kills", [2, pytest.param(150, marks=pytest.mark.endurance)])
 def test_killed_at_any_moment_and_resumed(study, tmp_path, straight, kills):
     """Uses forks with imported modules: see killed_runs.py."""
-    program = ("-m", "tests.studies.killed_runs", study, tmp_path, kills, 1)
-    done = python(*program, cwd=ROOT, env=ONE_THREAD, check=True)
-    trials = list(map(json.loads, done.stdout.splitlines()))
+    trials = all_trials(study, tmp_path, kills, 1)
     assert len(trials) == kills
     ends = [end for trial in trials for end in trial["ends"]]
     assert ends.count(-signal.SIGKILL) >= kills // 2
@@ -105,11 +103,6 @@ def test_killed_at_any_moment_and_resumed(study, tmp_path, straight, kills):
     for trial in trials:
         assert trial["last"] == 0
         assert_finished(Path(trial["out"]), straight)
-
-
-def test_a_time_limit_changes_no_byte(tmp_path, straight):
-    run_study(CONFIG, tmp_path, workers=1, time_limit=1000.0)
-    assert_finished(tmp_path, straight)
 
 
 class Interrupted:
@@ -271,29 +264,26 @@ dims = 1
 """
 
 
-def waiting_run(misbehaving, folder, limit=""):
-    """Start a command whose integrand hangs while a file exists; a time limit adds a process."""
+def waiting(misbehaving, folder, limit=""):
+    """Return a command whose integrand hangs while a file exists; a time limit adds a process."""
     study = folder / "study.toml"
     study.write_text(limit + FUNCTION)
     (misbehaving / "hang").touch()
-    arguments = command(study, folder / "out", "--allow-code", "misbehaving:hangs")
-    environment = process_env(misbehaving)
-    started = subprocess.Popen(
-        [*PROGRAM, *arguments], cwd=ROOT, env=environment, stderr=subprocess.PIPE
-    )
-    return started, arguments
+    return command(study, folder / "out", "--allow-code", "misbehaving:hangs")
 
 
 def wait_for(condition, process, seconds=60):
     end = time.monotonic() + seconds
     while not condition():
-        assert process.poll() is None, process.stderr.read()
+        assert process.poll() is None
         assert time.monotonic() < end
         time.sleep(0.02)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_second_run_is_refused_and_the_first_goes_on(misbehaving, tmp_path, capsys):
-    process, arguments = waiting_run(misbehaving, tmp_path)
+    arguments = waiting(misbehaving, tmp_path)
+    process = Command(*arguments)
     try:
         wait_for((tmp_path / "out" / LEDGER_NAME).exists, process)
         assert main([*arguments, "--resume"]) == 2
@@ -304,8 +294,6 @@ def test_a_second_run_is_refused_and_the_first_goes_on(misbehaving, tmp_path, ca
         assert process.wait(60) == 0
     finally:
         process.kill()
-        process.wait()
-        process.stderr.close()
     status = study_status(tmp_path / "out", verify=True)
     assert status.state == "finished"
     assert len(status.done) == 1
@@ -333,7 +321,10 @@ def children(pid):
 @pytest.mark.usefixtures("undrawn")
 def test_no_worker_outlives_a_run_that_is_killed(misbehaving, tmp_path):
     """This holds even if a worker's task hangs; the store can be resumed at once."""
-    process, arguments = waiting_run(misbehaving, tmp_path, "time_limit = 1000\n")
+    arguments = waiting(misbehaving, tmp_path, "time_limit = 1000\n")
+    process = subprocess.Popen(
+        [*PROGRAM, *arguments], cwd=ROOT, env=process_env(misbehaving), stderr=subprocess.DEVNULL
+    )
     try:
         wait_for((misbehaving / "begun").exists, process)
         workers = children(process.pid)
@@ -347,7 +338,6 @@ def test_no_worker_outlives_a_run_that_is_killed(misbehaving, tmp_path):
     finally:
         process.kill()
         process.wait()
-        process.stderr.close()
     (misbehaving / "hang").unlink()
     assert main([*arguments, "--resume"]) == 0
     assert study_status(tmp_path / "out").state == "finished"

@@ -412,7 +412,7 @@ def test_forged_study_texts_give_sentences(place, honest, text, monkeypatch):
 
 
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("step", [300, pytest.param(15, marks=pytest.mark.endurance)])
+@pytest.mark.parametrize("step", [700, pytest.param(15, marks=pytest.mark.endurance)])
 def test_forgeries_are_read_or_refused_in_a_sentence(place, honest, step):
     found = all_trials(honest, place, step)
     print(dict(found))

@@ -16,9 +16,9 @@ def assert_held(found):
     assert not found["broken"]
 
 
-@more((16, 6), (1, 24))
+@more((24, 6), (1, 24))
 def test_each_cell_off_a_zeroed_page_is_recovered(tmp_path, count):
-    """Of the short run, four pages of a ledger of 36 cells: a header, and pages of results."""
+    """Of the short run, three pages of a ledger of 36 cells: a header, and pages of results."""
     found = trials.pages(tmp_path, *count)
     assert_held(found)
     assert found["recovered"] == found["cells_off_pages"]
