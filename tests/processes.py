@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+import traceback
 import warnings
 
 
@@ -14,37 +15,30 @@ def python(*arguments, check=False, **options):
     return subprocess.run(command, check=check, capture_output=True, text=True, **options)
 
 
-def forked(said=os.devnull):
-    """Fork this process, which has imported all modules; return 0 in the child, as os.fork does.
+class Fork:
+    """A function in a fork of this process, which has imported all modules.
 
-    The child prints nothing; its errors go to the file `said`. It must end with os._exit.
+    The function returns the exit code. It prints nothing; its errors are added to the file `said`.
     """
-    with warnings.catch_warnings():
-        # Later versions of Python warn if there are other threads; the child uses none of them
-        warnings.simplefilter("ignore", DeprecationWarning)
-        child = os.fork()
-    if child == 0:
-        warnings.resetwarnings()
-        for number, name, file in ((1, "stdout", os.devnull), (2, "stderr", said)):
-            stream = open(file, "w", buffering=1)  # noqa: PTH123, SIM115
-            os.dup2(stream.fileno(), number)
-            setattr(sys, name, stream)
-    return child
 
-
-class Command:
-    """The command ``mcspectra`` in a fork of this process."""
-
-    def __init__(self, *arguments, said=os.devnull):
-        from mcspectra.cli.main import main
-
+    def __init__(self, function, *arguments, said=os.devnull):
         self.returncode = None
-        self.pid = forked(said)
+        with warnings.catch_warnings():
+            # Later versions of Python warn if there are other threads; the child uses none of them
+            warnings.simplefilter("ignore", DeprecationWarning)
+            self.pid = os.fork()
         if self.pid == 0:
             code = 1
             try:
-                sys.argv[1:] = map(str, arguments)
-                code = main()
+                warnings.resetwarnings()
+                for number, name, file in ((1, "stdout", os.devnull), (2, "stderr", said)):
+                    stream = open(file, "a", buffering=1)  # noqa: PTH123, SIM115
+                    os.dup2(stream.fileno(), number)
+                    setattr(sys, name, stream)
+                code = function(*arguments)
+            except BaseException:
+                traceback.print_exc()
+                raise
             finally:
                 os._exit(code)
 
@@ -72,3 +66,11 @@ class Command:
         """Kill the process and wait for its end."""
         self.send_signal(signal.SIGKILL)
         self.wait()
+
+
+def command(*arguments):
+    """Run the command as a program does; return its exit code. For forks only."""
+    from mcspectra.cli.main import main
+
+    sys.argv[1:] = map(str, arguments)
+    return main()

@@ -8,14 +8,12 @@ prints one line of JSON per trial: the state of the killed run, and the result o
 
 import contextlib
 import json
-import os
 import random
-import signal
 import sys
 import time
 from pathlib import Path
 
-from tests.processes import forked
+from tests.processes import Fork, command
 from tests.report.figures import without_figures
 
 from mcspectra.cli.main import main
@@ -24,16 +22,19 @@ from mcspectra.studies import ledger, schedule
 
 def run(study, out, moment=None, resume=False):
     """Run the command in a fork with tasks of one block, and kill it after `moment` seconds."""
-    child = forked()
-    if child == 0:
-        schedule._TARGET, schedule._RECORDED_AFTER = 1e-9, 0.0
-        ledger._COMMIT_SECONDS = 0.005
-        arguments = ["run", str(study), "--out", str(out), "--workers", "1", "--quiet"]
-        os._exit(main(arguments + ["--resume"] * resume))
+    arguments = ["run", study, "--out", out, "--workers", "1", "--quiet"]
+    child = Fork(in_short_tasks, *arguments, *["--resume"] * resume)
     if moment is not None:
         time.sleep(moment)
-        os.kill(child, signal.SIGKILL)
-    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        child.kill()
+    return child.wait()
+
+
+def in_short_tasks(*arguments):
+    """Run a command that records and commits often; for forks only."""
+    schedule._TARGET, schedule._RECORDED_AFTER = 1e-9, 0.0
+    ledger._COMMIT_SECONDS = 0.005
+    return command(*arguments)
 
 
 @without_figures()  # Pictures would take longer than all the rest

@@ -4,6 +4,8 @@ Stores are compared file by file, byte for byte: names, metadata, attributes and
 """
 
 import contextlib
+import ctypes
+import json
 import os
 import re
 import shutil
@@ -16,7 +18,7 @@ import time
 from pathlib import Path
 
 import pytest
-from tests.processes import Command
+from tests.processes import Fork, command
 from tests.studies.killed_runs import all_trials
 
 from mcspectra.cli.main import main
@@ -73,7 +75,7 @@ PROGRAM = [sys.executable, "-m", "tests.studies.undrawn"]
 ROOT = Path(__file__).parents[2]
 
 
-def command(study, out, *more):
+def asked(study, out, *more):
     return ["run", str(study), "--out", str(out), "--workers", "1", "--quiet", *more]
 
 
@@ -269,7 +271,7 @@ def waiting(misbehaving, folder, limit=""):
     study = folder / "study.toml"
     study.write_text(limit + FUNCTION)
     (misbehaving / "hang").touch()
-    return command(study, folder / "out", "--allow-code", "misbehaving:hangs")
+    return asked(study, folder / "out", "--allow-code", "misbehaving:hangs")
 
 
 def wait_for(condition, process, seconds=60):
@@ -283,7 +285,7 @@ def wait_for(condition, process, seconds=60):
 @pytest.mark.usefixtures("undrawn")
 def test_a_second_run_is_refused_and_the_first_goes_on(misbehaving, tmp_path, capsys):
     arguments = waiting(misbehaving, tmp_path)
-    process = Command(*arguments)
+    process = Fork(command, *arguments)
     try:
         wait_for((tmp_path / "out" / LEDGER_NAME).exists, process)
         assert main([*arguments, "--resume"]) == 2
@@ -343,32 +345,6 @@ def test_no_worker_outlives_a_run_that_is_killed(misbehaving, tmp_path):
     assert study_status(tmp_path / "out").state == "finished"
 
 
-MOUNTED = """
-import os, shutil, subprocess, sys
-from tests.report.figures import leave_out_figures
-from mcspectra.cli.main import main
-
-size, out, kept, *arguments = sys.argv[1:]
-
-def run(*more):
-    # A fork of this process, which has imported all modules
-    child = os.fork()
-    if child == 0:
-        leave_out_figures(setattr)
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-        os._exit(main([*arguments, *more]))
-    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-
-def mount(*options):
-    subprocess.run(["mount", *options, out], check=True)
-
-mount("-t", "tmpfs", "-o", f"size={size}", "tmpfs")
-status = run()
-shutil.copytree(out, kept)
-mount("-o", "remount,size=64m")
-print(status, run("--resume"))
-shutil.copytree(out, f"{kept}-after")
-"""
 NAMESPACE = ["unshare", "--user", "--map-root-user", "--mount"]
 
 
@@ -382,32 +358,47 @@ def _can_mount():
     return made.returncode == 0
 
 
-def on_small_disk(study, size, folder):
-    """Run on a file system of `size` bytes and resume on a larger one; return codes and output."""
-    out, kept = folder / "disk", folder / "kept"
-    out.mkdir()
-    program = (*NAMESPACE, sys.executable, "-c", MOUNTED)
-    done = subprocess.run(
-        [*program, str(size), str(out), str(kept), *command(study, out)],
-        cwd=ROOT,
-        env=ONE_THREAD,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    return done.stdout.split(), done.stderr, kept
+def on_small_disk(folder, size, arguments):
+    """Run on a file system of `size` and resume on a larger one; write the exit codes to a file.
+
+    The file systems are mounted in the namespaces of this process, which should be a fork.
+    """
+    disk, kept, said = folder / "disk", folder / "kept", folder / "said"
+    user, group = os.getuid(), os.getgid()
+    if ctypes.CDLL(None).unshare(CLONE_NEWUSER | CLONE_NEWNS):
+        return 1
+    for name, line in (("setgroups", "deny"), ("uid", f"0 {user} 1"), ("gid", f"0 {group} 1")):
+        Path("/proc/self", name if name == "setgroups" else f"{name}_map").write_text(line)
+
+    def mount(*options):
+        subprocess.run(["mount", *options, disk], check=True)
+
+    mount("-t", "tmpfs", "-o", f"size={size}", "tmpfs")
+    first = Fork(command, *arguments, said=said).wait()
+    shutil.copytree(disk, kept)
+    mount("-o", "remount,size=64m")
+    second = Fork(command, *arguments, "--resume", said=said).wait()
+    shutil.copytree(disk, folder / "after")
+    (folder / "codes").write_text(json.dumps([first, second]))
+    return 0
 
 
+CLONE_NEWNS, CLONE_NEWUSER = 0x20000, 0x10000000  # As in linux/sched.h
 SIZES = ["200k"] if _can_mount() else []
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("size", SIZES)
 def test_a_full_disk_is_one_sentence_and_loses_nothing(study, tmp_path, straight, size):
-    codes, said, kept = on_small_disk(study, size, tmp_path)
-    assert codes == ["1", "0"]
+    disk, kept, errors = tmp_path / "disk", tmp_path / "kept", tmp_path / "errors"
+    disk.mkdir()
+    ended = Fork(on_small_disk, tmp_path, size, asked(study, disk), said=errors).wait(200.0)
+    assert ended == 0, errors.read_text()
+    assert json.loads((tmp_path / "codes").read_text()) == [1, 0]
+    said = (tmp_path / "said").read_text()
     assert "cannot be written: " in said
     assert re.search("disk is full|No space left|its file system failed", said)
     assert said.count("\n") == 1
     if (kept / LEDGER_NAME).exists():  # Everything that the ledger lists is present and sound
         assert study_status(kept, verify=True).damaged == {}
-    assert_finished(tmp_path / "kept-after", straight)
+    assert_finished(tmp_path / "after", straight)

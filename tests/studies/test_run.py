@@ -16,7 +16,7 @@ import numpy as np
 import psutil
 import pytest
 import xarray as xr
-from tests.processes import Command
+from tests.processes import Fork, command
 
 import mcspectra as mcs
 from mcspectra.core.analysis import Analysis, Need, Reduction
@@ -360,9 +360,9 @@ def test_interrupting_the_command_exits_130_and_loses_nothing(
     study = tmp_path / "study.toml"
     study.write_text(text.replace("[4, 16]", "[4, 8, 16, 32]").replace("= 10", "= 200"))
     (misbehaving / "slow").touch()
-    command = ["run", str(study), "--out", str(tmp_path / "out"), "--workers", "2"]
-    command += [item for name in trust.code for item in ("--allow-code", name)]
-    process = Command(*command, said=tmp_path / "said")
+    asked = ["run", study, "--out", tmp_path / "out", "--workers", "2"]
+    asked += [item for name in trust.code for item in ("--allow-code", name)]
+    process = Fork(command, *asked, said=tmp_path / "said")
     try:
         while not _is_done(tmp_path / "out", _path("good")):
             assert process.poll() is None, (tmp_path / "said").read_text()
