@@ -126,7 +126,7 @@ name = "subset"
 scene = "penumbra(width=20, height=15)"
 integrator = "path(max_depth=2)"
 chains = 0
-pixels = "10%"
+pixels = "30%"
 """
 
 
