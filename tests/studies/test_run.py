@@ -43,19 +43,19 @@ seed = 3
 samplers = ["random", "jittered | shift"]
 [convergence]
 counts = [64, 256]
-realizations = 3000
+realizations = 1500
 [[estimators]]
 name = "smooth"
 integrand = "gaussian"
 dims = 2
 predict = { counts = [1], method = "exact" }
-terms = { n = 64, half_width = 4, realizations = 3000 }
+terms = { n = 64, half_width = 4, realizations = 1500 }
 [[estimators]]
 name = "mis"
 integrand = "linear"
 dims = 1
 densities = ["uniform", "linear(slope=1)"]
-convergence = { counts = [16, 64], realizations = 20000, relative_error = 0.1 }
+convergence = { counts = [16, 64], realizations = 8000, relative_error = 0.1 }
 """
 FUNCTIONS = """
 title = "failures"
@@ -127,13 +127,13 @@ def test_stored_results_equal_the_functions(finished):
     )
     expected = {
         "/smooth/jittered-shift/convergence": mcs.convergence(
-            smooth, "jittered | shift", [64, 256], realizations=3000, rng=3
+            smooth, "jittered | shift", [64, 256], realizations=1500, rng=3
         ),
         "/smooth/random/terms": mcs.variance_terms(
-            smooth, "random", 64, half_width=4, realizations=3000, rng=3
+            smooth, "random", 64, half_width=4, realizations=1500, rng=3
         ),
         "/mis/random/convergence": mcs.convergence(
-            mis, "random", [16, 64], realizations=20000, relative_error=0.1, rng=3
+            mis, "random", [16, 64], realizations=8000, relative_error=0.1, rng=3
         ),
     }
     for path, data in expected.items():
