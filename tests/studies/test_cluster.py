@@ -403,7 +403,7 @@ WAYS = {"stopped": []} | ({"namespace": ISOLATED} if _can_make_networks() else {
 
 
 @pytest.fixture(scope="module", autouse=True)
-def cut_off():
+def cut_off(cluster):
     """Start a run for each way to cut a worker off; they run while other tests do.
 
     Most of their time they wait until dask gives the worker up.
