@@ -56,7 +56,11 @@ def worker(address, host, name):
 
 
 def scheduler(host):
-    return started(*dask("scheduler", "--host", host, "--port", str(PORT), "--no-dashboard"))
+    return started(
+        *dask(
+            "scheduler", "--host", host, "--port", str(PORT), "--dashboard-address", "127.0.0.1:0"
+        )
+    )
 
 
 def ip(*arguments):

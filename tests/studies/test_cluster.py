@@ -336,41 +336,36 @@ def encrypted(tmp_path):
         yield
 
 
-def listening(servers):
-    """Return the addresses at which this process, the servers and their children listen."""
-    family = [psutil.Process(), *servers, *workers_of(servers)]
+def listening():
+    """Return the addresses at which this process and its children listen."""
+    here = psutil.Process()
+    family = [here, *here.children(recursive=True)]
     sockets = [each for process in family for each in process.net_connections()]
     return {each.laddr.ip for each in sockets if each.status == psutil.CONN_LISTEN}
 
 
-def workers_of(servers):
+def workers_here():
     """Return the worker processes forked by Python's fork server, without the server itself."""
-    return {each for server in servers for each in server.children(recursive=True)}
+    family = psutil.Process().children(recursive=True)
+    return {each.pid for each in family if each.ppid() != os.getpid()}
 
 
-def servers_here(others):
-    """Return the child processes of this process, without the runs that other tests started."""
-    started = {each.pid for each in others.values()}
-    return [each for each in psutil.Process().children() if each.pid not in started]
-
-
-def test_a_cluster_of_this_machine_is_on_loopback_encrypted_and_gone_afterwards(encrypted, cut_off):
-    before = workers_of(servers_here(cut_off))
+def test_a_cluster_of_this_machine_is_on_loopback_encrypted_and_gone_afterwards(encrypted):
+    before = workers_here()
     engine = Dask(TEXT, Cluster(workers=1), squares())
     try:
         assert engine.workers == 1
-        servers = servers_here(cut_off)
-        assert workers_of(servers) > before
+        assert workers_here() > before
         assert engine.address.startswith("tls://127.0.0.1:")
         assert engine.dashboard.startswith("http://127.0.0.1:")
-        assert listening(servers) == {"127.0.0.1"}
+        assert listening() == {"127.0.0.1"}
         assert all_outcomes(engine, [task(5)])["5"].payload == b"25"
         plain = Cluster(address=engine.address.replace("tls", "tcp"), patience=1.0)
         with pytest.raises(ClusterError, match="No dask scheduler answers at tcp://127"):
             Dask(TEXT, plain, squares())
     finally:
         engine.close(cancel=True)
-    assert workers_of(servers_here(cut_off)) == before
+    assert workers_here() == before
 
 
 def test_a_cluster_can_be_left_while_tasks_run(engine_on, cluster):
@@ -402,12 +397,9 @@ def _can_make_networks():
 WAYS = {"stopped": []} | ({"namespace": ISOLATED} if _can_make_networks() else {})
 
 
-@pytest.fixture(scope="module", autouse=True)
-def cut_off(cluster):
-    """Start a run for each way to cut a worker off; they run while other tests do.
-
-    Most of their time they wait until dask gives the worker up.
-    """
+@pytest.fixture(scope="module")
+def cut_off():
+    """Start a run for each way to cut a worker off; they run at the same time."""
     script = str(Path(__file__).with_name("cut_off.py"))
     pipe = subprocess.PIPE
     return {
