@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 from tests.plots.drawing import drawn_by_both
-from tests.report.conftest import leave_out_figures, no_pdf
+from tests.report.conftest import no_pdf
+from tests.report.figures import leave_out_figures
 
 from mcspectra import rendering
 from mcspectra.cli.main import main

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 import xarray as xr
 from tests.fonts import fonts_once
+from tests.report.figures import leave_out_figures
 
 import mcspectra as mcs
 from mcspectra.core.analysis import ANALYSES
 from mcspectra.core.records import pack
 from mcspectra.core.results import dataset
 from mcspectra.plots import backend_matplotlib
-from mcspectra.report import page
 from mcspectra.report.bench_page import write_bench
 from mcspectra.report.sampler_cards import QUICK, measure_card
 from mcspectra.studies.files import Slugs, decode_study, plain_study, study_of
@@ -274,20 +274,6 @@ def all_analyses(sampler, dims=1, n=None):
         "spectrum": make_spectrum(sampler, dims=dims, n=count, half_width=width),
         "points": make_points(sampler, dims=dims, n=count),
     }
-
-
-def leave_out_figures(patch):
-    """Replace figures of pages by their words; `patch` sets an attribute, as ``setattr`` does."""
-    patch(page, "_images", lambda *_, **__: None)
-    patch(page, "_embedded", _words_alone)
-
-
-def _words_alone(figure, *_):
-    """Return a figure for the template without an image."""
-    plot = figure.plot
-    blank = {**dict.fromkeys(("png", "thumbnail", "file", "live"), ""), "width": 1, "height": 1}
-    said = {"words": plot.words, "caption": plot.caption}
-    return blank | said | {"wide": plot.wide, "abreast": False, "frames": {}}
 
 
 @pytest.fixture

@@ -13,11 +13,18 @@ __all__ = ["of_a_bell", "predicted_bell", "undrawn"]
 
 
 def of_a_bell(analysis):
-    """Run the analysis on a bell, under the name of a slow estimator of a pixel."""
+    """Run the analysis on a bell, under the name of a slow estimator of a pixel.
+
+    The analysis runs once for all estimators with the same options.
+    """
+    known = {}
 
     def call(estimator, *given, **options):
-        bell = mcs.integrand("gaussian", dims=estimator.dims)
-        return analysis(bell, *given, **options).assign_attrs(given=estimator.spec)
+        key = repr((estimator.dims, given, options))
+        if key not in known:
+            bell = mcs.integrand("gaussian", dims=estimator.dims)
+            known[key] = analysis(bell, *given, **options)
+        return known[key].assign_attrs(given=estimator.spec)
 
     return call
 

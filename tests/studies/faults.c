@@ -1,9 +1,10 @@
 /* Causes system faults in a run, for tests; load it before the C library with LD_PRELOAD.
 
-FAULTS_LOG     file that receives every change of files "study.*" and ".study.*", in order
-FAULTS_CLOCK   seed: the wall clock jumps by years, both ways, every few reads
-FAULTS_NOLOCK  file locks fail, as on a network file system without locks
-faults_memory  function: allocations fail after the given number of allocations */
+These functions cause the faults:
+faults_log     every change of files "study.*" and ".study.*" goes to a file, in order
+faults_clock   the wall clock jumps by years, both ways, every few reads; the argument is a seed
+faults_locks   file locks fail, as on a network file system without locks
+faults_memory  allocations fail after the given number of allocations */
 
 #define _GNU_SOURCE
 #include <dlfcn.h>
@@ -53,10 +54,9 @@ static void note(char kind, int file, int64_t at, const void *data, int64_t size
     put(data, size);
 }
 
-__attribute__((constructor)) static void begin(void) {
-    const char *log = getenv("FAULTS_LOG");
+void faults_log(const char *log) {
     REAL(int, "open", const char *, int, ...);
-    if (log) noted = real(log, O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, 0600);
+    noted = real(log, O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, 0600);
 }
 
 static int opened(int file, const char *path, int flags) {
@@ -129,6 +129,10 @@ int rename(const char *before, const char *after) {
 
 /* Locks */
 
+static int lockless = 0;
+
+void faults_locks(void) { lockless = 1; }
+
 #define FCNTL(name)                                                             \
     int name(int file, int command, ...) {                                      \
         REAL(int, #name, int, int, ...);                                        \
@@ -136,8 +140,7 @@ int rename(const char *before, const char *after) {
         va_start(more, command);                                                \
         void *given = va_arg(more, void *);                                     \
         va_end(more);                                                           \
-        if ((command == F_SETLK || command == F_SETLKW || command == F_GETLK) && \
-            getenv("FAULTS_NOLOCK")) {                                          \
+        if ((command == F_SETLK || command == F_SETLKW || command == F_GETLK) && lockless) { \
             errno = ENOLCK;                                                     \
             return -1;                                                          \
         }                                                                       \
@@ -175,15 +178,13 @@ void *realloc(void *old, size_t size) { return lacking() ? NULL : __libc_realloc
 
 /* Clocks: only the wall clock, because the other clocks never go back */
 
+static atomic_ulong state = 0;
+
+void faults_clock(unsigned long seed) { state = 2 * seed + 1; }
+
 static time_t jumped(void) {
-    static atomic_ulong state = 0;
     static atomic_long by = 0;
-    static const char *seed = NULL;
-    if (!state) {
-        seed = getenv("FAULTS_CLOCK");
-        state = seed ? 2 * strtoul(seed, NULL, 10) + 1 : 1;
-    }
-    if (!seed) return 0;
+    if (!state) return 0;
     state = state * 6364136223846793005UL + 1442695040888963407UL;
     if ((state >> 33) % 8 == 0) by = (long)((state >> 36) % 630720000UL) - 315360000L;
     return by;

@@ -8,14 +8,13 @@ prints one line of JSON per trial: the state of the killed run, and the result o
 
 import contextlib
 import json
-import os
 import random
-import signal
 import sys
 import time
 from pathlib import Path
 
-from tests.report.conftest import leave_out_figures
+from tests.processes import Fork, command
+from tests.report.figures import without_figures
 
 from mcspectra.cli.main import main
 from mcspectra.studies import ledger, schedule
@@ -23,24 +22,25 @@ from mcspectra.studies import ledger, schedule
 
 def run(study, out, moment=None, resume=False):
     """Run the command in a fork with tasks of one block, and kill it after `moment` seconds."""
-    child = os.fork()
-    if child == 0:
-        silent = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(silent, 1)
-        schedule._TARGET, schedule._RECORDED_AFTER = 1e-9, 0.0
-        ledger._COMMIT_SECONDS = 0.005
-        arguments = ["run", str(study), "--out", str(out), "--workers", "1", "--quiet"]
-        os._exit(main(arguments + ["--resume"] * resume))
+    arguments = ["run", study, "--out", out, "--workers", "1", "--quiet"]
+    child = Fork(in_short_tasks, *arguments, *["--resume"] * resume)
     if moment is not None:
         time.sleep(moment)
-        os.kill(child, signal.SIGKILL)
-    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        child.kill()
+    return child.wait()
 
 
+def in_short_tasks(*arguments):
+    """Run a command that records and commits often; for forks only."""
+    schedule._TARGET, schedule._RECORDED_AFTER = 1e-9, 0.0
+    ledger._COMMIT_SECONDS = 0.005
+    return command(*arguments)
+
+
+@without_figures()  # Pictures would take longer than all the rest
 def all_trials(study, folder, kills, seed):
-    """Print the result of each trial."""
-    chosen = random.Random(seed)
-    leave_out_figures(setattr)  # Pictures would take longer than all the rest
+    """Return the result of each trial."""
+    chosen, trials = random.Random(seed), []
     # This also imports all modules before the first fork.
     with contextlib.redirect_stdout(None):
         main(["run", str(study), "--out", str(folder / "straight"), "--workers", "1", "--quiet"])
@@ -54,8 +54,10 @@ def all_trials(study, folder, kills, seed):
             *(run(study, out, duration * chosen.random(), resume=True) for _ in range(index % 2)),
         ]
         last = run(study, out, resume=True)
-        print(json.dumps({"out": str(out), "ends": ends, "last": last}), flush=True)
+        trials.append({"out": str(out), "ends": ends, "last": last})
+    return trials
 
 
 if __name__ == "__main__":
-    all_trials(Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3]), int(sys.argv[4]))
+    for trial in all_trials(Path(sys.argv[1]), Path(sys.argv[2]), *map(int, sys.argv[3:5])):
+        print(json.dumps(trial))

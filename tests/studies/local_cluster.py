@@ -8,13 +8,19 @@ import dask
 import distributed
 from distributed.utils import get_mp_context
 
+from mcspectra.studies import executors
+from mcspectra.studies.tasks import WARM
+
+# As in runs of users, so that one fork server serves both
+PRELOADED = ["dask.array", "distributed", executors.__name__, WARM]
+
 
 @contextlib.contextmanager
 def _forking():
     """Return dask's context for forking processes."""
     with dask.config.set({"distributed.worker.multiprocessing-method": "forkserver"}):
         context = get_mp_context()
-        context.set_forkserver_preload(["distributed", "mcspectra.studies.executors"])
+        context.set_forkserver_preload(PRELOADED)
         yield context
 
 
@@ -38,7 +44,7 @@ def local_cluster(workers):
 
 def scheduler(*options):
     """Start the program ``dask scheduler``."""
-    return _forked("scheduler", "--dashboard-address", "127.0.0.1:0", *options)
+    return _forked("scheduler", "--no-dashboard", *options)
 
 
 def worker(*options):

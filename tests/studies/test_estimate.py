@@ -112,21 +112,21 @@ title = "t"
 samplers = ["sobol | owen"]
 [[maps]]
 name = "whole"
-scene = "penumbra(width=40, height=30)"
+scene = "penumbra(width=20, height=15)"
 integrator = "path(max_depth=2)"
 chains = 0
 [[maps]]
 name = "crop"
-scene = "penumbra(width=40, height=30)"
+scene = "penumbra(width=20, height=15)"
 integrator = "path(max_depth=2)"
 chains = 0
-crop = [0, 0, 40, 30]
+crop = [0, 0, 20, 15]
 [[maps]]
 name = "subset"
-scene = "penumbra(width=40, height=30)"
+scene = "penumbra(width=20, height=15)"
 integrator = "path(max_depth=2)"
 chains = 0
-pixels = "10%"
+pixels = "30%"
 """
 
 

@@ -4,6 +4,7 @@ Stores are compared file by file, byte for byte: names, metadata, attributes and
 """
 
 import contextlib
+import ctypes
 import json
 import os
 import re
@@ -17,7 +18,8 @@ import time
 from pathlib import Path
 
 import pytest
-from tests.processes import python
+from tests.processes import Fork, command
+from tests.studies.killed_runs import all_trials
 
 from mcspectra.cli.main import main
 from mcspectra.core.errors import DamagedResultsWarning, StoreError
@@ -73,7 +75,7 @@ PROGRAM = [sys.executable, "-m", "tests.studies.undrawn"]
 ROOT = Path(__file__).parents[2]
 
 
-def command(study, out, *more):
+def asked(study, out, *more):
     return ["run", str(study), "--out", str(out), "--workers", "1", "--quiet", *more]
 
 
@@ -94,9 +96,7 @@ def assert_finished(out, straight):
 @pytest.mark.parametrize("kills", [2, pytest.param(150, marks=pytest.mark.endurance)])
 def test_killed_at_any_moment_and_resumed(study, tmp_path, straight, kills):
     """Uses forks with imported modules: see killed_runs.py."""
-    program = ("-m", "tests.studies.killed_runs", study, tmp_path, kills, 1)
-    done = python(*program, cwd=ROOT, env=ONE_THREAD, check=True)
-    trials = list(map(json.loads, done.stdout.splitlines()))
+    trials = all_trials(study, tmp_path, kills, 1)
     assert len(trials) == kills
     ends = [end for trial in trials for end in trial["ends"]]
     assert ends.count(-signal.SIGKILL) >= kills // 2
@@ -105,11 +105,6 @@ def test_killed_at_any_moment_and_resumed(study, tmp_path, straight, kills):
     for trial in trials:
         assert trial["last"] == 0
         assert_finished(Path(trial["out"]), straight)
-
-
-def test_a_time_limit_changes_no_byte(tmp_path, straight):
-    run_study(CONFIG, tmp_path, workers=1, time_limit=1000.0)
-    assert_finished(tmp_path, straight)
 
 
 class Interrupted:
@@ -271,29 +266,26 @@ dims = 1
 """
 
 
-def waiting_run(misbehaving, folder, limit=""):
-    """Start a command whose integrand hangs while a file exists; a time limit adds a process."""
+def waiting(misbehaving, folder, limit=""):
+    """Return a command whose integrand hangs while a file exists; a time limit adds a process."""
     study = folder / "study.toml"
     study.write_text(limit + FUNCTION)
     (misbehaving / "hang").touch()
-    arguments = command(study, folder / "out", "--allow-code", "misbehaving:hangs")
-    environment = process_env(misbehaving)
-    started = subprocess.Popen(
-        [*PROGRAM, *arguments], cwd=ROOT, env=environment, stderr=subprocess.PIPE
-    )
-    return started, arguments
+    return asked(study, folder / "out", "--allow-code", "misbehaving:hangs")
 
 
 def wait_for(condition, process, seconds=60):
     end = time.monotonic() + seconds
     while not condition():
-        assert process.poll() is None, process.stderr.read()
+        assert process.poll() is None
         assert time.monotonic() < end
         time.sleep(0.02)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_second_run_is_refused_and_the_first_goes_on(misbehaving, tmp_path, capsys):
-    process, arguments = waiting_run(misbehaving, tmp_path)
+    arguments = waiting(misbehaving, tmp_path)
+    process = Fork(command, *arguments)
     try:
         wait_for((tmp_path / "out" / LEDGER_NAME).exists, process)
         assert main([*arguments, "--resume"]) == 2
@@ -304,8 +296,6 @@ def test_a_second_run_is_refused_and_the_first_goes_on(misbehaving, tmp_path, ca
         assert process.wait(60) == 0
     finally:
         process.kill()
-        process.wait()
-        process.stderr.close()
     status = study_status(tmp_path / "out", verify=True)
     assert status.state == "finished"
     assert len(status.done) == 1
@@ -333,7 +323,10 @@ def children(pid):
 @pytest.mark.usefixtures("undrawn")
 def test_no_worker_outlives_a_run_that_is_killed(misbehaving, tmp_path):
     """This holds even if a worker's task hangs; the store can be resumed at once."""
-    process, arguments = waiting_run(misbehaving, tmp_path, "time_limit = 1000\n")
+    arguments = waiting(misbehaving, tmp_path, "time_limit = 1000\n")
+    process = subprocess.Popen(
+        [*PROGRAM, *arguments], cwd=ROOT, env=process_env(misbehaving), stderr=subprocess.DEVNULL
+    )
     try:
         wait_for((misbehaving / "begun").exists, process)
         workers = children(process.pid)
@@ -347,38 +340,11 @@ def test_no_worker_outlives_a_run_that_is_killed(misbehaving, tmp_path):
     finally:
         process.kill()
         process.wait()
-        process.stderr.close()
     (misbehaving / "hang").unlink()
     assert main([*arguments, "--resume"]) == 0
     assert study_status(tmp_path / "out").state == "finished"
 
 
-MOUNTED = """
-import os, shutil, subprocess, sys
-from tests.report.conftest import leave_out_figures
-from mcspectra.cli.main import main
-
-size, out, kept, *arguments = sys.argv[1:]
-
-def run(*more):
-    # A fork of this process, which has imported all modules
-    child = os.fork()
-    if child == 0:
-        leave_out_figures(setattr)
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-        os._exit(main([*arguments, *more]))
-    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-
-def mount(*options):
-    subprocess.run(["mount", *options, out], check=True)
-
-mount("-t", "tmpfs", "-o", f"size={size}", "tmpfs")
-status = run()
-shutil.copytree(out, kept)
-mount("-o", "remount,size=64m")
-print(status, run("--resume"))
-shutil.copytree(out, f"{kept}-after")
-"""
 NAMESPACE = ["unshare", "--user", "--map-root-user", "--mount"]
 
 
@@ -392,32 +358,47 @@ def _can_mount():
     return made.returncode == 0
 
 
-def on_small_disk(study, size, folder):
-    """Run on a file system of `size` bytes and resume on a larger one; return codes and output."""
-    out, kept = folder / "disk", folder / "kept"
-    out.mkdir()
-    program = (*NAMESPACE, sys.executable, "-c", MOUNTED)
-    done = subprocess.run(
-        [*program, str(size), str(out), str(kept), *command(study, out)],
-        cwd=ROOT,
-        env=ONE_THREAD,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    return done.stdout.split(), done.stderr, kept
+def on_small_disk(folder, size, arguments):
+    """Run on a file system of `size` and resume on a larger one; write the exit codes to a file.
+
+    The file systems are mounted in the namespaces of this process, which should be a fork.
+    """
+    disk, kept, said = folder / "disk", folder / "kept", folder / "said"
+    user, group = os.getuid(), os.getgid()
+    if ctypes.CDLL(None).unshare(CLONE_NEWUSER | CLONE_NEWNS):
+        return 1
+    for name, line in (("setgroups", "deny"), ("uid", f"0 {user} 1"), ("gid", f"0 {group} 1")):
+        Path("/proc/self", name if name == "setgroups" else f"{name}_map").write_text(line)
+
+    def mount(*options):
+        subprocess.run(["mount", *options, disk], check=True)
+
+    mount("-t", "tmpfs", "-o", f"size={size}", "tmpfs")
+    first = Fork(command, *arguments, said=said).wait()
+    shutil.copytree(disk, kept)
+    mount("-o", "remount,size=64m")
+    second = Fork(command, *arguments, "--resume", said=said).wait()
+    shutil.copytree(disk, folder / "after")
+    (folder / "codes").write_text(json.dumps([first, second]))
+    return 0
 
 
+CLONE_NEWNS, CLONE_NEWUSER = 0x20000, 0x10000000  # As in linux/sched.h
 SIZES = ["200k"] if _can_mount() else []
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("size", SIZES)
 def test_a_full_disk_is_one_sentence_and_loses_nothing(study, tmp_path, straight, size):
-    codes, said, kept = on_small_disk(study, size, tmp_path)
-    assert codes == ["1", "0"]
+    disk, kept, errors = tmp_path / "disk", tmp_path / "kept", tmp_path / "errors"
+    disk.mkdir()
+    ended = Fork(on_small_disk, tmp_path, size, asked(study, disk), said=errors).wait(200.0)
+    assert ended == 0, errors.read_text()
+    assert json.loads((tmp_path / "codes").read_text()) == [1, 0]
+    said = (tmp_path / "said").read_text()
     assert "cannot be written: " in said
     assert re.search("disk is full|No space left|its file system failed", said)
     assert said.count("\n") == 1
     if (kept / LEDGER_NAME).exists():  # Everything that the ledger lists is present and sound
         assert study_status(kept, verify=True).damaged == {}
-    assert_finished(tmp_path / "kept-after", straight)
+    assert_finished(tmp_path / "after", straight)

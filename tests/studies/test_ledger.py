@@ -1,23 +1,20 @@
 """The ledger keeps committed data after any interruption; damage never gives a wrong value."""
 
 import contextlib
-import json
 import os
 import random
 import shutil
 import signal
-import subprocess
 import sys
 import tempfile
 import threading
 import time
-import traceback
 from pathlib import Path
 
 import msgspec
 import psutil
 import pytest
-from tests.processes import python
+from tests.processes import Fork
 
 from mcspectra.core.errors import OtherVersionsWarning, StorageError, StoreError
 from mcspectra.core.results import package_versions
@@ -34,7 +31,6 @@ NOTE = StudyNote(
 )
 PATHS = tuple(f"{e}/{s}/{a}" for e in "abcd" for s in "xyz" for a in ("convergence", "terms"))
 RUN = "0-0-10"
-ROOT = Path(__file__).parents[2]
 
 
 def payload(path, size=3000):
@@ -235,12 +231,12 @@ def test_a_second_writer_is_refused_and_the_first_is_named(running):
 
 
 def test_a_noted_holder_is_not_a_lock(running):
-    code = (
-        "import os, sys\nfrom tests.studies.test_ledger import *\n"
-        f"ledger = Ledger.resume(Path({str(running)!r}), NOTE, PATHS)\nos.kill(os.getpid(), 9)\n"
-    )
-    ended = subprocess.run([sys.executable, "-c", code], check=False, cwd=ROOT)
-    assert ended.returncode == -signal.SIGKILL
+    def begin():
+        ledger = Ledger.resume(running, NOTE, PATHS)
+        os.kill(os.getpid(), signal.SIGKILL)
+        return ledger
+
+    assert Fork(begin).wait() == -signal.SIGKILL
     assert not is_held(running)
     with Ledger.read(running) as ledger:
         assert ledger.tally.holder is not None
@@ -278,6 +274,8 @@ def test_readers_see_whole_commits_while_it_is_written(tmp_path):
                     ledger.finish(path, payload(path))
                 ledger.commit()
             time.sleep(0.02)
+            while first % 8 == 0 and thread.is_alive() and (not seen or seen[-1] <= first):
+                time.sleep(0.001)  # On a loaded machine the reader may be late
         over.set()
         thread.join()
     assert seen == sorted(seen)
@@ -306,18 +304,14 @@ def test_a_commit_during_verification_is_not_damage(tmp_path, monkeypatch):
         assert reader.verify().done == PATHS[:1]
 
 
-KILLED = """
-import os, random, shutil, sys, threading, time
-from tests.studies.test_ledger import *
-import mcspectra.studies.ledger as module
-module._COMMIT_SECONDS = 0.001
-out, kills = Path(sys.argv[1]), int(sys.argv[2])
+def fill_until_killed(out, seed):
+    """Fill a ledger, and kill this process at a random moment; for forks only."""
+    moment = random.Random(str(seed)).random() * 0.06
 
-def fill(seed):
-    chosen = random.Random(str(seed))
-    def kill(moment=chosen.random() * 0.06):
+    def kill():
         time.sleep(moment)
-        os.kill(os.getpid(), 9)
+        os.kill(os.getpid(), signal.SIGKILL)
+
     threading.Thread(target=kill, daemon=True).start()
     with Ledger.resume(out, NOTE, PATHS) as ledger:
         for path in PATHS:
@@ -332,45 +326,33 @@ def fill(seed):
                     ledger.record(path, RUN, (block, 1), state)
                 time.sleep(0.0003)
             ledger.finish(path, payload(path))
-
-killed = done = 0
-while killed < kills:
-    ended = forked(fill, killed)
-    assert ended in (0, -signal.SIGKILL), ended
-    killed += ended != 0
-    if (out / LEDGER_NAME).exists():
-        with Ledger.read(out) as ledger:
-            assert ledger.verify().damaged == {}
-            assert len(ledger.done) >= done
-            assert all(ledger.result(path) == payload(path) for path in ledger.done)
-            done = len(ledger.done)
-    if done == len(PATHS):
-        shutil.rmtree(out)
-        done = 0
-"""
+    return 0
 
 
-def forked(call, *arguments):
-    """Return the exit code of a call in a fork, which need not import the modules again."""
-    child = os.fork()
-    if child == 0:
-        code = 1
-        try:
-            call(*arguments)
-            code = 0
-        except Exception:  # noqa: BLE001 - printed, and tests read the exit code
-            traceback.print_exc()
-        finally:
-            sys.stdout.flush()
-            os._exit(code)
-    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+def sound_results(out):
+    """Return the number of finished cells of a ledger, which must be sound."""
+    with Ledger.read(out) as ledger:
+        assert ledger.verify().damaged == {}
+        assert all(ledger.result(path) == payload(path) for path in ledger.done)
+        return len(ledger.done)
 
 
 @pytest.mark.parametrize("kills", [6, pytest.param(150, marks=pytest.mark.endurance)])
-def test_a_ledger_killed_at_any_moment_is_sound(tmp_path, kills):
+def test_a_ledger_killed_at_any_moment_is_sound(tmp_path, monkeypatch, kills):
     """Each killed run leaves a sound ledger, and together they finish all cells."""
-    ended = python("-c", KILLED, tmp_path / "out", kills, cwd=ROOT)
-    assert (ended.returncode, ended.stderr) == (0, "")
+    monkeypatch.setattr(ledger_module, "_COMMIT_SECONDS", 0.001)
+    out, said, killed, done = tmp_path / "out", tmp_path / "said", 0, 0
+    while killed < kills:
+        ended = Fork(fill_until_killed, out, killed, said=said).wait()
+        assert ended in (0, -signal.SIGKILL), said.read_text()
+        killed += ended != 0
+        if (out / LEDGER_NAME).exists():
+            before, done = done, sound_results(out)
+            assert done >= before
+        if done == len(PATHS):
+            shutil.rmtree(out)
+            done = 0
+    assert said.read_text() == ""
 
 
 def mutated(file, chosen):
@@ -471,14 +453,10 @@ def test_no_damage_gives_a_wrong_value(request, tmp_path, kind, number, seed):
     assert found["noticed"] > 5
 
 
-LIMITED = """
-import json, resource, sys
-from tests.studies.test_ledger import *
-import mcspectra.studies.ledger as module
-module._COMMIT_SECONDS = 0.001
-out, done = Path(sys.argv[1]), 0
+def fill_up_to(out, limit):
+    """Fill a ledger whose file may have at most `limit` bytes; for forks only."""
+    import resource
 
-def fill(limit):
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
     try:
         with Ledger.resume(out, NOTE, PATHS) as ledger:
@@ -487,29 +465,24 @@ def fill(limit):
                     ledger.finish(path, payload(path))
                     time.sleep(0.005)
     except StorageError as error:
-        sys.stderr.write(f"{error}\\n")
-        sys.stderr.flush()
-        os._exit(3)
-
-for limit in map(int, sys.argv[2:]):
-    ended = forked(fill, limit)
-    assert not (out / f".{LEDGER_NAME}.partial").exists()
-    begun = (out / LEDGER_NAME).exists()
-    if begun:
-        with Ledger.read(out) as ledger:
-            assert ledger.verify().damaged == {}
-            assert len(ledger.done) >= done
-            done = len(ledger.done)
-            assert all(ledger.result(path) == payload(path) for path in ledger.done)
-    print(json.dumps([ended, begun, done]))
-"""
+        print(error, file=sys.stderr)
+        return 3
+    return 0
 
 
-def test_a_full_disk_is_one_sentence_and_loses_nothing(tmp_path):
+def test_a_full_disk_is_one_sentence_and_loses_nothing(tmp_path, monkeypatch):
+    monkeypatch.setattr(ledger_module, "_COMMIT_SECONDS", 0.001)
     limits = (10_000, 100_000, 120_000, 10**6)
-    ended = python("-c", LIMITED, tmp_path / "out", *limits, cwd=ROOT, check=True)
-    said = ended.stderr.splitlines()
-    found = [json.loads(line) for line in ended.stdout.splitlines()]
+    out, errors, found, done = tmp_path / "out", tmp_path / "errors", [], 0
+    for limit in limits:
+        ended = Fork(fill_up_to, out, limit, said=errors).wait()
+        assert not (out / f".{LEDGER_NAME}.partial").exists()
+        begun = (out / LEDGER_NAME).exists()
+        if begun:
+            before, done = done, sound_results(out)
+            assert done >= before
+        found.append((ended, begun, done))
+    said = errors.read_text().splitlines()
     assert [code for code, _, _ in found] == [3, 3, 3, 0]
     assert len(said) == 3
     for limit, sentence, (_, begun, done) in zip(limits, [*said, ""], found, strict=True):
@@ -578,26 +551,30 @@ def test_unwritable_folders_give_a_sentence(tmp_path):
         Ledger.read(tmp_path)
 
 
-SHUT = """
-import os, sys
-from tests.studies.test_ledger import *
-if os.getuid() == 0: os.setuid(65534)
-for folder in sys.argv[1:]:
-    try: Ledger.create(Path(folder), NOTE, PATHS)
-    except StoreError as error: print(error)
-"""
+def create_without_rights(*folders):
+    """Try to create ledgers as a user without root's rights; for forks only."""
+    if os.getuid() == 0:
+        os.setuid(65534)
+    for folder in folders:
+        try:
+            Ledger.create(Path(folder), NOTE, PATHS)
+        except StoreError as error:
+            print(error, file=sys.stderr)
+    return 0
 
 
-def test_folders_without_permission_give_a_sentence():
+def test_folders_without_permission_give_a_sentence(tmp_path):
     """Uses a user without root's rights, who has no access to pytest's folders."""
+    said = tmp_path / "said"
     with tempfile.TemporaryDirectory() as name:
         for part, mode in (("", 0o755), ("closed", 0o000), ("read-only", 0o555)):
             Path(name, part).mkdir(exist_ok=True)
             Path(name, part).chmod(mode)
-        ended = python("-c", SHUT, f"{name}/read-only", f"{name}/closed", cwd=ROOT)
+        folders = f"{name}/read-only", f"{name}/closed"
+        assert Fork(create_without_rights, *folders, said=said).wait() == 0
         Path(name, "closed").chmod(0o700)
-    assert "read-only' cannot be written: it cannot be opened" in ended.stdout
-    assert "closed' cannot be written: Permission denied" in ended.stdout, ended.stderr
+    assert "read-only' cannot be written: it cannot be opened" in said.read_text()
+    assert "closed' cannot be written: Permission denied" in said.read_text()
 
 
 def test_a_finished_ledger_is_read_without_the_right_to_write(finished, tmp_path):

@@ -3,7 +3,6 @@
 import contextlib
 import os
 import signal
-import subprocess
 import sys
 import time
 import tracemalloc
@@ -17,6 +16,7 @@ import numpy as np
 import psutil
 import pytest
 import xarray as xr
+from tests.processes import Fork, command
 
 import mcspectra as mcs
 from mcspectra.core.analysis import Analysis, Need, Reduction
@@ -31,7 +31,7 @@ from mcspectra.studies import (
     run_study,
 )
 from mcspectra.studies import schedule as schedule_module
-from mcspectra.studies.executors import Cluster, Dask, Threads
+from mcspectra.studies.executors import Threads
 from mcspectra.studies.files import decode_study
 from mcspectra.studies.ledger import Ledger
 from mcspectra.studies.run import CellFailed, drive
@@ -43,19 +43,19 @@ seed = 3
 samplers = ["random", "jittered | shift"]
 [convergence]
 counts = [64, 256]
-realizations = 3000
+realizations = 1500
 [[estimators]]
 name = "smooth"
 integrand = "gaussian"
 dims = 2
 predict = { counts = [1], method = "exact" }
-terms = { n = 64, half_width = 4, realizations = 3000 }
+terms = { n = 64, half_width = 4, realizations = 1500 }
 [[estimators]]
 name = "mis"
 integrand = "linear"
 dims = 1
 densities = ["uniform", "linear(slope=1)"]
-convergence = { counts = [16, 64], realizations = 20000, relative_error = 0.1 }
+convergence = { counts = [16, 64], realizations = 8000, relative_error = 0.1 }
 """
 FUNCTIONS = """
 title = "failures"
@@ -91,15 +91,17 @@ def finished(folder, stored_values):
     return stored_values(folder)
 
 
+def files_of(folder):
+    """Return every file of a store."""
+    tree = folder / "results.zarr"
+    files = (path for path in tree.rglob("*") if path.is_file())
+    return {path.relative_to(tree): path.read_bytes() for path in files}
+
+
 def test_the_same_study_and_seed_give_the_same_store(folder, tmp_path):
     """Values, attributes and order agree, also for another number of workers."""
     run_study(decode_study(STUDY), tmp_path, workers=2)
-    trees = [folder / "results.zarr", tmp_path / "results.zarr"]
-    one, two = (
-        {file.relative_to(tree): file.read_bytes() for file in tree.rglob("*") if file.is_file()}
-        for tree in trees
-    )
-    assert one == two
+    assert files_of(tmp_path) == files_of(folder)
     first = STUDY[: STUDY.index("predict")]  # The cells of one analysis are enough
     run_study(decode_study(first.replace("seed = 3", "seed = 4")), tmp_path / "4", workers=2)
     other = open_results(tmp_path / "4")["smooth/random/convergence"]
@@ -125,13 +127,13 @@ def test_stored_results_equal_the_functions(finished):
     )
     expected = {
         "/smooth/jittered-shift/convergence": mcs.convergence(
-            smooth, "jittered | shift", [64, 256], realizations=3000, rng=3
+            smooth, "jittered | shift", [64, 256], realizations=1500, rng=3
         ),
         "/smooth/random/terms": mcs.variance_terms(
-            smooth, "random", 64, half_width=4, realizations=3000, rng=3
+            smooth, "random", 64, half_width=4, realizations=1500, rng=3
         ),
         "/mis/random/convergence": mcs.convergence(
-            mis, "random", [16, 64], realizations=20000, relative_error=0.1, rng=3
+            mis, "random", [16, 64], realizations=8000, relative_error=0.1, rng=3
         ),
     }
     for path, data in expected.items():
@@ -160,9 +162,9 @@ def test_chunks_of_one_block_give_the_same_bits(finished, tmp_path, stored_value
     assert len(keys) == len(set(keys)) > 10
 
 
-def test_processes_give_the_same_bits(finished, tmp_path, stored_values):
-    run_study(decode_study(STUDY), tmp_path, engine=lambda text: Dask(text, Cluster(workers=2)))
-    assert stored_values(tmp_path) == finished
+def test_processes_under_a_time_limit_give_the_same_store(folder, tmp_path):
+    run_study(decode_study(STUDY), tmp_path, workers=2, time_limit=1000.0)
+    assert files_of(tmp_path) == files_of(folder)
 
 
 @pytest.mark.endurance  # the load of the machine determines the moments of the kills
@@ -313,11 +315,18 @@ def _no_engine(text):
     raise AssertionError(f"nothing is left to compute of {text}")
 
 
-def test_a_process_that_is_stopped_or_dies_is_replaced(misbehaving, tmp_path, stored_values):
-    """A task that hangs, one whose worker dies once, one that works, and one that kills all."""
+HANGS = {_path("hangs"): "It took longer than the time limit of 5 s and was stopped."}
+
+
+@pytest.mark.parametrize("hangs", [{}, pytest.param(HANGS, marks=pytest.mark.slow)])
+def test_a_process_that_dies_or_is_stopped_is_replaced(misbehaving, tmp_path, stored_values, hangs):
+    """A task whose worker dies once, one that works, one that kills all, and one that may hang.
+
+    The quick test of a task that hangs is in test_cluster.py.
+    """
     (misbehaving / "hang").touch()
-    text, trust = _functions("hangs", "dies_once", "good", "dies")
-    study = decode_study("time_limit = 5\n" + text)
+    text, trust = _functions(*["hangs"] * len(hangs), "dies_once", "good", "dies")
+    study = decode_study(f"time_limit = {5 if hangs else 100}\n" + text)
     # dask's own patience with a starting worker ends at once, as under load
     impatient = {"distributed.deploy.lost-worker-timeout": 0}
     with (
@@ -325,8 +334,7 @@ def test_a_process_that_is_stopped_or_dies_is_replaced(misbehaving, tmp_path, st
         pytest.raises(CellFailed) as caught,
     ):
         run_study(study, tmp_path, trust=trust, workers=2)
-    assert caught.value.failures == {
-        _path("hangs"): "It took longer than the time limit of 5 s and was stopped.",
+    assert caught.value.failures == hangs | {
         _path(
             "dies"
         ): "4 workers died while computing it; it may need more memory than a worker has "
@@ -343,6 +351,7 @@ def _is_done(out, path):
     return False
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_interrupting_the_command_exits_130_and_loses_nothing(
     misbehaving, tmp_path, stored_values, hear_interrupts
 ):
@@ -351,25 +360,18 @@ def test_interrupting_the_command_exits_130_and_loses_nothing(
     study = tmp_path / "study.toml"
     study.write_text(text.replace("[4, 16]", "[4, 8, 16, 32]").replace("= 10", "= 200"))
     (misbehaving / "slow").touch()
-    command = [sys.executable, "-m", "tests.studies.undrawn", "run", str(study)]
-    command += ["--out", str(tmp_path / "out"), "--workers", "2"]
-    command += [item for name in trust.code for item in ("--allow-code", name)]
-    modules = os.pathsep.join([str(misbehaving), os.environ.get("PYTHONPATH", "")])
-    process = subprocess.Popen(
-        command,
-        cwd=Path(__file__).parents[2],
-        env={**os.environ, "PYTHONPATH": modules},
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    asked = ["run", study, "--out", tmp_path / "out", "--workers", "2"]
+    asked += [item for name in trust.code for item in ("--allow-code", name)]
+    process = Fork(command, *asked, said=tmp_path / "said")
     try:
         while not _is_done(tmp_path / "out", _path("good")):
-            assert process.poll() is None, process.stderr.read()
+            assert process.poll() is None, (tmp_path / "said").read_text()
             time.sleep(0.01)
         process.send_signal(signal.SIGINT)
-        _, message = process.communicate(timeout=60)
+        process.wait(60)
     finally:
         process.kill()
+    message = (tmp_path / "said").read_text()
     assert process.returncode == 130
     assert "--resume continues" in message
     assert "Traceback" not in message

@@ -16,34 +16,32 @@ def assert_held(found):
     assert not found["broken"]
 
 
-@more((16, 6), (1, 24))
+@more((24, 6), (1, 24))
 def test_each_cell_off_a_zeroed_page_is_recovered(tmp_path, count):
-    """Of the short run, four pages of a ledger of 36 cells: a header, and pages of results."""
+    """Of the short run, three pages of a ledger of 36 cells: a header, and pages of results."""
     found = trials.pages(tmp_path, *count)
     assert_held(found)
     assert found["recovered"] == found["cells_off_pages"]
 
 
 @FAULTS
-@more(3, 300)
-def test_a_run_survives_a_loss_of_power(tmp_path, count):
-    found = trials.power(tmp_path, count)
-    assert_held(found)
-    assert found["nothing_there"] < found["held"]
+@pytest.mark.parametrize(
+    "counts",
+    [
+        {"locks": 1, "power": 3, "memory": 2, "clocks": 2},
+        pytest.param({"power": 300}, marks=pytest.mark.endurance),
+        pytest.param({"memory": 150}, marks=pytest.mark.endurance),
+        pytest.param({"clocks": 40}, marks=pytest.mark.endurance),
+    ],
+    ids=lambda counts: "+".join(counts),
+)
+def test_a_run_survives_faults_of_the_system(tmp_path, counts):
+    """A loss of power, allocations that fail, and a clock that jumps; without locks it is refused.
 
-
-@FAULTS
-@more(2, 150)
-def test_a_run_survives_allocations_that_fail(tmp_path, count):
-    assert_held(trials.memory(tmp_path, count))
-
-
-@FAULTS
-@more(2, 40)
-def test_a_run_survives_a_clock_that_jumps(tmp_path, count):
-    assert_held(trials.clocks(tmp_path, count))
-
-
-@FAULTS
-def test_without_locks_a_run_is_refused(tmp_path):
-    assert_held(trials.locks(tmp_path))
+    All runs are forks of one process.
+    """
+    for kind, found in trials.system(tmp_path, counts).items():
+        print(kind)
+        assert_held(found)
+        assert sum(found[each] for each in ("held", "broken")) == counts[kind]
+        assert found["nothing_there"] < found["held"]

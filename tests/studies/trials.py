@@ -16,7 +16,6 @@ import json
 import os
 import random
 import shutil
-import signal
 import struct
 import subprocess
 import sys
@@ -26,14 +25,13 @@ from collections import Counter
 from pathlib import Path
 
 import msgspec
-import pytest
-from tests.processes import python
-from tests.report.conftest import leave_out_figures
+from tests.processes import Fork, python
+from tests.report.figures import without_figures
+from tests.studies.killed_runs import all_trials, in_short_tasks
 
 from mcspectra.cli.main import main
 from mcspectra.core.errors import StoreError
-from mcspectra.studies import decode_study, make_plan, run_study, schedule, study_status
-from mcspectra.studies import ledger as ledger_module
+from mcspectra.studies import decode_study, make_plan, run_study, study_status
 from mcspectra.studies.ledger import LEDGER_NAME, Ledger
 from mcspectra.studies.results import open_results
 
@@ -164,45 +162,40 @@ def shim():
     return file if made.returncode == 0 else None
 
 
-def with_faults(*arguments, **faults):
-    """Start a Python process with the faults given as environment variables."""
-    names = {f"FAULTS_{name.upper()}": str(value) for name, value in faults.items()}
-    environment = os.environ | {"LD_PRELOAD": str(shim()), "OMP_NUM_THREADS": "1", **names}
-    return python(*arguments, cwd=ROOT, env=environment)
+def system(folder, trials, seed=1):
+    """Try kinds of faults of the system; `trials` are the numbers of trials by kind.
 
-
-def command(study, out, *more):
-    """Return the command line of a run that records and commits often and draws no pictures."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(schedule, "_TARGET", 1e-9)
-        patch.setattr(schedule, "_RECORDED_AFTER", 0.0)
-        patch.setattr(ledger_module, "_COMMIT_SECONDS", 0.005)
-        leave_out_figures(patch.setattr)
-        return main(["run", str(study), "--out", str(out), "--workers", "1", "--quiet", *more])
-
-
-def straight_run(study, out):
-    """Return the digest of an undisturbed run.
-
-    The run loads all modules and kernels, which takes four times as long as the run itself. Later
-    forks of this process share them.
+    One process with the library loads all modules, and all runs are forks of it.
     """
+    environment = os.environ | {"LD_PRELOAD": str(shim()), "OMP_NUM_THREADS": "1"}
+    arguments = ("-m", "tests.studies.trials", "inside", folder, json.dumps(trials), seed)
+    ended = python(*arguments, cwd=ROOT, env=environment)
+    assert ended.returncode == 0, ended.stderr[-2000:]
+    return {kind: Counter(found) for kind, found in json.loads(ended.stdout).items()}
+
+
+@without_figures()
+def inside(folder, trials, seed):
+    """Try faults in forks of this process, which has the library of faults."""
+    (folder / "study.toml").write_text(FEW)
+    # This run loads all modules and kernels, which takes four times as long as the run itself
     with contextlib.redirect_stdout(None):
-        assert command(study, out) == 0
-    return digest_of(out)
+        assert main(["run", str(folder / "study.toml"), *options(folder / "straight")]) == 0
+    return {kind: SYSTEM[kind](folder, count, seed) for kind, count in trials.items()}
 
 
-def forked(*arguments, begin=lambda: None):
-    """Return the exit code of the command in a fork of this process."""
-    child = os.fork()
-    if child == 0:
-        silent = os.open(os.devnull, os.O_WRONLY)
-        for stream in (1, 2):
-            os.dup2(silent, stream)
-        signal.alarm(LONGEST)  # Ends a run that waits for ever
+def options(out):
+    return ["--out", str(out), "--workers", "1", "--quiet"]
+
+
+def ended(out, *more, begin=lambda: None, said=os.devnull):
+    """Return the exit code of a run in a fork of this process."""
+
+    def run():
         begin()
-        os._exit(command(*arguments))
-    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        return in_short_tasks("run", out.parent / "study.toml", *options(out), *more)
+
+    return Fork(run, said=said).wait(LONGEST)
 
 
 # Power
@@ -298,12 +291,9 @@ def partly(changes, chosen):
 
 def power(folder, trials, seed=1):
     """Lose power once or twice between changes of a run's files, then resume."""
-    study, chosen = folder / "study.toml", random.Random(seed)
-    study.write_text(FEW)
-    log, out = folder / "log", folder / "logged"
-    ended = with_faults("-m", "tests.studies.trials", "run", study, out, log=log)
-    assert ended.returncode == 0, ended.stderr
-    disk, expected = Disk(log), straight_run(study, folder / "straight")
+    log, out, chosen = folder / "log", folder / "logged", random.Random(seed)
+    assert ended(out, begin=lambda: LIBRARY.faults_log(bytes(log))) == 0
+    disk, expected = Disk(log), digest_of(folder / "straight")
     assert digest_of(out) == expected
     found = Counter(changes=len(disk.changes), held=0, broken=0, nothing_there=0)
     for number in range(trials):
@@ -314,7 +304,7 @@ def power(folder, trials, seed=1):
         for name, content in disk.lost_at(change, chosen).items():
             (work / name).write_bytes(content)
         found["nothing_there"] += not (work / LEDGER_NAME).exists()
-        good = forked(study, work, "--resume") == 0 and digest_of(work) == expected
+        good = ended(work, "--resume") == 0 and digest_of(work) == expected
         good = good and study_status(work, verify=True).state == "finished"
         found["held" if good else "broken"] += 1
         shutil.rmtree(work)
@@ -325,18 +315,8 @@ def power(folder, trials, seed=1):
 
 
 def memory(folder, trials, seed=1):
-    """Make random allocations of a run fail, in forks of a process with the shim; then resume."""
-    ended = with_faults("-m", "tests.studies.trials", "memory-inside", folder, trials, seed)
-    assert ended.returncode == 0, ended.stderr[-2000:]
-    return Counter(json.loads(ended.stdout.splitlines()[-1]))
-
-
-def memory_inside(folder, trials, seed):
-    study, chosen = folder / "study.toml", random.Random(seed)
-    study.write_text(FEW)
-    library = ctypes.CDLL(None)
-    library.faults_memory.restype = ctypes.c_long
-    expected = straight_run(study, folder / "straight")
+    """Make random allocations of a run fail, then resume."""
+    expected, chosen = digest_of(folder / "straight"), random.Random(seed)
     found = Counter(held=0, broken=0)
     for number in range(trials):
         out = folder / f"memory{number}"
@@ -350,20 +330,17 @@ def memory_inside(folder, trials, seed):
 
             def counted(*arguments):
                 if next(seen) == commit:
-                    library.faults_memory(ctypes.c_long(after), ctypes.c_long(count))
+                    LIBRARY.faults_memory(ctypes.c_long(after), ctypes.c_long(count))
                 return write(*arguments)
 
             Ledger._write = counted
             if commit is None:
-                library.faults_memory(ctypes.c_long(after), ctypes.c_long(count))
+                LIBRARY.faults_memory(ctypes.c_long(after), ctypes.c_long(count))
 
-        end = forked(study, out, begin=begin)
+        end = ended(out, begin=begin)
         found[f"ended with {end}"] += 1
-        resumed = (
-            forked(study, out, "--resume", "--retry") if (out / LEDGER_NAME).exists() else None
-        )
-        if resumed is None:
-            resumed = forked(study, out)
+        again = ["--resume", "--retry"] if (out / LEDGER_NAME).exists() else []
+        resumed = ended(out, *again)
         good = resumed == 0 and digest_of(out) == expected
         found["held" if good else "broken"] += 1
         shutil.rmtree(out, ignore_errors=True)
@@ -372,15 +349,11 @@ def memory_inside(folder, trials, seed):
 
 def clocks(folder, trials, seed=1):
     """Let the clock jump by years while a run is killed and resumed."""
-    study = folder / "study.toml"
-    study.write_text(FEW)
-    program = ("-m", "tests.studies.killed_runs", study, folder / "runs")
-    ended = with_faults(*program, trials, seed, clock=seed)
-    assert ended.returncode == 0, ended.stderr[-2000:]
-    found = Counter(held=0, broken=0)
-    run_study(decode_study(FEW), folder / "straight", workers=1)
-    expected = digest_of(folder / "straight")
-    for trial in map(json.loads, ended.stdout.splitlines()):
+    (folder / "runs").mkdir()
+    found = Fork(killed_under_jumps, folder, trials, seed).wait(LONGEST + 10 * trials)
+    assert found == 0
+    expected, found = digest_of(folder / "straight"), Counter(held=0, broken=0)
+    for trial in json.loads((folder / "runs.json").read_text()):
         out = Path(trial["out"])
         good = trial["last"] == 0 and digest_of(out) == expected
         good = good and not study_status(out, verify=True).damaged
@@ -388,31 +361,41 @@ def clocks(folder, trials, seed=1):
     return found
 
 
+def killed_under_jumps(folder, trials, seed):
+    LIBRARY.faults_clock(ctypes.c_ulong(seed))
+    found = all_trials(folder / "study.toml", folder / "runs", trials, seed)
+    (folder / "runs.json").write_text(json.dumps(found))
+    return 0
+
+
 def locks(folder, trials=1, seed=1):
     """Check that a run on a file system without locks reports a sentence and writes nothing."""
-    study = folder / "study.toml"
-    study.write_text(FEW)
     found = Counter(held=0, broken=0)
     for number in range(trials):
-        out = folder / f"locks{number}"
-        ended = with_faults("-m", "tests.studies.trials", "run", study, out, nolock=seed)
-        good = ended.returncode == 2 and ended.stderr.count("\n") == 1 and "locks" in ended.stderr
+        out, said = folder / f"locks{number}", folder / f"said{number}"
+        good = ended(out, begin=LIBRARY.faults_locks, said=said) == 2
+        told = said.read_text()
+        good = good and told.count("\n") == 1 and "locks" in told
         found["held" if good and not (out / LEDGER_NAME).exists() else "broken"] += 1
     return found
 
 
-TRIALS = {"power": power, "memory": memory, "clocks": clocks, "locks": locks}
+LIBRARY = ctypes.CDLL(None)  # Has the functions of faults.c in a process with that library
+SYSTEM = {"power": power, "memory": memory, "clocks": clocks, "locks": locks}
 
 
 def main_(kind, *more):
-    if kind == "run":
-        return command(*map(Path, more))
-    if kind == "memory-inside":
-        found = memory_inside(Path(more[0]), *map(int, more[1:]))
-    else:
-        with tempfile.TemporaryDirectory() as name, contextlib.suppress(StoreError):
-            trial = TRIALS.get(kind, pages)
-            found = trial(Path(name), *map(int, more or ((200,) if kind in TRIALS else ())))
+    if kind == "inside":
+        found = inside(Path(more[0]), json.loads(more[1]), int(more[2]))
+        print(json.dumps(found))
+        return 0
+    numbers = [int(number) for number in more]
+    with tempfile.TemporaryDirectory() as name, contextlib.suppress(StoreError):
+        if kind in SYSTEM:
+            count, *seed = numbers or (200,)
+            found = system(Path(name), {kind: count}, *seed)[kind]
+        else:
+            found = pages(Path(name), *numbers)
     print(json.dumps(dict(found)))
     return 0
 

@@ -6,7 +6,7 @@ Use: ``python -m tests.studies.undrawn run STUDY …`` in the folder of the repo
 if __name__ == "__main__":  # Worker processes also load this module
     import sys
 
-    from tests.report.conftest import leave_out_figures
+    from tests.report.figures import leave_out_figures
 
     from mcspectra.cli.main import main
 

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from scipy import stats
 
 from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.display import counted
@@ -349,13 +348,15 @@ def ranks(variance: Array, variance_ci: Array, n: Array) -> tuple[Array, Array]:
         The test compares independent estimates of log variance.
         The test uses the Bonferroni correction over all pairs of samplers on all tasks.
     """
+    from scipy.special import ndtri
+
     known = (variance >= 0.0) & np.isfinite(variance)
     with np.errstate(divide="ignore", invalid="ignore"):
         logs = np.where(known, np.log(n * variance), np.nan)
-        steps = np.abs(np.log(variance_ci / variance[..., None])) / stats.norm.ppf(0.975)
+        steps = np.abs(np.log(variance_ci / variance[..., None])) / ndtri(0.975)
     steps = np.where((variance == 0.0)[..., None], 0.0, steps)
     pairs = sum(math.comb(int(k), 2) for k in known.sum(axis=0))
-    z = stats.norm.ppf(1.0 - (1.0 - _LEVEL) / (2.0 * max(pairs, 1)))
+    z = ndtri(1.0 - (1.0 - _LEVEL) / (2.0 * max(pairs, 1)))
 
     # Sampler i is significantly better than k if the intervals of their variances do not overlap
     with np.errstate(invalid="ignore"):

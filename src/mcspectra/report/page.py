@@ -526,7 +526,7 @@ def write_page(
         environment.globals["powers"] = powers
         environment.globals["drawn"] = drawn
         script = ""
-        if any(figure.live for figure in shown):
+        if any(each["live"] for each in drawn.values()):
             from mcspectra.plots.backend_bokeh import script as bokeh_script
 
             script = bokeh_script()

@@ -194,6 +194,7 @@ class Cluster:
         Address where the scheduler of ``local`` listens; by default only this machine can reach it.
     dashboard
         Port of dask's dashboard, for ``local``; 0 picks a free port.
+        None starts no dashboard, because its packages take as long to load as all others.
     time_limit
         Seconds after which a task fails and its worker is restarted.
         The time includes compiling a kernel at its first use on a machine.
@@ -209,12 +210,13 @@ class Cluster:
     address: str = "local"
     workers: int | None = None
     host: str = _LOOPBACK
-    dashboard: int = 0
+    dashboard: int | None = 0
     time_limit: float | None = None
     patience: float = 30.0
 
     def __post_init__(self) -> None:
-        as_integer("dashboard", self.dashboard, least=0, most=65535)
+        if self.dashboard is not None:
+            as_integer("dashboard", self.dashboard, least=0, most=65535)
         as_real("patience", self.patience, above=0.0)
         check_time_limit(self.time_limit)
         available_workers(self.workers)
@@ -560,7 +562,9 @@ def _local_cluster(options: Cluster, opened: contextlib.ExitStack) -> Any:
     opened.enter_context(dask.config.set(configuration))
     if sys.platform == "linux":
         context: Any = utils
-        context.get_mp_context().set_forkserver_preload(["distributed", __name__, *WARM])
+        context.get_mp_context().set_forkserver_preload(
+            ["dask.array", "distributed", __name__, WARM]
+        )
     # The cluster's thread also blocks Ctrl-C, because this thread starts replacement workers
     with deaf():
         cluster = make(
@@ -568,7 +572,9 @@ def _local_cluster(options: Cluster, opened: contextlib.ExitStack) -> Any:
             threads_per_worker=1,
             processes=True,
             host=options.host,
-            dashboard_address=f"{options.host}:{options.dashboard}",
+            # Without a dashboard, the scheduler's pages of text still need an address
+            dashboard_address=f"{options.host}:{options.dashboard or 0}",
+            scheduler_kwargs={"dashboard": options.dashboard is not None},
             memory_limit=0,  # The plan has already checked the memory
             env=dict(os.environ),  # Do not use the environment of an earlier cluster
             silence_logs=logging.CRITICAL,

@@ -151,7 +151,7 @@ def run_study(
             elif limit is None:
                 executor = Threads(count)
             else:
-                executor = Dask(text, Cluster(workers=count, time_limit=limit))
+                executor = Dask(text, Cluster(workers=count, dashboard=None, time_limit=limit))
             total, left = (sum(c.need.cost for c in cells) for cells in (plan.cells, missing))
             with contextlib.closing(_computed(schedule, executor)) as computed:
                 for done, settled in enumerate(computed, len(plan.cells) - len(missing) + 1):

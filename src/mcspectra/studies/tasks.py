@@ -50,8 +50,8 @@ _PLANS = 2  # A process keeps the plans of the current and of the last study
 _REDUCTIONS = 32  # Maximum number of sums over blocks that a process keeps
 _HELD = 2.0  # Seconds beyond the time limit after which a blocked worker process is ended
 
-WARM = ("numba", "scipy.stats", "xarray")
-"""Packages that every task needs; workers import them in advance."""
+WARM = "mcspectra.studies.warm"
+"""Module that imports what most tasks need; workers import it in advance."""
 
 
 class StudyTask(msgspec.Struct, frozen=True, kw_only=True):
@@ -284,8 +284,7 @@ def compute_elsewhere(
         )
     if compute is attempt:
         try:
-            for name in WARM:
-                importlib.import_module(name)
+            importlib.import_module(WARM)
             _cells(text)
         except BaseException as error:  # noqa: BLE001 - user code may raise anything
             raise WorkerRefused(
