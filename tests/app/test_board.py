@@ -27,7 +27,7 @@ class Page:
         self.acts, self.texts = SimpleQueue(), []
         self.board = Board(
             "A", InlineStyleSheet(), later=self.acts.put, on_update=self.texts.append,
-            on_shown=lambda _: None,
+            on_shown=lambda: None,
         )  # fmt: skip
 
 
@@ -117,13 +117,13 @@ def test_the_curves_of_two_set_ups_share_a_plot():
     ):
         curve = convergence("gaussian", sampler, [4, 16], dims=2, realizations=20)
         board.latest["convergence"] = curve
-        explorer._shown(False)
+        explorer._shown()
         assert len(explorer._grid.children) == k
     (joint,) = explorer._grid.children
     assert joint.children[0].text == "<h2>A and B: Convergence</h2>"
     assert "A: jittered" in joint.children[2].text
     assert "B: random" in joint.children[2].text
-    explorer._shown(False)
+    explorer._shown()
     assert explorer._grid.children == [joint]
     explorer._choose_comparison("", True, False)
     assert explorer._grid.children == []
