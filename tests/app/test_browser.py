@@ -3,7 +3,6 @@
 import contextlib
 import io
 import os
-import re
 import subprocess
 import sys
 import urllib.error
@@ -22,6 +21,8 @@ from mcspectra.plots.text import number
 pytestmark = pytest.mark.browser
 _PATIENCE = 90_000  # Milliseconds; a quiet machine needs less than one second
 _SMALL = "half_width=4&realizations=16&n=16"
+_CARDS = "[role=group][aria-label^='A: '], [role=group][aria-label^='B: ']"
+_PLACES = "(a, b) => [a, b].map(each => each.getBoundingClientRect().toJSON())"
 _DENSITY = f"{_SMALL}&density=linear(slope=0.5)"
 _PAIR = "&".join([_SMALL, *(f"b.{each}" for each in _SMALL.split("&")), "b.sampler=random"])
 
@@ -96,6 +97,11 @@ def figures(page):
     return page.locator("#figures")
 
 
+def card(page, name):
+    """A figure with its heading, by its label."""
+    return figures(page).locator(f"[role=group][aria-label='{name}']")
+
+
 def controls(page):
     """The controls of both set-ups."""
     return page.locator("aside")
@@ -167,8 +173,8 @@ def test_an_invalid_entry_leaves_gray_figures_and_no_numbers(page, address):
         "A: There is no sampler called 'no-such'"
     )
     expect(field).to_have_value("no-such")
-    card = figures(page).get_by_role("group", name="A: Convergence", exact=True)
-    expect(card).to_have_css("opacity", "0.35")
+    figure = card(page, "A: Convergence")
+    expect(figure).to_have_css("opacity", "0.35")
     assert page.evaluate("document.documentElement.scrollHeight") == pytest.approx(height, abs=80)
     row = head(page).get_by_role("row", name="A no-such")
     assert row.get_by_role("cell").all_inner_texts()[2:] == ["–", "–", "–"]
@@ -176,7 +182,7 @@ def test_an_invalid_entry_leaves_gray_figures_and_no_numbers(page, address):
     field.fill("jittered")
     field.press("Enter")
     done(page)
-    expect(card).to_have_css("opacity", "1")
+    expect(figure).to_have_css("opacity", "1")
 
 
 def test_two_set_ups_and_the_address_restores_them(page, address):
@@ -186,24 +192,27 @@ def test_two_set_ups_and_the_address_restores_them(page, address):
     done(page, "B")
     state = state_of(page)
     for title in ("Points", "Power spectrum", "Terms of the variance"):
-        places = []
-        for side in "AB":
-            card = figures(page).get_by_role("group", name=f"{side}: {title}", exact=True)
-            expect(card.get_by_role("heading", name=f"{side}: {title}")).to_be_visible()
-            places.append(card.bounding_box())
-        # The figures of A and B are side by side, with A on the left
-        assert places[0]["y"] == places[1]["y"]
-        assert places[0]["x"] + places[0]["width"] <= places[1]["x"]
+        cards = [card(page, f"{side}: {title}") for side in "AB"]
+        for side, each in zip("AB", cards, strict=True):
+            expect(each.get_by_role("heading", name=f"{side}: {title}")).to_be_visible()
+        # The figures of A and B are side by side, with A on the left, after they were laid out
+        for _ in range(_PATIENCE // 100):
+            left, right = cards[0].evaluate(_PLACES, cards[1].element_handle())
+            if left["y"] == right["y"] and left["right"] <= right["x"]:
+                break
+            page.wait_for_timeout(100)
+        else:
+            pytest.fail(f"{title}: A is at {left}, B is at {right}")
     # The curves of A and B are in one plot
-    both = figures(page).get_by_role("group", name="A and B: Convergence", exact=True)
+    both = card(page, "A and B: Convergence")
     expect(both.get_by_role("heading", name="A and B: Convergence")).to_be_visible()
-    expect(figures(page).get_by_role("group", name=re.compile("^[AB]: "))).to_have_count(16)
+    expect(figures(page).locator(_CARDS)).to_have_count(16)
     page.reload()
     done(page, "B")
     assert state_of(page) == state
     assert state.b is not None
     expect(both).to_be_visible()
-    expect(figures(page).get_by_role("group", name=re.compile("^[AB]: "))).to_have_count(16)
+    expect(figures(page).locator(_CARDS)).to_have_count(16)
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
@@ -223,7 +232,7 @@ def test_the_plot_of_both_turns_gray_if_one_cannot_be_computed(page, address):
     field = controls(page).get_by_label("Sampler spec, A", exact=True)
     field.fill("no-such")
     field.press("Enter")
-    both = figures(page).get_by_role("group", name="A and B: Convergence", exact=True)
+    both = card(page, "A and B: Convergence")
     expect(both).to_have_css("opacity", "0.35")
 
 
@@ -237,9 +246,9 @@ def test_a_narrow_page_does_not_scroll_sideways(page, address):
 
 def test_the_integrand_is_next_to_its_density(page, address):
     open_state(page, address, _DENSITY)
-    card = figures(page).get_by_role("group", name=re.compile("^A: Integrand f"))
-    expect(card.get_by_text("f/p from")).to_be_visible()
-    assert card.locator("canvas").count() >= 3
+    figure = figures(page).locator("[role=group][aria-label^='A: Integrand f']")
+    expect(figure.get_by_text("f/p from")).to_be_visible()
+    assert figure.locator("canvas").count() >= 3
 
 
 def test_a_slider_by_keyboard(page, address):
@@ -311,7 +320,7 @@ def test_a_broken_picture_gets_a_sentence(page, address, tmp_path):
 def test_odd_addresses_get_a_sentence(page, address):
     page.goto(f"{address}?n=100000000000")
     expect(head(page).get_by_role("alert")).to_contain_text("give a whole number from 1 to 65536")
-    expect(figures(page).get_by_role("group", name="A: Points", exact=True)).to_be_visible()
+    expect(card(page, "A: Points")).to_be_visible()
     expect(head(page).get_by_role("alert")).to_contain_text("The defaults are shown.")
 
 
