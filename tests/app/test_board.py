@@ -10,7 +10,7 @@ from bokeh.models import InlineStyleSheet
 from mcspectra.app import compute as compute_module
 from mcspectra.app.board import Board
 from mcspectra.app.compute import UPDATE_KINDS, compute
-from mcspectra.app.figures import FIGURES
+from mcspectra.app.figures import FIGURES, figures_of
 from mcspectra.app.page import Explorer
 from mcspectra.app.state import ExplorerSetup, ExplorerState
 from mcspectra.core.errors import McspectraError
@@ -18,6 +18,7 @@ from mcspectra.measure import convergence
 from mcspectra.plots.backend_bokeh import Drawn
 
 SMALL = ExplorerSetup(n=16, half_width=4, realizations=16)
+SMALL_QUERY = ExplorerState(a=SMALL).query()
 
 
 class Page:
@@ -27,7 +28,7 @@ class Page:
         self.acts, self.texts = SimpleQueue(), []
         self.board = Board(
             "A", InlineStyleSheet(), later=self.acts.put, on_update=self.texts.append,
-            on_shown=lambda _: None,
+            on_shown=lambda: None,
         )  # fmt: skip
 
 
@@ -52,6 +53,12 @@ def shown(page):
         return set(board.cards)
 
     return run
+
+
+def visible(explorer):
+    """Return the places of figures that take room on the page."""
+    roots = {name: root for name, root in explorer.roots.items() if ": " in name}
+    return {name: root for name, root in roots.items() if root.visible}
 
 
 def is_gray(board, kind):
@@ -117,16 +124,60 @@ def test_the_curves_of_two_set_ups_share_a_plot():
     ):
         curve = convergence("gaussian", sampler, [4, 16], dims=2, realizations=20)
         board.latest["convergence"] = curve
-        explorer._shown(False)
-        assert len(explorer._grid.children) == k
-    (joint,) = explorer._grid.children
+        explorer._shown()
+        assert len(visible(explorer)) == k
+    (joint,) = visible(explorer)["A and B: convergence"].children
     assert joint.children[0].text == "<h2>A and B: Convergence</h2>"
     assert "A: jittered" in joint.children[2].text
     assert "B: random" in joint.children[2].text
-    explorer._shown(False)
-    assert explorer._grid.children == [joint]
+    explorer._shown()
+    assert visible(explorer)["A and B: convergence"].children == [joint]
     explorer._choose_comparison("", True, False)
-    assert explorer._grid.children == []
+    assert visible(explorer) == {}
+
+
+def test_figures_of_two_set_ups_are_in_pairs():
+    """If only one set-up has a figure, the place of the other's figure is blank."""
+    setups = ExplorerState(a=SMALL, b=replace(SMALL, sampler="random"))
+    explorer = Explorer(Document(), setups.query())
+    (plot,) = figures_of("points", compute("points", SMALL, 2), "jittered")
+    explorer._boards["A"]._place(plot)
+    explorer._shown()
+    found = visible(explorer)
+    assert list(found) == ["A: points", "B: points"]
+    assert [len(each.children) for each in found.values()] == [1, 0]
+    explorer._choose_comparison("", True, False)
+    assert list(visible(explorer)) == ["A: points"]
+
+
+def test_a_new_figure_sends_only_its_own_models():
+    """A change of one root element lays out and draws only the figures in this element."""
+    document = Document()
+    explorer = Explorer(document, SMALL_QUERY)
+    for root in explorer.roots.values():
+        document.add_root(root)
+    events = []
+    document.on_change(events.append)
+    for kind in ("points", "spectrum"):
+        for plot in figures_of(kind, compute(kind, SMALL, 16), "jittered"):
+            explorer._boards["A"]._place(plot)
+            events.clear()
+            explorer._shown()
+            moved = {each.model for each in events if each.attr == "children"}
+            assert moved == {explorer.roots[f"A: {plot.kind}"]}
+    events.clear()
+    explorer._shown()
+    assert events == []
+
+
+def test_odd_addresses_get_a_sentence():
+    explorer = Explorer(Document(), "n=100000000000")
+    assert explorer.state == ExplorerState()
+    assert explorer._refused.visible
+    text = explorer._refused.text
+    assert 'role="alert"' in text
+    assert "give a whole number from 1 to 65536" in text
+    assert "The defaults are shown." in text
 
 
 def test_each_update_has_a_callback_of_its_own(page, board):

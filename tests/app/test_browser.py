@@ -3,7 +3,6 @@
 import contextlib
 import io
 import os
-import re
 import subprocess
 import sys
 import urllib.error
@@ -16,12 +15,15 @@ import pytest
 from PIL import Image
 from playwright.sync_api import expect
 
-from mcspectra.app.state import ExplorerState
+from mcspectra.app.state import THEMES, ExplorerState
 from mcspectra.plots.text import number
 
 pytestmark = pytest.mark.browser
 _PATIENCE = 90_000  # Milliseconds; a quiet machine needs less than one second
 _SMALL = "half_width=4&realizations=16&n=16"
+_CARDS = "[role=group][aria-label^='A: '], [role=group][aria-label^='B: ']"
+_PLACES = "(a, b) => [a, b].map(each => each.getBoundingClientRect().toJSON())"
+_DENSITY = f"{_SMALL}&density=linear(slope=0.5)"
 _PAIR = "&".join([_SMALL, *(f"b.{each}" for each in _SMALL.split("&")), "b.sampler=random"])
 
 
@@ -82,23 +84,51 @@ def page(browser, address, seen):
     tab.close()
 
 
+# A search of the whole page visits ten thousand elements, so tests search the part that they mean
+
+
+def head(page):
+    """The messages and the table of results."""
+    return page.locator("main > div").first
+
+
+def figures(page):
+    """The figures of both set-ups."""
+    return page.locator("#figures")
+
+
+def card(page, name):
+    """A figure with its heading, by its label."""
+    return figures(page).locator(f"[role=group][aria-label='{name}']")
+
+
+def controls(page):
+    """The controls of both set-ups."""
+    return page.locator("aside")
+
+
+def program(page):
+    """The exported Python code."""
+    return page.locator("main > div").last.get_by_role("textbox", name="As Python").input_value()
+
+
 def open_state(page, address, query):
     """Load a state, unless the page shows it already, and wait for its job to end."""
     here = parse_qs(urlsplit(page.url).query) == parse_qs(query)
-    if not (here and page.get_by_text("A: Done.").is_visible()):
+    if not (here and head(page).get_by_text("A: Done.").is_visible()):
         page.goto(f"{address}?{query}")
     done(page)
 
 
 def any_state(page, address):
     """Show any state on the page; loading a page costs seconds."""
-    if not (page.url.startswith(address) and page.get_by_text("A: Done.").is_visible()):
+    if not (page.url.startswith(address) and head(page).get_by_text("A: Done.").is_visible()):
         open_state(page, address, _SMALL)
 
 
 def done(page, side="A"):
     """Wait for a side's job to end."""
-    expect(page.get_by_text(f"{side}: Done.")).to_be_visible()
+    expect(head(page).get_by_text(f"{side}: Done.")).to_be_visible()
 
 
 def wait_for(page, key, value):
@@ -113,9 +143,9 @@ def state_of(page):
 
 def test_all_widgets_have_names(page, address):
     open_state(page, address, _SMALL)
-    expect(page.get_by_role("slider", name="Points n, A", exact=True)).to_be_visible()
+    expect(controls(page).get_by_role("slider", name="Points n, A", exact=True)).to_be_visible()
     name = "Compare with a second set-up, B"
-    expect(page.get_by_role("checkbox", name=name, exact=True)).to_be_visible()
+    expect(controls(page).get_by_role("checkbox", name=name, exact=True)).to_be_visible()
     lines = page.locator("body").aria_snapshot().splitlines()
     for role in ("slider", "checkbox", "combobox", "textbox", "button", "figure", "progressbar"):
         own = [line.strip() for line in lines if line.strip().startswith(f"- {role}")]
@@ -124,41 +154,65 @@ def test_all_widgets_have_names(page, address):
 
 def test_copied_python_gives_the_displayed_figures(page, address):
     open_state(page, address, _SMALL)
-    program = page.get_by_role("textbox", name="As Python").input_value()
     with contextlib.redirect_stdout(io.StringIO()) as printed:
-        exec(compile(program, "copied", "exec"), {})  # noqa: S102
+        exec(compile(program(page), "copied", "exec"), {})  # noqa: S102
     found = dict(line.split() for line in printed.getvalue().splitlines())
-    cells = page.get_by_role("row", name="A jittered").get_by_role("cell").all_inner_texts()
+    cells = head(page).get_by_role("row", name="A jittered").get_by_role("cell").all_inner_texts()
     assert cells[2] == number(float(found["measured_variance"]))
     shown = float(cells[4].split()[0].replace("−", "-"))
     assert shown == pytest.approx(float(found["rate"]), abs=5e-3)
 
 
+def test_an_invalid_entry_leaves_gray_figures_and_no_numbers(page, address):
+    open_state(page, address, _SMALL)
+    height = page.evaluate("document.documentElement.scrollHeight")
+    field = controls(page).get_by_label("Sampler spec, A", exact=True)
+    field.fill("no-such")
+    field.press("Enter")
+    expect(head(page).get_by_role("alert")).to_contain_text(
+        "A: There is no sampler called 'no-such'"
+    )
+    expect(field).to_have_value("no-such")
+    figure = card(page, "A: Convergence")
+    expect(figure).to_have_css("opacity", "0.35")
+    assert page.evaluate("document.documentElement.scrollHeight") == pytest.approx(height, abs=80)
+    row = head(page).get_by_role("row", name="A no-such")
+    assert row.get_by_role("cell").all_inner_texts()[2:] == ["–", "–", "–"]
+    assert program(page).startswith("# There is no")
+    field.fill("jittered")
+    field.press("Enter")
+    done(page)
+    expect(figure).to_have_css("opacity", "1")
+
+
 def test_two_set_ups_and_the_address_restores_them(page, address):
-    open_state(page, address, _SMALL)  # shown by the test before
-    page.get_by_role("checkbox", name="Compare with").check()
+    open_state(page, address, _SMALL)  # shown by earlier tests
+    controls(page).get_by_role("checkbox", name="Compare with").check()
     wait_for(page, "b.sampler", "random")
     done(page, "B")
     state = state_of(page)
     for title in ("Points", "Power spectrum", "Terms of the variance"):
-        places = []
-        for side in "AB":
-            card = page.get_by_role("group", name=f"{side}: {title}", exact=True)
-            expect(card.get_by_role("heading", name=f"{side}: {title}")).to_be_visible()
-            places.append(card.bounding_box())
-        # The figures of A and B are side by side, with A on the left
-        assert places[0]["y"] == places[1]["y"]
-        assert places[0]["x"] + places[0]["width"] <= places[1]["x"]
+        cards = [card(page, f"{side}: {title}") for side in "AB"]
+        for side, each in zip("AB", cards, strict=True):
+            expect(each.get_by_role("heading", name=f"{side}: {title}")).to_be_visible()
+        # The figures of A and B are side by side, with A on the left, after they were laid out
+        for _ in range(_PATIENCE // 100):
+            left, right = cards[0].evaluate(_PLACES, cards[1].element_handle())
+            if left["y"] == right["y"] and left["right"] <= right["x"]:
+                break
+            page.wait_for_timeout(100)
+        else:
+            pytest.fail(f"{title}: A is at {left}, B is at {right}")
     # The curves of A and B are in one plot
-    both = page.get_by_role("group", name="A and B: Convergence", exact=True)
+    both = card(page, "A and B: Convergence")
     expect(both.get_by_role("heading", name="A and B: Convergence")).to_be_visible()
-    expect(page.get_by_role("group", name=re.compile("^[AB]: "))).to_have_count(16)
+    expect(figures(page).locator(_CARDS)).to_have_count(16)
     page.reload()
     done(page, "B")
     assert state_of(page) == state
     assert state.b is not None
     expect(both).to_be_visible()
-    expect(page.get_by_role("group", name=re.compile("^[AB]: "))).to_have_count(16)
+    expect(figures(page).locator(_CARDS)).to_have_count(16)
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
@@ -175,49 +229,54 @@ def test_axe_finds_nothing_serious(page, address, scheme):
 def test_the_plot_of_both_turns_gray_if_one_cannot_be_computed(page, address):
     open_state(page, address, _PAIR)
     done(page, "B")
-    field = page.get_by_label("Sampler spec, A", exact=True)
+    field = controls(page).get_by_label("Sampler spec, A", exact=True)
     field.fill("no-such")
     field.press("Enter")
-    both = page.get_by_role("group", name="A and B: Convergence", exact=True)
+    both = card(page, "A and B: Convergence")
     expect(both).to_have_css("opacity", "0.35")
 
 
-def test_an_invalid_entry_leaves_gray_figures_and_no_numbers(page, address):
-    open_state(page, address, _SMALL)
-    height = page.evaluate("document.documentElement.scrollHeight")
-    field = page.get_by_label("Sampler spec, A", exact=True)
-    field.fill("no-such")
-    field.press("Enter")
-    expect(page.get_by_role("alert")).to_contain_text("A: There is no sampler called 'no-such'")
-    expect(field).to_have_value("no-such")
-    card = page.get_by_role("group", name="A: Convergence", exact=True)
-    expect(card).to_have_css("opacity", "0.35")
-    assert page.evaluate("document.documentElement.scrollHeight") == pytest.approx(height, abs=80)
-    row = page.get_by_role("row", name="A no-such")
-    assert row.get_by_role("cell").all_inner_texts()[2:] == ["–", "–", "–"]
-    assert page.get_by_role("textbox", name="As Python").input_value().startswith("# There is no")
-    field.fill("random")
-    field.press("Enter")
+def test_a_narrow_page_does_not_scroll_sideways(page, address):
+    page.set_viewport_size({"width": 390, "height": 800})
+    open_state(page, address, _DENSITY)
+    width = page.evaluate("document.documentElement.scrollWidth")
+    page.set_viewport_size({"width": 1300, "height": 900})
+    assert width <= 390
+
+
+def test_the_integrand_is_next_to_its_density(page, address):
+    open_state(page, address, _DENSITY)
+    figure = figures(page).locator("[role=group][aria-label^='A: Integrand f']")
+    expect(figure.get_by_text("f/p from")).to_be_visible()
+    assert figure.locator("canvas").count() >= 3
+
+
+def test_a_slider_by_keyboard(page, address):
+    open_state(page, address, _DENSITY)
+    controls(page).get_by_role("slider", name="Strata shift, A").press("ArrowRight")
+    wait_for(page, "strata_shift", "0.05")
+    controls(page).get_by_role("slider", name="Density slope, A").press("ArrowRight")
+    wait_for(page, "density", "linear(slope=0.55)")
     done(page)
-    expect(card).to_have_css("opacity", "1")
+    expect(head(page).get_by_role("cell", name="strata-shift(offset=0.05)")).to_be_visible()
 
 
 def test_another_sampler_and_a_randomization(page, address):
     any_state(page, address)
-    page.get_by_label("Sampler, A").first.select_option("sobol")
+    controls(page).get_by_label("Sampler, A").first.select_option("sobol")
     wait_for(page, "sampler", "sobol")
-    page.get_by_role("checkbox", name="owen").check()
+    controls(page).get_by_role("checkbox", name="owen").check()
     wait_for(page, "sampler", "sobol | owen")
     done(page)
-    expect(page.get_by_role("figure", name="plot of variance against n")).to_be_visible()
+    expect(figures(page).get_by_role("figure", name="plot of variance against n")).to_be_visible()
 
 
 def test_a_formula(page, address):
     any_state(page, address)
-    field = page.get_by_label("Formula, A", exact=True)
+    field = controls(page).get_by_label("Formula, A", exact=True)
     field.fill("__import__('os')")
     field.press("Enter")
-    expect(page.get_by_role("alert")).to_contain_text("no function '__import__'")
+    expect(head(page).get_by_role("alert")).to_contain_text("no function '__import__'")
     field.fill("exp(-x/2)*(y < 0.5)")
     field.press("Enter")
     wait_for(page, "integrand", "formula(expression='exp(-x/2)*(y < 0.5)')")
@@ -227,7 +286,7 @@ def test_a_formula(page, address):
 @pytest.mark.render
 def test_a_pixel_of_the_scene(page, address):
     any_state(page, address)
-    page.get_by_role("button", name="Show Veach's scene, A").click()
+    controls(page).get_by_role("button", name="Show Veach's scene, A").click()
     picture = page.get_by_role("figure", name="Veach's scene")
     expect(picture).to_be_visible()
     picture.scroll_into_view_if_needed()
@@ -253,50 +312,26 @@ def test_a_broken_picture_gets_a_sentence(page, address, tmp_path):
     any_state(page, address)
     file = tmp_path / "broken.png"
     file.write_bytes(b"\x89PNG\r\n\x1a\nnothing")
-    page.locator("input[type=file]").set_input_files(file)
-    expect(page.get_by_role("alert")).to_contain_text("damaged")
+    controls(page).locator("input[type=file]").set_input_files(file)
+    expect(head(page).get_by_role("alert")).to_contain_text("damaged")
 
 
+@pytest.mark.slow  # test_board.py::test_odd_addresses_get_a_sentence is quick
 def test_odd_addresses_get_a_sentence(page, address):
     page.goto(f"{address}?n=100000000000")
-    expect(page.get_by_role("alert")).to_contain_text("give a whole number from 1 to 65536")
-    expect(page.get_by_role("group", name="A: Points", exact=True)).to_be_visible()
-    expect(page.get_by_role("alert")).to_contain_text("The defaults are shown.")
-
-
-def test_a_narrow_page_does_not_scroll_sideways(page, address):
-    page.set_viewport_size({"width": 390, "height": 800})
-    open_state(page, address, f"{_SMALL}&density=linear(slope=0.5)")
-    width = page.evaluate("document.documentElement.scrollWidth")
-    page.set_viewport_size({"width": 1300, "height": 900})
-    assert width <= 390
-
-
-def test_the_integrand_is_next_to_its_density(page, address):
-    open_state(page, address, f"{_SMALL}&density=linear(slope=0.5)")
-    card = page.get_by_role("group", name=re.compile("^A: Integrand f"))
-    expect(card.get_by_text("f/p from")).to_be_visible()
-    assert card.locator("canvas").count() >= 3
-
-
-def test_a_slider_by_keyboard(page, address):
-    open_state(page, address, f"{_SMALL}&density=linear(slope=0.5)")
-    page.get_by_role("slider", name="Strata shift, A").press("ArrowRight")
-    wait_for(page, "strata_shift", "0.05")
-    page.get_by_role("slider", name="Density slope, A").press("ArrowRight")
-    wait_for(page, "density", "linear(slope=0.55)")
-    done(page)
-    expect(page.get_by_role("cell", name="strata-shift(offset=0.05)")).to_be_visible()
+    expect(head(page).get_by_role("alert")).to_contain_text("give a whole number from 1 to 65536")
+    expect(card(page, "A: Points")).to_be_visible()
+    expect(head(page).get_by_role("alert")).to_contain_text("The defaults are shown.")
 
 
 def test_a_tab_that_closes_leaves_no_traceback(page, address, terminal):
     other = page.context.browser.new_page()
-    other.goto(f"{address}?n=1024&realizations=4096&half_width=32")
-    other.get_by_text("% done.").wait_for()
+    other.goto(f"{address}?n=1024&realizations=1024&half_width=32")
+    head(other).get_by_text("% done.").wait_for()
     other.close()
     # The next job ends after the abandoned one, so a traceback would be printed by then
     any_state(page, address)
-    field = page.get_by_label("Sampler spec, A", exact=True)
+    field = controls(page).get_by_label("Sampler spec, A", exact=True)
     field.fill("n-rooks")
     field.press("Enter")
     wait_for(page, "sampler", "n-rooks")
@@ -304,20 +339,26 @@ def test_a_tab_that_closes_leaves_no_traceback(page, address, terminal):
     assert "Traceback" not in terminal.read_text()
 
 
-@pytest.mark.parametrize(
-    ("theme", "preferred", "dark"),
-    [
-        ("auto", "dark", True), ("auto", "light", False),
-        ("light", "dark", False), ("dark", "light", True),
-    ],
-)  # fmt: skip
-def test_the_theme_is_the_browsers_unless_it_is_chosen(page, address, theme, preferred, dark):
-    page.emulate_media(color_scheme=preferred)
-    if page.locator("html").get_attribute("data-theme") != theme:
-        page.goto(f"{address}?{_SMALL}&theme={theme}")
-    color = page.evaluate("getComputedStyle(document.body).backgroundColor")
+def test_the_theme_is_the_browsers_unless_it_is_chosen(page, address):
+    any_state(page, address)
+    for theme in THEMES:  # the server sends the choice; loading the page again takes seconds
+        with urllib.request.urlopen(f"{address}?{_SMALL}&theme={theme}") as answer:
+            assert f'<html lang="en" data-theme="{theme}">' in answer.read().decode()
+    colors = {}
+    for theme in THEMES:
+        page.evaluate("theme => { document.documentElement.dataset.theme = theme; }", theme)
+        for preferred in ("light", "dark"):
+            page.emulate_media(color_scheme=preferred)
+            color = page.evaluate("getComputedStyle(document.body).backgroundColor")
+            colors[theme, preferred] = color
     page.emulate_media(color_scheme="light")
-    assert color == ("rgb(27, 30, 35)" if dark else "rgb(255, 255, 255)")
+    page.evaluate("document.documentElement.dataset.theme = 'auto'")
+    light, dark = "rgb(255, 255, 255)", "rgb(27, 30, 35)"
+    assert colors == {
+        ("auto", "light"): light, ("auto", "dark"): dark,
+        ("light", "light"): light, ("light", "dark"): light,
+        ("dark", "light"): dark, ("dark", "dark"): dark,
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ SMALL = {"n": 16, "half_width": 6, "realizations": 8}
 SETUPS = [
     ExplorerSetup(**SMALL),
     ExplorerSetup(
-        sampler="jittered | shift", density="linear(slope=0.5)", strata_shift=0.25, **SMALL
+        dims=1, sampler="jittered | shift", density="linear(slope=0.5)", strata_shift=0.25, **SMALL
     ),
     ExplorerSetup(integrand="disk", smoothing=0.125, basis="cosine", seed=5, **SMALL),
     ExplorerSetup(
@@ -54,7 +54,7 @@ def test_python_gives_the_numbers_shown(setup):
 
 
 def test_python_of_two_set_ups_has_both():
-    names, printed = ran(as_python(ExplorerState(a=SETUPS[0], b=SETUPS[2])))
+    names, printed = ran(as_python(ExplorerState(a=SETUPS[4], b=SETUPS[0])))
     assert printed.count("measured_variance") == 2
     assert names["sampler"].spec == "jittered"
 

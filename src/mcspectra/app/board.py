@@ -56,7 +56,6 @@ class Board:
         If nothing can be computed, the text is a sentence with the reason.
     on_shown
         Called in the page's thread after results were shown, and after the job has ended.
-        The function's argument is True if figures were added or removed.
     """
 
     def __init__(
@@ -66,7 +65,7 @@ class Board:
         *,
         later: Callable[[Callable[[], None]], object],
         on_update: Callable[[str], object],
-        on_shown: Callable[[bool], object],
+        on_shown: Callable[[], object],
     ) -> None:
         self.latest: dict[str, Any] = {}
         self.cards: dict[str, Card] = {}
@@ -189,30 +188,27 @@ class Board:
         # Show a part of the results. If the part has not changed, nothing is sent
         self.latest[news.kind] = news.value
         before, kinds = self._drawn.get(news.kind, (None, []))
-        new = False
         if before is news.value:
             for kind in kinds:
                 self.cards[kind].layout.styles = _FRESH
         else:
             plots = figures_of(news.kind, news.value, self._setup.displaced_sampler)
-            placed = [self._place(plot) for plot in plots]
-            new = any(placed)
+            for plot in plots:
+                self._place(plot)
             kinds = [plot.kind for plot in plots]
             self._drawn[news.kind] = (news.value, kinds)
         self._fresh |= set(kinds)
         self._fraction = news.fraction
         self._say(f"{news.realizations} realizations, {news.fraction:.0%} done.")
-        self._on_shown(new)
+        self._on_shown()
 
-    def _place(self, plot: Plot) -> bool:
-        """Show a plot in its card (figure with heading). Return True if the card is new."""
+    def _place(self, plot: Plot) -> None:
+        """Show a plot in its card (figure with heading)."""
         before = self.cards.get(plot.kind)
         card = card_of(plot, self._side, before, self._sheet, named=self._paired)
-        if card is before:
-            return False
-        self._size(plot.kind, card.drawn)
-        self.cards[plot.kind] = card
-        return True
+        if card is not before:
+            self._size(plot.kind, card.drawn)
+            self.cards[plot.kind] = card
 
     def _end(self, sentence: str, *, alert: bool = False) -> None:
         """Report the end of the job. Remove figures without results, or turn old figures gray."""
@@ -234,7 +230,7 @@ class Board:
             self._on_update(sentence)
         self._fraction = 0.0 if alert else 1.0
         self._say(" ".join(dict.fromkeys([sentence, *notes])), alert=alert)
-        self._on_shown(bool(old))
+        self._on_shown()
 
     def _say(self, sentence: str, *, alert: bool = False) -> None:
         role = "alert" if alert else "status"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import textwrap
-import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any, final
 from urllib.parse import parse_qsl, urlencode
 
 from bokeh.core.templates import get_env
-from bokeh.models import Column, CustomJS, InlineStyleSheet, Row, Spacer, TabPanel, Tabs
+from bokeh.models import Column, CustomJS, InlineStyleSheet, Row, TabPanel, Tabs
 from bokeh.models.widgets.buttons import Button
 from bokeh.models.widgets.inputs import Checkbox, TextAreaInput
 from bokeh.models.widgets.markups import Div
@@ -56,18 +55,16 @@ p { margin: 0 0 4px; } .soft { color: var(--soft); } a { color: var(--link); }
 ul { margin: 4px 0 8px; padding-left: 18px; }
 td, th { padding: 2px 16px 2px 0; text-align: left; }
 """
-_GRID = ":host {{ display: grid !important; gap: 14px; grid-template-columns: {columns}; }}"
-_SPAN = ":host > .wide { grid-column: 1 / -1; }"
-_JOINED = ":host > .joint { grid-column: 1 / -1; max-width: 760px; }"
-_ALONE = "repeat(auto-fit, minmax(min(100%, 380px), 1fr))"
-_ABREAST = "repeat(2, minmax(0, 1fr))"
-_NARROW = (
-    "@media (max-width: 1000px) { :host { grid-template-columns: minmax(0, 1fr) !important; } }"
-)
-_PAUSE = 0.5  # seconds between two changes of the layout while figures are being computed
-_TELL = (
-    "history.replaceState(null, '', location.pathname + (cb_obj.tags[0] && '?' + cb_obj.tags[0]))"
-)
+_TEXTS = """
+:host { display: grid !important; gap: 14px;
+  grid-template-columns: repeat(auto-fit, minmax(min(100%, 380px), 1fr)); }
+"""
+_TELL = """
+const [query, paired] = cb_obj.tags;
+history.replaceState(null, "", location.pathname + (query && "?" + query));
+document.getElementById("figures").classList.toggle("paired", paired);
+"""
+_PLACES = [(JOINT, "convergence"), *((side, kind) for kind in FIGURES for side in "AB")]
 _COPY = "navigator.clipboard.writeText(text.value)"
 _PROGRAM = "import mcspectra as mcs\n"
 _EXAMPLES = {
@@ -115,6 +112,7 @@ class Explorer:
         self._boards: dict[str, Board] = {}
         self._controls: dict[str, Controls] = {}
         self._both: Card | None = None  # the curves of A and B in one plot
+        self._curves: dict[str, Any] = {}  # the curves that this plot shows
 
         def block(**options: Any) -> Any:
             return Div(
@@ -125,10 +123,7 @@ class Explorer:
             )
 
         self._sides = Column(sizing_mode="stretch_width")
-        self._headers, self._grid = (
-            Row(sizing_mode="stretch_width"),
-            Column(sizing_mode="stretch_width"),
-        )
+        self._headers = Row(sizing_mode="stretch_width")
         self._summary = block()
         self._refused = block(
             text=f'<p role="alert" class="alert">{escape_html(refused)}</p>', visible=bool(refused)
@@ -141,7 +136,7 @@ class Explorer:
         self._scene = SceneView(self._sheet, self._choose_pixel, self._later)
         # Texts to export, each with a button that copies it to the clipboard
         self._texts: dict[str, Any] = {}
-        texts = Column(stylesheets=[_GRID.format(columns=_ALONE)], sizing_mode="stretch_width")
+        texts = Column(stylesheets=[_TEXTS], sizing_mode="stretch_width")
         for name in ("Python", "TOML"):
             self._texts[name] = area = TextAreaInput(
                 title=f"As {name}", rows=12, max_length=100_000, sizing_mode="stretch_width",
@@ -155,7 +150,11 @@ class Explorer:
             for title, query in _EXAMPLES.items()
         )
         talk = f"<details><summary>Examples of the talk</summary><ul>{examples}</ul></details>"
-        # Use separate root elements, so that a change of text does not move the figures
+        # If anything changes, Bokeh lays out the whole root element and draws all of its figures.
+        # Use separate root elements, so that a change of a text or figure moves no other figure
+        self._slots: dict[tuple[str, str], Any] = {
+            place: Column(visible=False, sizing_mode="stretch_width") for place in _PLACES
+        }
         self.roots: dict[str, Any] = {
             "side": Column(
                 children=[block(text=talk), self._compare, self._sides], sizing_mode="stretch_width"
@@ -164,7 +163,7 @@ class Explorer:
                 children=[self._refused, self._headers, self._summary], sizing_mode="stretch_width"
             ),
             "scene": self._scene.layout,
-            "figures": self._grid,
+            **{_name(*place): slot for place, slot in self._slots.items()},
             "foot": texts,
         }
         self.roots["head"].js_on_change("tags", CustomJS(code=_TELL))
@@ -218,28 +217,36 @@ class Explorer:
         self._tell_address()
 
     def _lay_out(self) -> None:
-        """Lay out figures in the order of their kinds. Figures of A and B are put in pairs."""
-        self._moved, self._laid_out = False, time.monotonic()
-        boards = list(self._boards.values())
-        columns = _ABREAST if len(boards) > 1 else _ALONE
-        self._grid.stylesheets = [
-            _GRID.format(columns=columns),
-            _NARROW,
-            _SPAN if len(boards) == 1 else _JOINED,
-        ]
-        kinds = [kind for kind in FIGURES if any(kind in board.cards for board in boards)]
+        """Put each figure into its slot. Figures of A and B are side by side."""
+        cards = {side: dict(board.cards) for side, board in self._boards.items()}
         if self._both is not None:
-            kinds = [kind for kind in kinds if kind != "convergence"]
-        children = [
-            board.cards[kind].layout if kind in board.cards else Spacer()
-            for kind in kinds
-            for board in boards
-        ]
-        joint = [] if self._both is None else [self._both.layout]
-        self._grid.children = [*joint, *children]
+            for own in cards.values():
+                own.pop("convergence", None)
+        kinds = {kind for own in cards.values() for kind in own}
+        cards[JOINT] = {} if self._both is None else {"convergence": self._both}
+        wanted: dict[tuple[str, str], tuple[list[Any], bool]] = {}
+        for side, kind in self._slots:
+            card = cards.get(side, {}).get(kind)
+            # If only the other set-up has this figure, the slot is blank, so that pairs remain
+            visible = card is not None or (side in self._boards and kind in kinds)
+            wanted[side, kind] = ([] if card is None else [card.layout], visible)
+        changed = {
+            place: new
+            for place, new in wanted.items()
+            if new != (self._slots[place].children, self._slots[place].visible)
+        }
+        if not changed:
+            return
+        # Bokeh searches all models for new ones after each change: let it search once, then send
+        self._document.hold()
+        with self._document.models.freeze():
+            for place, (children, visible) in changed.items():
+                classes = children[0].css_classes if children else []
+                self._slots[place].update(children=children, visible=visible, css_classes=classes)
+        self._document.unhold()
 
-    def _draw_both(self) -> bool:
-        """Draw the curves of A and B in one plot; return True if the plot was added or removed."""
+    def _draw_both(self) -> None:
+        """Draw the curves of A and B in one plot."""
         curves = {
             f"{side}: {setup.displaced_sampler}": curve
             for side, setup in self.state.setups()
@@ -251,9 +258,12 @@ class Explorer:
                 self._both = None
             elif before is not None and not any(board.busy for board in self._boards.values()):
                 before.layout.styles = STALE
-            return self._both is not before
-        self._both = card_of(describe("convergence", curves), JOINT, before, self._sheet)
-        return self._both is not before
+            self._curves = {}
+        elif list(curves) != list(self._curves) or any(
+            curve is not self._curves[name] for name, curve in curves.items()
+        ):
+            self._both = card_of(describe("convergence", curves), JOINT, before, self._sheet)
+            self._curves = curves
 
     def _later(self, act: Any) -> None:
         """Schedule `act` in the session's thread with the document's lock. Any thread may call."""
@@ -279,7 +289,7 @@ class Explorer:
         self._arrange()
         if other is not None:
             self._boards["B"].run(other)
-        self._shown(False)
+        self._shown()
         self._write_texts("")
 
     def _choose_pixel(self, x: int, y: int, strategy: str) -> None:
@@ -292,7 +302,7 @@ class Explorer:
         self._controls[side].change(integrand=spec, dims=2, density="uniform", smoothing=0.0)
 
     def _tell_address(self) -> None:
-        self.roots["head"].tags = [self.state.query()]
+        self.roots["head"].tags = [self.state.query(), self.state.b is not None]
 
     def _write_texts(self, refused: str) -> None:
         """Export the set-up as Python code and as a study file, from cached results.
@@ -312,13 +322,10 @@ class Explorer:
 
         self._later(show)
 
-    def _shown(self, moved: bool) -> None:
-        """Update the table of results. If figures were added or removed, lay them out again."""
-        self._moved |= self._draw_both() or moved
-        # A browser draws all figures again when the layout changes, so let it draw the first ones
-        rested = time.monotonic() - self._laid_out > _PAUSE
-        if self._moved and (rested or not any(board.busy for board in self._boards.values())):
-            self._lay_out()
+    def _shown(self) -> None:
+        """Update the places of figures and the table of results."""
+        self._draw_both()
+        self._lay_out()
         rows = [_row(side, setup, self._boards[side]) for side, setup in self.state.setups()]
         head = "".join(
             f'<th scope="col">{name}</th>'
@@ -339,7 +346,15 @@ def build_page(document: Any) -> None:
         document.add_root(root)
     document.title = TITLE
     document.template = get_env().from_string(_TEMPLATE)
-    document.template_variables.update(theme=explorer.state.theme, themes=THEMES)
+    document.template_variables.update(
+        theme=explorer.state.theme, themes=THEMES, paired=explorer.state.b is not None,
+        figures=[_name(*place) for place in _PLACES],
+    )  # fmt: skip
+
+
+def _name(side: str, kind: str) -> str:
+    """Return the name of the root element of a figure."""
+    return f"{side}: {kind}"
 
 
 def _row(side: str, setup: ExplorerSetup, board: Board) -> str:
