@@ -143,6 +143,7 @@ def test_techniques_add_up_and_dependent_ones_are_measured():
     assert float(found["predicted_variance"][0]) == pytest.approx(exact, rel=1e-6)
 
 
+@pytest.mark.usefixtures("few_offsets")
 def test_jumps_across_many_axes_are_seen_by_scrambles_of_the_set():
     """Sums of products miss them: 1.49 times the variance, with intervals that reach 0."""
     sampler, n = "sobol | owen", 300
@@ -304,7 +305,9 @@ def _limit(f, sampler, dims, counts=(16, 64, 256, 1024)):
         (DISK, "jittered", 2, -1.5),
         # A function that is not periodic jumps at the border of shifted strata: −1 − 1/d
         ("linear", "jittered | shift", 1, -2.0),
-        ("christensen-gaussian", "jittered | shift", 2, -1.5),
+        pytest.param(
+            *("christensen-gaussian", "jittered | shift", 2, -1.5), marks=pytest.mark.slow
+        ),
         ("linear", "jittered | shift", 2, -1.5),
         ("linear", "sobol | owen", 2, -3.0),
         ("linear", "latin-hypercube", 2, -3.0),
@@ -406,7 +409,8 @@ _SMALL_DISK = mcs.Integrand.from_function(
             *(_CUT_PEAK, "linear(slope=-1)", "jittered", [16, 256], -1.5), marks=pytest.mark.slow
         ),
         (_TILTED_STEP, "linear(slope=-1)", "jittered", [16, 256], -1.5),
-        (_SMALL_DISK, None, "jittered", [16, 256], -1.5),
+        # A disk without the smooth part is in `test_limits_are_those_of_theory`
+        pytest.param(*(_SMALL_DISK, None, "jittered", [16, 256], -1.5), marks=pytest.mark.slow),
     ],
 )
 def test_jumps_decide_on_limits(f, density, sampler, counts, limit):
