@@ -48,7 +48,7 @@ CASES = [
     (WAVE, None, "random", 1, 5, CHECKS),
     (WAVE, LINE, "random", 1, 5, CHECKS - {"homogenized"}),
     (WAVE, None, "jittered", 1, 8, CHECKS - {"homogenized"}),
-    (WAVE, LINE, "jittered", 1, 7, CHECKS - {"homogenized"}),
+    pytest.param(WAVE, LINE, "jittered", 1, 7, CHECKS - {"homogenized"}, marks=pytest.mark.slow),
     (WAVE, None, "jittered | shift", 1, 8, CHECKS),
     (WAVE, LINE, "jittered | shift", 1, 8, CHECKS - {"homogenized"}),
     (WAVE, LINE, "uniform-jitter", 1, 2, {"exact", "covariance", "terms", "measured"}),

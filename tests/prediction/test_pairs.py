@@ -106,7 +106,7 @@ def test_counted_pairs_agree_with_the_exact_variance(estimator, spec, dims, n):
 def test_counted_pairs_agree_with_simulation(spec, n, integrand):
     estimator = mcs.Estimator(integrand, dims=2)
     found = by_pairs(estimator, spec, n, rng=3)
-    assert within(found, *simulated(estimator, spec, n))
+    assert within(found, *simulated(estimator, spec, n, realizations=2000))
 
 
 def _weighted(integrand, density, dims=1):

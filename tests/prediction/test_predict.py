@@ -19,10 +19,10 @@ DISK = "disk(center=(0.4,0.55),radius=0.3)"
 
 
 @pytest.fixture(autouse=True)
-def small(use_settings, few_products, monkeypatch):
+def small(use_settings, few_products, few_offsets, monkeypatch):
     """Use a quarter of the sets that measure f or its table, so intervals are twice as wide.
 
-    Sums of products are small as well: tests of the fit are in test_subsets.
+    Sums of products and numbers of offsets are small as well: tests of the fit are in test_subsets.
     Power spectra of drawn sets are means over an eighth of the sets.
     """
     few = replace(torus._DRAWN, points=torus._DRAWN.points // 8)
@@ -103,7 +103,7 @@ def test_rate_of_jumps_and_of_one_count():
 
 def test_a_list_of_samplers_and_channels():
     f = mcs.Integrand.from_function(
-        lambda x: np.stack([np.cos(2 * np.pi * x[..., 0]), 1.0 + 0 * x[..., 0]], axis=-1), dims=2
+        lambda x: np.stack([np.cos(2 * np.pi * x[..., 0]), 1.0 + 0 * x[..., 0]], axis=-1), dims=1
     )
     found = predict(f, ["random", "halton | shift"], [16])
     assert found["predicted_variance"].dims == ("sampler", "n", "channel")
@@ -143,7 +143,6 @@ def test_techniques_add_up_and_dependent_ones_are_measured():
     assert float(found["predicted_variance"][0]) == pytest.approx(exact, rel=1e-6)
 
 
-@pytest.mark.usefixtures("few_offsets")
 def test_jumps_across_many_axes_are_seen_by_scrambles_of_the_set():
     """Sums of products miss them: 1.49 times the variance, with intervals that reach 0."""
     sampler, n = "sobol | owen", 300
@@ -203,7 +202,7 @@ def _strata(n, generator):
 
 
 def test_what_no_theory_predicts_is_extrapolated_and_named(use_settings):
-    use_settings(extrapolated=methods.ExtrapolationSettings(near_points=2**15, near_sets=400))
+    use_settings(extrapolated=methods.ExtrapolationSettings(near_points=2**14, near_sets=200))
 
     def strata(n, generator):
         return np.concatenate([_strata(n, generator), _strata(n, generator)], axis=-1)

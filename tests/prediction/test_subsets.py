@@ -139,6 +139,7 @@ class TestExact:
         found = predicted(known, "sobol | owen", n)
         assert found.variance[0] == pytest.approx(exact, rel=0.05)  # 1/64 of a cell, four times
 
+    @pytest.mark.usefixtures("few_products")  # The function is a sum of two products
     def test_exact_variances_with_a_loose_tolerance(self):
         """Cells of 64 points in 5-D are too many; sums of products give the variance to 1 %."""
         # The integral is declared, because its quadrature takes longer than all else here
