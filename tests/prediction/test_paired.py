@@ -49,7 +49,7 @@ def few_pairs(request, monkeypatch):
     if not request.node.get_closest_marker("slow"):
         few = paired.PairedSettings(pairs=(1 << 13, 1 << 10, 1 << 10))
         monkeypatch.setattr(paired, "_SETTINGS", few)
-        for name in ("few_products", "few_offsets"):
+        for name in ("few_products", "few_offsets", "few_probes"):
             request.getfixturevalue(name)
 
 
@@ -87,14 +87,17 @@ def measured(f, sampler, n, realizations=2000):
             25,
             [
                 "orthogonal-array(jitter='jittered')",
-                "orthogonal-array | strata-shift",
                 "orthogonal-array | shift",
                 "latin-hypercube | strata-shift",
             ],
         ),
         pytest.param(
             25,
-            ["orthogonal-array(jitter='jittered') | shift", "latin-hypercube | shift"],
+            [
+                "orthogonal-array(jitter='jittered') | shift",
+                "orthogonal-array | strata-shift",
+                "latin-hypercube | shift",
+            ],
             marks=pytest.mark.slow,
         ),
         (81, ["jittered", "jittered | shift", "jittered | strata-shift"]),

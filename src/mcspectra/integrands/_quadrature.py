@@ -27,7 +27,6 @@ import numpy as np
 from mcspectra.core.checks import Array
 from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.core.streams import Stream, golden_vector
-from mcspectra.integrands._kernels import subtract_polynomials
 
 __all__ = [
     "PROBE",
@@ -571,6 +570,8 @@ def _residuals(
 
     The polynomial of each of the N cells interpolates the `values` (N, q^d, C) at its nodes.
     """
+    from mcspectra.integrands._kernels import subtract_polynomials
+
     order = round(values.shape[1] ** (1.0 / points.shape[1]))
     nodes = 2.0 * gauss_rule(order)[0] - 1.0
     inverse = np.linalg.inv(np.polynomial.legendre.legvander(nodes, order - 1))
