@@ -44,11 +44,14 @@ def few_offsets(monkeypatch):
 
 
 @pytest.fixture
-def few_probes(monkeypatch):
-    """Search functions for details at an eighth of the points, for tests of other things.
+def few_probes(request, monkeypatch):
+    """Search functions for details at an eighth of the points, for quick tests of other things.
 
     Integrals of functions that quadrature does not resolve have larger errors.
     """
+    if request.node.get_closest_marker("slow"):
+        yield
+        return
     for module in (_quadrature, quadrature, rates):
         monkeypatch.setattr(module, "PROBE", 2**14)
     _quadrature.probe.cache_clear()

@@ -20,12 +20,15 @@ DISK = "disk(center=(0.4,0.55),radius=0.3)"
 
 
 @pytest.fixture(autouse=True)
-def small(use_settings, few_products, few_offsets, few_probes, monkeypatch):
+def small(request, use_settings, few_products, few_probes, monkeypatch):
     """Use a quarter of the sets that measure f or its table, so intervals are twice as wide.
 
-    Sums of products and numbers of offsets are small as well: tests of the fit are in test_subsets.
+    Sums of products are small as well: tests of the fit are in test_subsets.
+    In quick tests, numbers of offsets and of probes are small, too.
     Power spectra of drawn sets are means over an eighth of the sets.
     """
+    if not request.node.get_closest_marker("slow"):
+        request.getfixturevalue("few_offsets")
     few = replace(torus._DRAWN, points=torus._DRAWN.points // 8)
     monkeypatch.setattr(torus, "_DRAWN", few)
     use_settings(
