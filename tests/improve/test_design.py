@@ -36,6 +36,8 @@ SMALL = SearchSettings(
     members=256,
     trials=2**18,
     frequencies=2**14,
+    torus_frequencies=2**12,
+    table_bits=14,
     trees=16,
     net_starts=2,
     return_rival=False,
@@ -295,7 +297,7 @@ def test_starting_with_cosets_of_a_net_is_better():
     """Searches that start with cosets of a net end with less variance than random starts."""
     ratios = []
     for cosets in (True, False):
-        settings = dataclasses.replace(SMALL, trials=2**16, cosets=cosets)
+        settings = dataclasses.replace(SMALL, trials=2**16, table_bits=16, cosets=cosets)
         found = design("points", "gaussians", 64, dims=4, settings=settings)
         told = mcs.certificate(found, "gaussians", 64, rivals=["sobol | owen"], members=800)
         ratios.append(told["design_ratio_ci"].values)
@@ -309,6 +311,8 @@ def _random_points(*_):
 def test_a_design_that_loses_to_a_rival_is_replaced_by_it(tmp_path, monkeypatch):
     """The rival is also in the cache and in the user's file."""
     monkeypatch.setattr(doors, "KINDS", {"lattice": _random_points})
+    few = dataclasses.replace(doors._SETTINGS, check_members=400)
+    monkeypatch.setattr(doors, "_SETTINGS", few)
     for options in ({}, {}, {"path": tmp_path / "mine.json"}):
         with pytest.warns(NoGainWarning, match="times .* the mean variance of .*instead"):
             made = mcs.design("lattice", GAUSSIANS, 64, **options)

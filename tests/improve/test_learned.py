@@ -3,6 +3,7 @@
 import json
 import math
 import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +13,9 @@ import mcspectra as mcs
 from mcspectra.core.errors import FileFormatError, NoGainWarning, ParameterError
 from mcspectra.densities import Learned
 from mcspectra.densities.learned import SplineDensity
+from mcspectra.estimators import quadrature
 from mcspectra.improve.learned import LEARNED, _Seen, fit_splines
+from mcspectra.integrands import _quadrature
 
 OWEN = "sobol | owen"
 KINDS = list(LEARNED)
@@ -103,9 +106,9 @@ def test_warps_keep_the_rate_of_nets(kind):
     A jump along a curve would give 16^1.5, and a smooth integrand 16^3. The noise of 50 nets is a
     factor of 3.
     """
-    p = mcs.improve.learned_density(peaks, kind, OWEN, 1024, dims=2, evaluations=2**13)
+    p = mcs.improve.learned_density(peaks, kind, OWEN, 256, dims=2, evaluations=2**11)
     noise = math.exp(4.0 * math.sqrt(2.0 * 2.0 / 49))
-    assert variance(p, 2**14, 50) * noise < variance(p, 2**10, 50) * 16.0**-1.5
+    assert variance(p, 2**13, 50) * noise < variance(p, 2**9, 50) * 16.0**-1.5
 
 
 def test_the_same_seed_gives_the_same_density_and_its_spec_restores_it(tmp_path):
@@ -115,10 +118,11 @@ def test_the_same_seed_gives_the_same_density_and_its_spec_restores_it(tmp_path)
         )
 
     first = made(1)
-    assert made(1).spec == first.spec
     assert made(2).spec != first.spec
     kept = made(1, path=tmp_path / "mine.json")
     assert kept.spec == f"learned(path={str(tmp_path / 'mine.json')!r})"
+    # The name of the file of `first` is the hash of its content
+    assert Path(first.path).read_bytes() == Path(kept.path).read_bytes()
     x = np.random.default_rng(0).random((100, 2))
     again = mcs.density(kept.spec)
     np.testing.assert_array_equal(again.pdf(x), first.pdf(x))
@@ -136,8 +140,8 @@ def test_the_size_and_the_sign_of_f_do_not_matter():
             lambda x: factor * peaks(x), kind, OWEN, 64, dims=2, evaluations=512
         ).spec
 
-    specs = [spec(factor) for factor in (1.0, -1.0, 2.0**-530, 2.0**530)]
-    assert specs == specs[:1] * 4
+    specs = [spec(factor) for factor in (1.0, -(2.0**-530), 2.0**530)]
+    assert specs == specs[:1] * 3
     assert specs[0] != "uniform"
 
 
@@ -145,7 +149,7 @@ def test_threads_and_blocks_do_not_matter():
     """The number of BLAS threads and the blocks of points do not change any bit."""
     specs = [
         mcs.improve.learned_density(
-            "gaussian(width=0.1, center=0.3)", kind, OWEN, 128, dims=3, evaluations=2048
+            "gaussian(width=0.1, center=0.3)", kind, OWEN, 128, dims=2, evaluations=1024
         ).spec
         for kind in KINDS
     ]
@@ -153,7 +157,7 @@ def test_threads_and_blocks_do_not_matter():
         "import mcspectra as mcs\n"
         f"for kind in {KINDS}: "
         "print(mcs.improve.learned_density('gaussian(width=0.1, center=0.3)', "
-        f"kind, {OWEN!r}, 128, dims=3, evaluations=2048).spec)"
+        f"kind, {OWEN!r}, 128, dims=2, evaluations=1024).spec)"
     )
     threads = "1" if os.environ["OPENBLAS_NUM_THREADS"] != "1" else "2"
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": threads}
@@ -161,7 +165,7 @@ def test_threads_and_blocks_do_not_matter():
     for spec in specs:
         assert spec != "uniform"
         p = mcs.density(spec)
-        u = np.random.default_rng(0).random((1000, 3))
+        u = np.random.default_rng(0).random((1000, 2))
         whole, parts = p.sample_pdf(u), [p.sample_pdf(block) for block in np.split(u, [1, 300])]
         for a, b in zip(whole, zip(*parts, strict=True), strict=True):
             np.testing.assert_array_equal(a, np.concatenate(b))
@@ -171,11 +175,11 @@ def test_without_a_gain_the_density_is_uniform(tmp_path):
     """A constant has no variance, so no density can gain."""
     path = tmp_path / "uniform.json"
     with pytest.warns(NoGainWarning, match="constant is uniform: no candidate has less than 0.5"):
-        p = mcs.improve.learned_density("constant", "mixture", OWEN, 64, dims=2, evaluations=2048)
+        p = mcs.improve.learned_density("constant", "mixture", OWEN, 64, dims=2, evaluations=512)
     assert p.spec == "uniform"
     with pytest.warns(NoGainWarning):
         kept = mcs.improve.learned_density(
-            "constant", "mixture", OWEN, 64, dims=2, evaluations=2048, path=path
+            "constant", "mixture", OWEN, 64, dims=2, evaluations=512, path=path
         )
     x = np.random.default_rng(0).random((100, 2))
     np.testing.assert_array_equal(kept.pdf(x), 1.0)
@@ -211,11 +215,17 @@ def test_a_density_that_raises_the_variance_is_not_returned(f, dims, kind, sampl
 
 
 @pytest.mark.parametrize("sampler", ["jittered", pytest.param(OWEN, marks=pytest.mark.slow)])
-def test_exact_variances_equal_measured_variances(sampler):
-    """In 2-D, the knots lie along curves of primary space."""
+def test_exact_variances_equal_measured_variances(sampler, monkeypatch):
+    """In 2-D, the knots lie along curves of primary space.
+
+    Quadrature searches for details of f/p at an eighth of the points, because f has none.
+    """
+    for module in (_quadrature, quadrature):
+        monkeypatch.setattr(module, "PROBE", 2**14)
+    _quadrature.probe.cache_clear()
     f = mcs.Integrand.from_function(peaks, dims=2)
     estimator = mcs.Estimator(
-        f, mcs.improve.learned_density(f, "mixture", OWEN, 64, evaluations=4096)
+        f, mcs.improve.learned_density(f, "mixture", OWEN, 64, evaluations=2048)
     )
     exact = mcs.exact_variance(estimator, sampler, 16, tolerance=0.05)
     found = mcs.convergence(estimator, sampler, [16], realizations=4 * REALIZATIONS)
@@ -223,6 +233,7 @@ def test_exact_variances_equal_measured_variances(sampler):
     assert float(found["variance"][0]) == pytest.approx(
         exact, rel=0.05 + 4.0 * math.sqrt(2.0 / (4 * REALIZATIONS - 1))
     )
+    _quadrature.probe.cache_clear()
 
 
 def test_errors_say_what_to_do(tmp_path):
@@ -321,10 +332,10 @@ def test_the_verb_writes_a_density_and_refuses_options_of_samplers(tmp_path, cap
 def test_design_of_a_density_equals_learned_density():
     options = {"dims": 2, "rng": 3}
     made = mcs.design(
-        "density", "gaussian(width=0.1)", 64, budget=4096, family="spline-flow", **options
+        "density", "gaussian(width=0.1)", 64, budget=1024, family="spline-flow", **options
     )
     f = mcs.integrand("gaussian(width=0.1)", 2)
-    expected = mcs.improve.learned_density(f, "spline-flow", OWEN, 64, evaluations=4096, rng=3)
+    expected = mcs.improve.learned_density(f, "spline-flow", OWEN, 64, evaluations=1024, rng=3)
     x = np.random.default_rng(0).random((20, 2))
     np.testing.assert_array_equal(made.pdf(x), expected.pdf(x))
     with pytest.raises(ParameterError, match="family is for densities; leave it out with owen"):

@@ -17,6 +17,22 @@ from mcspectra.plots.kinds import describe
 from mcspectra.prediction import prediction, subsets, torus
 
 
+@pytest.fixture
+def quick_predictions(monkeypatch):
+    """Fit few products and measure few sets, so that predictions have wider intervals."""
+    few = replace(subsets.SUBSET_SETTINGS, rank=2, sweeps=8, draws=4)
+    monkeypatch.setattr(subsets, "SUBSET_SETTINGS", few)
+    monkeypatch.setattr(torus, "_MOVES", replace(torus._MOVES, offsets=2**11))
+    settings = prediction.ExtrapolationSettings(sets=500, near_sets=250, near_points=2**16)
+    methods = tuple(
+        replace(each, predict=functools.partial(each.predict, settings=settings))
+        if each.name == "extrapolated"
+        else each
+        for each in prediction.METHODS
+    )
+    monkeypatch.setattr(prediction, "METHODS", methods)
+
+
 def test_random_points_need_variance_over_squared_error():
     """f = x has variance 1/12."""
     f = mcs.integrand("linear", dims=1)
@@ -69,6 +85,7 @@ def test_deterministic_samplers_have_no_plan():
     assert "sobol: a deterministic sampler has no variance" in found.attrs["note"]
 
 
+@pytest.mark.usefixtures("quick_predictions")
 def test_plans_can_be_the_smallest_possible_count():
     """One point of an unbiased sampler has the variance σ²; orthogonal arrays need four points."""
     f = mcs.integrand("disk", dims=2)
@@ -103,22 +120,6 @@ def test_no_smaller_count_nearby_reaches_the_error(f, dims, sampler, target, mos
     found = mcs.plan(f, sampler, target_error=target)
     assert float(found["planned_n"]) <= most
     assert float(found["planned_error"]) <= target
-
-
-@pytest.fixture
-def quick_predictions(monkeypatch):
-    """Fit few products and measure few sets, so that predictions have wider intervals."""
-    few = replace(subsets.SUBSET_SETTINGS, rank=2, sweeps=8)
-    monkeypatch.setattr(subsets, "SUBSET_SETTINGS", few)
-    monkeypatch.setattr(torus, "_MOVES", replace(torus._MOVES, offsets=2**11))
-    settings = prediction.ExtrapolationSettings(sets=500, near_sets=250, near_points=2**16)
-    methods = tuple(
-        replace(each, predict=functools.partial(each.predict, settings=settings))
-        if each.name == "extrapolated"
-        else each
-        for each in prediction.METHODS
-    )
-    monkeypatch.setattr(prediction, "METHODS", methods)
 
 
 @pytest.mark.usefixtures("quick_predictions")
@@ -175,8 +176,17 @@ class Counting:
         return self.function(x)
 
 
-@pytest.mark.parametrize("sampler", ["random", "sobol | owen"])
-@pytest.mark.parametrize("name", FUNCTIONS)
+# Each function with one of the samplers; the other pairs are slow
+QUICK_PAIRS = set(zip(FUNCTIONS, itertools.cycle(["random", "sobol | owen"])))
+
+
+@pytest.mark.parametrize(
+    ("name", "sampler"),
+    [
+        pytest.param(*pair, marks=[] if pair in QUICK_PAIRS else [pytest.mark.slow])
+        for pair in itertools.product(FUNCTIONS, ["random", "sobol | owen"])
+    ],
+)
 def test_plans_agree_with_profiles(name, sampler):
     """The n for the error in a profile agrees with the profile's n within both intervals."""
     f, dims = FUNCTIONS[name]
@@ -193,8 +203,8 @@ def test_plans_agree_with_profiles(name, sampler):
 
 SAMPLERS = ["random", "sobol | owen", "jittered", "halton | owen", "rank1-lattice | shift"]
 ALL_PAIRS = list(itertools.product(["smooth", "disk", "jump along an axis", "pole"], SAMPLERS))
-# Each function with two samplers, and each sampler at least once; the others are slow
-SOME_PAIRS = [pair for place, pair in enumerate(ALL_PAIRS) if place % 3 == 0] + [ALL_PAIRS[13]]
+# Each function and each sampler at least once, the functions of jumps twice; the others are slow
+SOME_PAIRS = [ALL_PAIRS[place] for place in (0, 6, 9, 12, 13, 15)]
 
 
 @pytest.mark.parametrize(

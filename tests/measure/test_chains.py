@@ -195,7 +195,9 @@ def test_chains_that_repeat_a_value_are_named():
     ("draw", "named", "least"),
     [
         (lambda rng: rng.standard_cauchy((4, 2000)), "heavy-tail", 38),
-        (lambda rng: rng.standard_t(5, (4, 2000)), "none", 38),
+        pytest.param(
+            *(lambda rng: rng.standard_t(5, (4, 2000)), "none", 38), marks=pytest.mark.slow
+        ),
         (lambda rng: rng.exponential(size=(4, 2000)), "none", 38),
     ],
     ids=["cauchy", "t5", "exponential"],
@@ -311,7 +313,9 @@ def transient(lifetime, seeds, rho=0.0):
     return ar1(rho, (seeds, 4, 1000)) + 5.0 * np.exp(-np.arange(1000) / lifetime)
 
 
-@pytest.mark.parametrize(("lifetime", "rho"), [(20, 0.0), (100, 0.0), (60, 0.5)])
+@pytest.mark.parametrize(
+    ("lifetime", "rho"), [(20, 0.0), pytest.param(100, 0.0, marks=pytest.mark.slow), (60, 0.5)]
+)
 def test_a_start_far_from_the_mean_is_reported_and_excluded(lifetime, rho):
     seeds = 40
     found = quantities(transient(lifetime, seeds, rho))
@@ -326,7 +330,9 @@ def test_a_start_far_from_the_mean_is_reported_and_excluded(lifetime, rho):
     assert ((low <= 0) & (high >= 0)).mean() >= 0.95 - 5 * np.sqrt(0.95 * 0.05 / seeds)
 
 
-@pytest.mark.parametrize("rho", [0.0, pytest.param(0.5, marks=pytest.mark.slow), 0.9])
+@pytest.mark.parametrize(
+    "rho", [*(pytest.param(r, marks=pytest.mark.slow) for r in (0.0, 0.5)), 0.9]
+)
 def test_stationary_chains_have_no_burn_in(rho):
     seeds = 100
     found = quantities(ar1(rho, (seeds, 4, 1000), seed=7))

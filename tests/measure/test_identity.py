@@ -50,8 +50,12 @@ def _estimates(estimator, sampler, n, space, half_width, seed):
     )
 
 
+# In 3-D, the samplers with independent points in strata or in the cube are slow
 CASES = [
-    (dims, name, density, space)
+    pytest.param(
+        *(dims, name, density, space),
+        marks=[pytest.mark.slow] * (dims == 3 and name in ("random", "jittered")),
+    )
     for dims in (1, 2, 3)
     for name in ("random", "jittered", "jittered | shift", "one-sided")
     for density in (None, "linear(slope=1.2)")

@@ -57,8 +57,9 @@ SEEDS = [200, pytest.param(400, marks=pytest.mark.slow)]
     ("f", "budget", "seeds"),
     [
         (smooth, 256, 200),
-        (kink, 256, 200),
         (jump, 2000, 200),
+        # A kink is quick with the median, with a profile and with a tolerance
+        pytest.param(kink, 256, 200, marks=pytest.mark.slow),
         pytest.param(smooth, 2000, 200, marks=pytest.mark.slow),
         pytest.param(kink, 2000, 200, marks=pytest.mark.slow),
         pytest.param(jump, 256, 200, marks=pytest.mark.slow),
@@ -404,7 +405,7 @@ def test_the_answer_of_a_profile_and_its_evaluations_are_used():
     ("f", "seeds"),
     [
         (kink, 80),
-        (jump, 80),
+        pytest.param(jump, 80, marks=pytest.mark.slow),
         *(pytest.param(f, 200, marks=pytest.mark.slow) for f in (smooth, kink, jump)),
     ],
     ids=lambda each: getattr(each, "__name__", str(each)),
@@ -470,7 +471,11 @@ def test_a_profile_of_another_function_is_refused():
 
 @pytest.mark.parametrize(
     "f",
-    [pytest.param(smooth, marks=pytest.mark.slow), kink, jump],
+    [
+        pytest.param(smooth, marks=pytest.mark.slow),
+        kink,
+        pytest.param(jump, marks=pytest.mark.slow),
+    ],
     ids=lambda f: f.__name__,
 )
 def test_calls_stop_at_the_tolerance_and_intervals_cover(f):

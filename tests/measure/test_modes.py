@@ -20,7 +20,9 @@ TWO = mcs.MultipleImportance("gaussian", ["uniform", "linear(slope=1)"])
         (F1, "jittered", {"half_width": 12}),
         pytest.param(F1, "random", {"half_width": 12}, marks=pytest.mark.slow),
         (F1, "jittered", {"half_width": 8, "basis": "cosine"}),
-        (F1, "jittered", {"half_width": 16, "basis": "haar"}),
+        pytest.param(
+            *(F1, "jittered", {"half_width": 16, "basis": "haar"}), marks=pytest.mark.slow
+        ),
         pytest.param(F2, "jittered", {"half_width": 4}, marks=pytest.mark.slow),
         (F2, "latin-hypercube", {"half_width": 4, "basis": "walsh"}),
         (WARPED, "jittered", {"half_width": 3}),

@@ -5,7 +5,9 @@ from dataclasses import replace
 
 import pytest
 
-from mcspectra.prediction import paired, prediction, subsets, torus
+from mcspectra.estimators import quadrature
+from mcspectra.integrands import _quadrature
+from mcspectra.prediction import paired, prediction, rates, subsets, torus
 
 
 @pytest.fixture
@@ -39,3 +41,19 @@ def few_products(monkeypatch):
 def few_offsets(monkeypatch):
     """Move sets by a quarter of the offsets, so that intervals are twice as wide."""
     monkeypatch.setattr(torus, "_MOVES", replace(torus._MOVES, offsets=2**11))
+
+
+@pytest.fixture
+def few_probes(request, monkeypatch):
+    """Search functions for details at an eighth of the points, for quick tests of other things.
+
+    Integrals of functions that quadrature does not resolve have larger errors.
+    """
+    if request.node.get_closest_marker("slow"):
+        yield
+        return
+    for module in (_quadrature, quadrature, rates):
+        monkeypatch.setattr(module, "PROBE", 2**14)
+    _quadrature.probe.cache_clear()
+    yield
+    _quadrature.probe.cache_clear()

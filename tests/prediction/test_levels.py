@@ -1,5 +1,7 @@
 """Variances of nets and strata from cells and moved sets: exact values and measurements."""
 
+import functools
+
 import numpy as np
 import pytest
 
@@ -19,8 +21,17 @@ def predicted(f, sampler, n):
     return method(source.law(n), f, Stream.from_rng(0))
 
 
+@pytest.fixture(autouse=True)
+def small(few_probes):
+    """Search functions for details at few points; none of them has small details."""
+
+
+@functools.cache
 def function(name, dims):
-    """Return functions without closed forms, some with jumps across curves."""
+    """Return functions without closed forms, some with jumps across curves.
+
+    Each is made once, because it keeps what quadrature finds.
+    """
     functions = {
         "product": lambda x: np.prod(1.0 / (1.0 + 4.0 * (x - 0.4) ** 2), axis=-1),
         "sum": lambda x: x.sum(axis=-1),
@@ -60,7 +71,7 @@ def test_exact_values_of_smooth_functions(sampler, dims, n):
     assert abs(found.variance[0] - exact) <= found.error[0] + 1e-6 * exact
 
 
-@pytest.mark.parametrize("n", [16, 64])
+@pytest.mark.parametrize("n", [pytest.param(16, marks=pytest.mark.slow), 64])
 def test_digital_shifts_of_smooth_functions(n):
     """Random shifts are applied one after another: the interval covers, and is narrow."""
     f = function("product", 2)
@@ -69,7 +80,7 @@ def test_digital_shifts_of_smooth_functions(n):
     assert abs(found.variance[0] - exact) <= found.error[0] < 0.05 * exact
 
 
-@pytest.mark.parametrize("dims", [1, 2, 3])
+@pytest.mark.parametrize("dims", [1, pytest.param(2, marks=pytest.mark.slow), 3])
 @pytest.mark.parametrize("sampler", ["sobol | owen", "sobol | digital-shift"])
 def test_additive_functions_at_large_counts(sampler, dims):
     """Each axis has one point in each n-th: jittered with owen, a grid with a shift."""
@@ -87,8 +98,17 @@ def test_thousands_of_points(n):
     assert found.variance[0] * float(n) ** 3 == pytest.approx(at_four.variance[0] * 64.0, rel=1e-3)
 
 
-@pytest.mark.parametrize("n", [16, 4096])
-@pytest.mark.parametrize("sampler", ["sobol | owen", "halton | owen", "jittered"])
+@pytest.mark.parametrize(
+    ("sampler", "n"),
+    [
+        pytest.param("sobol | owen", 16, marks=pytest.mark.slow),
+        ("sobol | owen", 4096),
+        ("halton | owen", 16),
+        pytest.param("halton | owen", 4096, marks=pytest.mark.slow),
+        ("jittered", 16),
+        ("jittered", 4096),
+    ],
+)
 def test_sampled_cells_of_curves_agree_with_closed_forms(sampler, n):
     """Compare a disk without closed form with a disk whose shares of cells are exact."""
     exact = predicted(mcs.integrand("disk", dims=2), sampler, n)
@@ -107,9 +127,10 @@ KNOWN_DISK = Known(function("disk", 2))
         ("rotated step", "sobol | digital-shift", 2, 256),
         ("rotated step", "jittered", 2, 1024),
         pytest.param("rotated step", "halton | owen", 3, 216, marks=pytest.mark.slow),
-        ("disk", "sobol | owen", 3, 512),
-        ("disk", "jittered", 3, 512),
-        ("disk", "antithetic-jittered", 2, 512),
+        # Exact values in 3-D are quick above, and so is a step in 2-D
+        pytest.param("disk", "sobol | owen", 3, 512, marks=pytest.mark.slow),
+        pytest.param("disk", "jittered", 3, 512, marks=pytest.mark.slow),
+        pytest.param("disk", "antithetic-jittered", 2, 512, marks=pytest.mark.slow),
         ("product", "sobol | digital-shift", 2, 1024),
     ],
 )

@@ -27,7 +27,7 @@ PREDICTIONS = list(NAMES)[1:7]
 
 
 @pytest.fixture(autouse=True)
-def small(use_settings, few_offsets):
+def small(use_settings, few_offsets, few_probes):
     """Draw fewer sets and use coarser tables, so that sampled methods have wider intervals."""
     use_settings(
         table=TableSettings(cells={1: 2**12, 2: 2**7, 3: 2**5}, points=2**18),
@@ -48,7 +48,7 @@ CASES = [
     (WAVE, None, "random", 1, 5, CHECKS),
     (WAVE, LINE, "random", 1, 5, CHECKS - {"homogenized"}),
     (WAVE, None, "jittered", 1, 8, CHECKS - {"homogenized"}),
-    (WAVE, LINE, "jittered", 1, 7, CHECKS - {"homogenized"}),
+    pytest.param(WAVE, LINE, "jittered", 1, 7, CHECKS - {"homogenized"}, marks=pytest.mark.slow),
     (WAVE, None, "jittered | shift", 1, 8, CHECKS),
     (WAVE, LINE, "jittered | shift", 1, 8, CHECKS - {"homogenized"}),
     (WAVE, LINE, "uniform-jitter", 1, 2, {"exact", "covariance", "terms", "measured"}),
@@ -71,7 +71,10 @@ CASES = [
     pytest.param(
         WAVES, None, "multi-jittered | shift", 2, 16, CHECKS - {"exact"}, marks=pytest.mark.slow
     ),
-    (WAVES, None, "perturbed-lattice", 2, 9, CHECKS - {"exact"}),
+    (WAVE, None, "perturbed-lattice", 1, 5, CHECKS - {"exact"}),
+    pytest.param(
+        WAVES, None, "perturbed-lattice", 2, 9, CHECKS - {"exact"}, marks=pytest.mark.slow
+    ),
     pytest.param(
         *(WAVES, None, "poisson-disk", 2, 12),
         {"pair-correlation", "homogenized", "terms", "measured"},

@@ -65,7 +65,10 @@ CASES = [
     ("sobol | owen(method='hash')", "gaussian(center=0.3)", None, 2, 16),
     ("sobol | owen | digital-shift", "gaussian(center=0.3)", None, 3, 8),
     ("sobol | digital-shift", "gaussian(center=0.3)", None, 2, 16),
-    ("sobol | digital-shift", "gaussian(center=0.3)", "linear(slope=1)", 2, 8),
+    pytest.param(
+        *("sobol | digital-shift", "gaussian(center=0.3)", "linear(slope=1)", 2, 8),
+        marks=pytest.mark.slow,
+    ),
     ("sobol | digital-shift", "step(at=0.3)", None, 2, 8),
     ("sobol | permute", "gaussian(center=0.3)", None, 3, 8),
     ("niederreiter | digital-shift", "gaussian(center=0.3)", None, 2, 12),
@@ -76,9 +79,12 @@ CASES = [
     ("latin-hypercube", "gaussian(center=0.3)", None, 3, 6),
     ("n-rooks", "disk", None, 2, 2),
     ("latin-hypercube | shift", "gaussian(center=0.3)", None, 2, 4),
-    ("antithetic-jittered", "gaussian(center=0.3)", "linear(slope=1)", 1, 8),
+    pytest.param(
+        *("antithetic-jittered", "gaussian(center=0.3)", "linear(slope=1)", 1, 8),
+        marks=pytest.mark.slow,
+    ),
     ("antithetic-jittered", "gaussian(center=0.3)", None, 2, 18),
-    ("antithetic-jittered", "step(at=0.3)", None, 2, 8),
+    pytest.param(*("antithetic-jittered", "step(at=0.3)", None, 2, 8), marks=pytest.mark.slow),
 ]
 
 
@@ -91,14 +97,17 @@ def test_simulation_agrees(sampler, f, density, dims, n):
     assert abs(_pull(estimator, sampler, n, mcs.exact_variance(estimator, sampler, n), 5)) < limit
 
 
+# Made once, because it keeps what quadrature finds
+PARABOLA = mcs.Integrand.from_function(lambda x: (x[..., 0] - 0.5) ** 2, dims=1)
+
+
 @pytest.mark.parametrize("s", [1, 3, 8])
 def test_antithetic_pairs_take_away_lines_and_leave_the_second_order(s):
     """x: 0. (x − ½)² in cells of side a = 1/s: the pair's mean is t² + const, t = ±a/2: a⁴/180
     each."""
     sampler = mcs.sampler("antithetic-jittered", dims=1)
     assert mcs.exact_variance("linear", sampler, 2 * s) == pytest.approx(0.0, abs=1e-18)
-    f = mcs.Integrand.from_function(lambda x: (x[..., 0] - 0.5) ** 2, dims=1)
-    found = mcs.exact_variance(f, sampler, 2 * s)
+    found = mcs.exact_variance(PARABOLA, sampler, 2 * s)
     assert found == pytest.approx(s**-5 / 180, rel=1e-6)
 
 

@@ -81,7 +81,7 @@ def test_known_pairs_give_the_variance_of_strata_quadrature(estimator, spec, dim
     [
         ("linear", "jittered | shift", 1, 8),
         ("gaussian(width=0.25)", "jittered | shift", 2, 16),
-        ("linear", "jittered | shift", 2, 64),
+        pytest.param("linear", "jittered | shift", 2, 64, marks=pytest.mark.slow),
         (MIS, "jittered | shift", 1, 4),
     ],
 )
@@ -106,7 +106,7 @@ def test_counted_pairs_agree_with_the_exact_variance(estimator, spec, dims, n):
 def test_counted_pairs_agree_with_simulation(spec, n, integrand):
     estimator = mcs.Estimator(integrand, dims=2)
     found = by_pairs(estimator, spec, n, rng=3)
-    assert within(found, *simulated(estimator, spec, n))
+    assert within(found, *simulated(estimator, spec, n, realizations=2000))
 
 
 def _weighted(integrand, density, dims=1):
@@ -119,7 +119,7 @@ def _weighted(integrand, density, dims=1):
         # g = x²/2x at x = √u: Var g = 1/72; strata of √u/2 are computed by hand below
         ("square", None, "random", 16),
         ("square", None, "jittered", 16),
-        ("gaussian(center=0.3)", 0.5, "random", 16),
+        pytest.param("gaussian(center=0.3)", 0.5, "random", 16, marks=pytest.mark.slow),
         ("gaussian(center=0.3)", 0.8, "random", 4),
     ],
 )

@@ -1,5 +1,6 @@
 """Predictions compared with precise measurements and closed forms."""
 
+import itertools
 import math
 import warnings
 from dataclasses import replace
@@ -19,12 +20,15 @@ DISK = "disk(center=(0.4,0.55),radius=0.3)"
 
 
 @pytest.fixture(autouse=True)
-def small(use_settings, few_products, monkeypatch):
+def small(request, use_settings, few_products, few_probes, monkeypatch):
     """Use a quarter of the sets that measure f or its table, so intervals are twice as wide.
 
     Sums of products are small as well: tests of the fit are in test_subsets.
+    In quick tests, numbers of offsets and of probes are small, too.
     Power spectra of drawn sets are means over an eighth of the sets.
     """
+    if not request.node.get_closest_marker("slow"):
+        request.getfixturevalue("few_offsets")
     few = replace(torus._DRAWN, points=torus._DRAWN.points // 8)
     monkeypatch.setattr(torus, "_DRAWN", few)
     use_settings(
@@ -47,7 +51,8 @@ def _measured(f, sampler, n, realizations):
     [
         (DISK, "jittered | shift", 64),
         pytest.param("christensen-triangle", "rank1-lattice | shift", 64, marks=pytest.mark.slow),
-        ("christensen-gaussian", "halton | shift", 256),
+        # Mirrored points of the same sampler are quick below
+        pytest.param("christensen-gaussian", "halton | shift", 256, marks=pytest.mark.slow),
         (DISK, "poisson-disk", 64),
     ],
 )
@@ -103,7 +108,7 @@ def test_rate_of_jumps_and_of_one_count():
 
 def test_a_list_of_samplers_and_channels():
     f = mcs.Integrand.from_function(
-        lambda x: np.stack([np.cos(2 * np.pi * x[..., 0]), 1.0 + 0 * x[..., 0]], axis=-1), dims=2
+        lambda x: np.stack([np.cos(2 * np.pi * x[..., 0]), 1.0 + 0 * x[..., 0]], axis=-1), dims=1
     )
     found = predict(f, ["random", "halton | shift"], [16])
     assert found["predicted_variance"].dims == ("sampler", "n", "channel")
@@ -146,7 +151,14 @@ def test_techniques_add_up_and_dependent_ones_are_measured():
 def test_jumps_across_many_axes_are_seen_by_scrambles_of_the_set():
     """Sums of products miss them: 1.49 times the variance, with intervals that reach 0."""
     sampler, n = "sobol | owen", 300
-    f = mcs.Integrand.from_function(lambda x: (x @ np.arange(1.0, 7.0) > 11.3) * 1.0, dims=6)
+    # The volume below the plane, by inclusion and exclusion of the corners beyond each face
+    weights = np.arange(1.0, 7.0)
+    corners = np.array(list(itertools.product((0.0, 1.0), repeat=6)))
+    powers = np.maximum(11.3 - corners @ weights, 0.0) ** 6 * (-1.0) ** corners.sum(axis=1)
+    below = powers.sum() / (math.factorial(6) * weights.prod())
+    f = mcs.Integrand.from_function(
+        lambda x: (x @ weights > 11.3) * 1.0, dims=6, integral=1.0 - below
+    )
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         found = predict(f, sampler, [n])
@@ -202,7 +214,7 @@ def _strata(n, generator):
 
 
 def test_what_no_theory_predicts_is_extrapolated_and_named(use_settings):
-    use_settings(extrapolated=methods.ExtrapolationSettings(near_points=2**15, near_sets=400))
+    use_settings(extrapolated=methods.ExtrapolationSettings(near_points=2**14, near_sets=200))
 
     def strata(n, generator):
         return np.concatenate([_strata(n, generator), _strata(n, generator)], axis=-1)
@@ -304,11 +316,14 @@ def _limit(f, sampler, dims, counts=(16, 64, 256, 1024)):
         (DISK, "jittered", 2, -1.5),
         # A function that is not periodic jumps at the border of shifted strata: −1 − 1/d
         ("linear", "jittered | shift", 1, -2.0),
-        ("christensen-gaussian", "jittered | shift", 2, -1.5),
+        pytest.param(
+            *("christensen-gaussian", "jittered | shift", 2, -1.5), marks=pytest.mark.slow
+        ),
         ("linear", "jittered | shift", 2, -1.5),
         ("linear", "sobol | owen", 2, -3.0),
         ("linear", "latin-hypercube", 2, -3.0),
-        ("linear", "rank1-lattice | shift", 2, -2.0),
+        # A board on the same lattice is quick in `test_jumps_decide_on_limits`
+        pytest.param(*("linear", "rank1-lattice | shift", 2, -2.0), marks=pytest.mark.slow),
     ],
 )
 def test_limits_are_those_of_theory(f, sampler, dims, limit):
@@ -406,7 +421,8 @@ _SMALL_DISK = mcs.Integrand.from_function(
             *(_CUT_PEAK, "linear(slope=-1)", "jittered", [16, 256], -1.5), marks=pytest.mark.slow
         ),
         (_TILTED_STEP, "linear(slope=-1)", "jittered", [16, 256], -1.5),
-        (_SMALL_DISK, None, "jittered", [16, 256], -1.5),
+        # A disk without the smooth part is in `test_limits_are_those_of_theory`
+        pytest.param(*(_SMALL_DISK, None, "jittered", [16, 256], -1.5), marks=pytest.mark.slow),
     ],
 )
 def test_jumps_decide_on_limits(f, density, sampler, counts, limit):

@@ -53,7 +53,6 @@ _BUDGET = 2**22  # Maximum number of evaluations of a refined grid
 _LIMIT = 2**24  # Maximum number of evaluations of a first grid. More raise an error
 _FOURIER_TOLERANCE = 1e-10
 _BLOCK = 2**18  # Number of points that are evaluated at once
-_CACHED = 2**17  # Maximum number of floats in a block, so that the block fits into the cache
 
 # Least number of nodes per axis for bases whose functions are not constant in cells
 _PRODUCT_NODES = {1: 512, 2: 512, 3: 64, 4: 32}
@@ -571,19 +570,14 @@ def _residuals(
 
     The polynomial of each of the N cells interpolates the `values` (N, q^d, C) at its nodes.
     """
+    from mcspectra.integrands._kernels import subtract_polynomials
+
     order = round(values.shape[1] ** (1.0 / points.shape[1]))
-    legendre = np.polynomial.legendre.legvander
-    inverse = np.linalg.inv(legendre(2.0 * gauss_rule(order)[0] - 1.0, order - 1))
-    found, step = np.empty(seen.shape), max(1, _CACHED // values[0].size)
-    for i in range(0, len(points), step):
-        block = slice(i, i + step)
-        of = cell[block]
-        t = 2.0 * (points[block] - low[of]) / size[of] - 1.0
-        rest = values[of]
-        for axis in t.T:
-            factors = legendre(axis, order - 1) @ inverse
-            rest = np.matmul(factors[:, None], rest.reshape(len(of), order, -1))[:, 0]
-        found[block] = seen[block] - rest
+    nodes = 2.0 * gauss_rule(order)[0] - 1.0
+    inverse = np.linalg.inv(np.polynomial.legendre.legvander(nodes, order - 1))
+    found, flat = seen.copy(), np.ascontiguousarray(values).reshape(len(values), -1)
+    # A copy of the points can be written to, as numba compiles the kernel for such arrays only
+    subtract_polynomials(flat, points.copy(), low, size, inverse, cell, found)
     return found
 
 

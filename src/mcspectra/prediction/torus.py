@@ -27,7 +27,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import final
@@ -331,19 +331,25 @@ class Region:
         """Return every frequency m of the region, int64 (F, d), in C order."""
         return _listed(self.vectors, self.low, self.high)
 
-    def power_of(self, points: Array) -> Array:
-        """Return |S_m|² of one point set (n, d) at all frequencies of the grid."""
+    def transform(self) -> Callable[[Array], Array]:
+        """Return a function of one point set (n, d): |S_m|² at all frequencies of the grid.
+
+        The function keeps the plan of its Fourier transform, so only one thread may call it.
+        For few points, making the plan takes longer than the transform.
+        """
         import finufft
 
-        y = np.remainder(points @ self.vectors.T.astype(float), 1.0)
         middle = np.array([l + size // 2 for l, size in zip(self.low, self.shape, strict=True)])
-        weights = np.exp(-2j * np.pi * np.remainder(y @ middle, 1.0)) / len(points)
-        transform = getattr(finufft, f"nufft{len(self.low)}d1")
-        axes = [np.ascontiguousarray(2.0 * np.pi * axis) for axis in y.T]
-        found = transform(
-            *axes, weights, self.shape, eps=_TORUS.precision, isign=-1, nthreads=1, upsampfac=1.25
-        )
-        return np.asarray(np.abs(found) ** 2)
+        options = {"eps": _TORUS.precision, "isign": -1, "nthreads": 1, "upsampfac": 1.25}
+        plan = finufft.Plan(1, self.shape, **options)
+
+        def power(points: Array) -> Array:
+            y = np.remainder(points @ self.vectors.T.astype(float), 1.0)
+            weights = np.exp(-2j * np.pi * np.remainder(y @ middle, 1.0)) / len(points)
+            plan.setpts(*(np.ascontiguousarray(2.0 * np.pi * axis) for axis in y.T))
+            return np.asarray(np.abs(plan.execute(weights)) ** 2)
+
+        return power
 
     def power(self, law: Law) -> Array:
         """Return the closed form of the power P on the grid."""
@@ -451,7 +457,7 @@ def of_torus(law: Law, known: Known, stream: Stream) -> Predicted:
             return _of_dual(points, known)
     regions = known.once("torus", lambda: _energies(known.g))
     if inner.fixed:
-        powers = [r.power_of(points) for r in regions]
+        powers = [r.transform()(points) for r in regions]
         sampling, how = np.zeros(len(spread)), "one transform"
     else:
         try:
@@ -705,6 +711,7 @@ def _drawn(
     # Add the variance from frequencies at which a smooth function of |m| may replace the power,
     # the variance from all other low frequencies, and the variance from higher frequencies
     values: tuple[list[Array], ...] = ([], [], [])
+    transforms, low_power_of = [r.transform() for r in regions], low.transform()
     while True:
         for x in (
             _sets(inner.source, n, stream, count, min(first, most))
@@ -712,13 +719,13 @@ def _drawn(
             else inner.draw(stream, count, min(first, most))
         ):
             if count < first:
-                powers = [r.power_of(x) for r in regions]
+                powers = [power_of(x) for power_of in transforms]
                 of_low = powers[0][part]
                 for total, power in zip(sums, powers, strict=True):
                     total += power
                 values[2].append(_total(regions, powers) - _total((low,), [of_low]))
             else:
-                of_low = low.power_of(x)
+                of_low = low_power_of(x)
             values[0].append(_total((core,), [of_low]))
             values[1].append(_total((low,), [of_low]) - values[0][-1])
             low_sum += of_low

@@ -648,19 +648,20 @@ def _energy(m: Array, power: Array, dims: int) -> Callable[[Array], tuple[float,
         weights[tuple((sign * m + side // 2).T)] = 0.5 * power
     along = np.arange(side) - side // 2
     # With the tolerance 1e-9, the energy agrees with a direct sum to 1e-8 (`test_design.py`)
-    options = {"eps": 1e-9, "nthreads": 1, "upsampfac": 1.25}
-    forward = getattr(finufft, f"nufft{dims}d1")
-    backward = getattr(finufft, f"nufft{dims}d2")
+    options = {"eps": 1e-9, "isign": -1, "nthreads": 1, "upsampfac": 1.25}
+    forward, backward = (finufft.Plan(kind, weights.shape, **options) for kind in (1, 2))
 
     def function(points: Array) -> tuple[float, Array]:
         n = len(points)
         axes = [np.ascontiguousarray(2.0 * np.pi * np.remainder(x, 1.0)) for x in points.T]
-        s = forward(*axes, np.ones(n, np.complex128), weights.shape, isign=-1, **options) / n
+        for plan in (forward, backward):
+            plan.setpts(*axes)
+        s = forward.execute(np.ones(n, np.complex128)) / n
         gradient = np.empty(points.shape)
         for j in range(dims):
             slope = along.reshape([-1 if i == j else 1 for i in range(dims)])
             coefficients = weights * s.conj() * (-4j * np.pi / n) * slope
-            gradient[:, j] = backward(*axes, coefficients, isign=-1, **options).real
+            gradient[:, j] = backward.execute(coefficients).real
         return float((weights * np.abs(s) ** 2).sum()), gradient
 
     return function
