@@ -186,10 +186,10 @@ def test_densities_of_the_environment_are_techniques(plastic, techniques, heuris
 
 def test_analyses_work():
     mis = pixel_mis(**WALL, heuristic="optimal", counts=(1, 4))
-    found = mcs.convergence(mis, "jittered", [4, 16, 64], realizations=40, rng=1)
+    found = mcs.convergence(mis, "jittered", [4, 16], realizations=20, rng=1)
     assert np.isfinite(found["rate"])
     terms = mcs.variance_terms(
-        mis, "jittered", 16, half_width=2, realizations=40, rng=1, space="primary"
+        mis, "jittered", 16, half_width=2, realizations=20, rng=1, space="primary"
     )
     parts = terms["dc_term"] + terms["power_term"] + terms["cross_term"]
     assert float(parts) == pytest.approx(float(terms["predicted_variance"]), rel=1e-9)

@@ -276,12 +276,18 @@ def test_split_passes_give_the_image_of_one_pass(files):
         render_file(files["ours"], "llvm_ad_rgb", **passes)
 
 
-@pytest.mark.parametrize("variant", PLUGIN_VARIANTS)
-def test_command_writes_the_image(files, tmp_path, capsys, variant):
+@pytest.mark.parametrize(
+    ("variant", "own_process"),
+    [
+        *((variant, False) for variant in PLUGIN_VARIANTS),
+        pytest.param("llvm_ad_rgb", True, marks=pytest.mark.slow),
+    ],
+)
+def test_command_writes_the_image(files, tmp_path, capsys, variant, own_process):
     out = tmp_path / "image.exr"
     command = ["render", files["ours"], "--integrator", "scene", "--variant", variant]
     command += ["-o", str(out), "--seed", "3"]
-    if variant == "llvm_ad_rgb":  # in a process of its own, which has not started Mitsuba
+    if own_process:  # which has not started Mitsuba
         printed = python("-c", PROGRAM, *command, timeout=120, check=True).stdout
     else:
         assert main(command) == 0
