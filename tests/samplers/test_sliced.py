@@ -69,7 +69,9 @@ def test_quantiles_in_many_dims_are_nearly_normal():
 def test_projections_on_new_lines_are_more_even_than_at_random(n, dims):
     """Better than random by n^(1/(2d)), to n^(−1/2−1/(2d)) (Paulin et al. 2020)."""
     theta = random_directions(dims, 100)
-    found = unevenness(SlicedOptimalTransport(dims=dims, iterations=60).draw(n, rng=1)[0], theta)
+    iterations = 60 if dims < 8 else 20  # quantiles in 8 dims take most of the time
+    source = SlicedOptimalTransport(dims=dims, iterations=iterations)
+    found = unevenness(source.draw(n, rng=1)[0], theta)
     rng = np.random.default_rng(5)
     usual = np.median([unevenness(rng.random((n, dims)), theta) for _ in range(9)])
     assert found < usual / n ** (0.5 / dims)
