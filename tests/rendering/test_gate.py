@@ -92,7 +92,8 @@ def alarms(name, pairs):
     return sum(value <= level for value in p), level
 
 
-@pytest.mark.parametrize("name", CLEAN)
+# The others differ in their numbers of frames alone; below, all have a thousand pairs
+@pytest.mark.parametrize("name", ["exact", "single", "t tests", "unequal"])
 def test_clean_pairs_alarm_at_most_at_the_level(name):
     count, level = alarms(name, 30)
     # The bound is exceeded with probability below 1e-4 if alarms have the level

@@ -82,7 +82,7 @@ def test_stratified_variance_rate():
         mcs.Estimator("disk", dims=2),
         MitsubaSampler(sampler="stratified"),
         [16, 64, 256],
-        realizations=400,
+        realizations=200,
         rng=1,
     )
     low, high = curve["rate_ci"].values

@@ -560,7 +560,7 @@ class TestBadInput:
 
 @pytest.fixture(scope="module")
 def spectrum():
-    masks = ["random", MASK, "sobol | decorrelate(mask='r2', width=32)"]
+    masks = ["random", MASK]
     return screen_spectrum(masks, IDENTITY, 1, block=(32, 32, 32), seeds=2)
 
 

@@ -35,9 +35,7 @@ class Thing(Sampler, metaclass=Odd):
 """
 
 
-def test_broken_entries_are_listed_as_such_and_refused_in_a_sentence(
-    tmp_path, monkeypatch, capsys
-):
+def test_broken_entries_are_listed_as_such_and_refused_in_a_sentence(tmp_path, monkeypatch, capsys):
     (tmp_path / "broken_foreign.py").write_text("1 / 0\n")
     (tmp_path / "syntax_foreign.py").write_text("def\n")
     (tmp_path / "misuse_foreign.py").write_text("import mcspectra as m\nm.sampler('nope')\n")
