@@ -14,7 +14,7 @@ pytestmark = pytest.mark.render
 
 FLOOR = {"scene": "veach", "x": 5, "y": 500}
 SIGMAS = 4.5  # Student's t with 15 degrees of freedom exceeds it by chance once in 2400
-SAMPLES = 2**16
+SAMPLES = 2**18
 
 
 def uniforms(dims):
@@ -26,7 +26,7 @@ def uniforms(dims):
     [pytest.param("light", 2, marks=pytest.mark.slow), ("light", 4), ("mis-bsdf", 4)],
 )
 def test_it_is_the_mean_of_random_points(monkeypatch, strategy, dims):
-    monkeypatch.setattr(module, "_POINTS", 2**12)  # as many points as the reference
+    monkeypatch.setattr(module, "_POINTS", 2**14)  # as many points as the reference
     pixel = Pixel(**FLOOR, dims=dims, strategy=strategy)
     values = pixel(uniforms(dims))
     error = np.hypot(values.std() / SAMPLES**0.5, integral_accuracy(pixel)[1])
