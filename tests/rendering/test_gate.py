@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 from scipy.stats import binom
-from tests.plots.drawing import drawn_by_both
+from tests.plots.drawing import written_by_bokeh
 
 from mcspectra import rendering
 from mcspectra.core.errors import FileFormatError, ParameterError
@@ -404,8 +404,8 @@ def test_plots_of_a_gate(clean):
     result = gate(clean[0], clean[1])
     kinds = [kind for kind in kinds_of(result) if kind.startswith("gate-")]
     assert kinds == ["gate-p", "gate-difference", "gate-histogram", "gate-single"]
-    for kind in kinds:
-        drawn_by_both(describe(kind, result))
+    for kind in kinds:  # `tests/cli/test_gate.py` has a page, which Matplotlib draws
+        written_by_bokeh(describe(kind, result))
     json.dumps(result.attrs)
 
 

@@ -102,6 +102,7 @@ def test_wide_light_on_the_wall():
     assert float(found["mis_gain_ci"].sel(bound="high")) < 1  # light sampling alone is better
 
 
+@pytest.mark.slow  # `test_wide_light_on_the_wall` has one pixel
 def test_predictions_cover_the_measurement():
     found = variance_map(
         "veach", size=(48, 32), crop=(4, 3, 24, 4), light="light-3", counts=(4, 64),

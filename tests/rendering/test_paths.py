@@ -104,7 +104,8 @@ def test_coordinates_of_cornells_box_are_found_and_named():
 @pytest.mark.parametrize(
     ("integrator", "dims", "decisions"),
     [
-        ("direct", 7, {"film", "light", "lobe", "direction"}),
+        # `test_lens_and_time_come_after_the_film` has this integrator as well
+        pytest.param("direct", 7, {"film", "light", "lobe", "direction"}, marks=pytest.mark.slow),
         ("prb(max_depth=3)", 20, {"film", "light", "lobe", "direction", "roulette"}),
         ("depth", 2, {"film"}),
     ],

@@ -43,7 +43,7 @@ def check_slowest_decides(technique, whole):
 
 
 @pytest.mark.parametrize(
-    "shape", ["wall", "plate-3", pytest.param("plate-2", marks=pytest.mark.slow)]
+    "shape", ["wall", *(pytest.param(f"plate-{k}", marks=pytest.mark.slow) for k in (3, 2))]
 )
 def test_slowest_technique_determines_mis(shape):
     place = PLACES[shape]
