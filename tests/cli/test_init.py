@@ -97,7 +97,7 @@ def test_dry_run_writes_nothing(run, file, tmp_path, monkeypatch):
     found = []
 
     def once(plan):  # Trial runs take seconds, and both outputs show the same
-        found[:] = found or estimate_study(plan)
+        found[:] = found or estimate_study(plan, probe_seconds=1.0)
         return found
 
     monkeypatch.setattr("mcspectra.studies.estimate_study", once)

@@ -13,4 +13,9 @@ def marks(plot, kind):
 def drawn_by_both(plot):
     """Draw with both backends, and check that the Bokeh models can be written."""
     backend_matplotlib.draw(plot).canvas.draw()
+    written_by_bokeh(plot)
+
+
+def written_by_bokeh(plot):
+    """Draw with Bokeh, and check that the models can be written."""
     Serializer().encode(backend_bokeh.draw(plot).model)

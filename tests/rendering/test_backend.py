@@ -59,21 +59,6 @@ def test_loaded_module_has_the_variant_even_after_another_was_set():
     assert load_mitsuba().variant() == VARIANT
 
 
-def test_describe_finds_a_library_and_leaves_mitsuba_alone():
-    code = (
-        "import json, sys; from mcspectra.rendering.backend import describe;"
-        "print(json.dumps([describe(), 'mitsuba' in sys.modules]))"
-    )
-    run = python("-c", code, check=True)
-    found, imported = json.loads(run.stdout)
-    assert not imported
-    assert found["variant"] == VARIANT
-    assert found["reason"] is None
-    assert Path(found["library"]).is_file()
-    assert found["mitsuba"]
-    assert found["drjit"]
-
-
 @pytest.mark.parametrize(
     ("driver", "output", "listed"),
     [
@@ -232,33 +217,47 @@ def test_candidates_name_each_file_once(monkeypatch, tmp_path):
     assert list(backend._candidates()) == [library]
 
 
-_AFTER_OURS = """
+_MITSUBA_FIRST = """
+import json, os, pathlib, sys
+from mcspectra.rendering import backend
+found = backend.describe()
+print(json.dumps([found, "mitsuba" in sys.modules]))
+os.environ["DRJIT_LIBLLVM_PATH"] = found["library"]
 import mitsuba
 mitsuba.set_variant("llvm_ad_rgb")
 import mcspectra as mcs
-try:
-    mcs.rendering.named_pixels("figure1")
-except mcs.McspectraError as error:
-    print(type(error).__name__, error)
-else:
-    print("works")
+
+def first_use():
+    backend._loaded.clear()
+    try:
+        mcs.rendering.named_pixels("figure1")
+    except mcs.McspectraError as error:
+        return f"{type(error).__name__} {error}"
+    return "works"
+
+print(first_use())
+# The same library, marked as broken: the loaded library matters, not who set the variant
+(verdict,) = pathlib.Path(os.environ["MCSPECTRA_CACHE"]).iterdir()
+verdict.write_text(json.dumps({"works": False, "reason": "signal 6", "version": ""}))
+print(first_use())
 """
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux says what is loaded")
-def test_mitsuba_with_a_broken_llvm_before_us_is_refused_in_a_sentence(own_cache, monkeypatch):
-    best, _ = find_library()
-    assert best is not None
-    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", best.library)
-
-    def printed():
-        run = python("-c", _AFTER_OURS, check=True)
-        return run.stdout
-
-    assert printed() == "works\n"
-    # The same library, marked as broken: the loaded library matters, not who set the variant
-    (verdict,) = own_cache.iterdir()
-    verdict.write_text(json.dumps({"works": False, "reason": "signal 6", "version": ""}))
-    refusal = printed()
+def test_describe_leaves_mitsuba_alone_and_a_broken_llvm_before_us_is_refused_in_a_sentence(
+    own_cache,
+):
+    """A program describes the backend, then imports Mitsuba before our first use of it."""
+    del own_cache
+    described, works, refusal = python("-c", _MITSUBA_FIRST, check=True).stdout.splitlines()
+    found, imported = json.loads(described)
+    assert not imported
+    assert found["variant"] == VARIANT
+    assert found["reason"] is None
+    assert Path(found["library"]).is_file()
+    assert found["mitsuba"]
+    assert found["drjit"]
+    assert works == "works"
+    if not sys.platform.startswith("linux"):  # only Linux says what is loaded
+        return
     assert refusal.startswith("MissingDependency Mitsuba was imported before mcspectra")
-    assert f"{os.path.realpath(best.library)}: signal 6" in refusal
+    assert f"{os.path.realpath(found['library'])}: signal 6" in refusal

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
-from tests.plots.drawing import drawn_by_both
+from tests.plots.drawing import written_by_bokeh
 from tests.report.conftest import no_pdf
 from tests.report.figures import leave_out_figures
 
@@ -395,35 +395,32 @@ def test_tone_mapped_pictures_on_request(tmp_path):
     assert frames(tmp_path, tone_mapped=True)["variance"].shape == (1, 8, 8)
 
 
-def test_page_layers_and_json(tmp_path, capsys, plain, found):
-    folder, out = plain["white"], tmp_path / "out"
-    arguments = ["frames", str(folder), "--against", str(write(tmp_path / "b", seed=3))]
+def test_page_layers_json_and_plots(tmp_path, capsys, plain, found):
+    folder, out, other = plain["white"], tmp_path / "out", write(tmp_path / "b", seed=3)
+    truth = tmp_path / "truth.npy"
+    np.save(truth, TRUTH)
+    arguments = ["frames", str(folder), "--against", str(other), "--reference", str(truth)]
     with no_pdf():
         assert main([*arguments, "--target", "0.05", "--out", str(out)]) == 0
     text = capsys.readouterr().out
     assert "white between pixels" in text
-    assert {file.name for file in out.iterdir()} >= {"frames.exr", "frames_rate.png"}
-    told = json.loads((out / "frames.json").read_text())
-    assert all(sentence in text for sentence in told["findings"])
-    assert "No difference is found" in (out / "report.html").read_text()
-    layer = read_image(out / "frames.exr", layer="variance.n16")[..., 0]
-    np.testing.assert_allclose(layer, found["white"]["variance"].sel(n=16), rtol=1e-6)
-
-
-def test_plots_by_both_backends(tmp_path, plain):
-    other = write(tmp_path / "b", seed=3)
-    np.save(tmp_path / "truth.npy", TRUTH)
-    result = frames(
-        plain["white"], against=other, target=0.05, flip=True, reference=tmp_path / "truth.npy"
-    )
+    result = frames(folder, against=other, target=0.05, flip=True, reference=truth)
     over_time = {f"frames-{kind}" for kind in ("average", "effective", "errors", "joint", "time")}
     kinds = [kind for kind in PLOT_KINDS if kind.startswith("frames-") and kind not in over_time]
     if "flip" not in result:
         kinds.remove("frames-flip")
     assert set(kinds) <= set(kinds_of(result))
     assert "convergence" not in kinds_of(result)
+    # The page has a picture of each kind by Matplotlib
+    pictures = {f"{kind.replace('-', '_')}.png" for kind in kinds}
+    assert {file.name for file in out.iterdir()} >= {"frames.exr", "frames_rate.png", *pictures}
     for kind in kinds:
-        drawn_by_both(describe(kind, result))
+        written_by_bokeh(describe(kind, result))
+    told = json.loads((out / "frames.json").read_text())
+    assert all(sentence in text for sentence in told["findings"])
+    assert "No difference is found" in (out / "report.html").read_text()
+    layer = read_image(out / "frames.exr", layer="variance.n16")[..., 0]
+    np.testing.assert_allclose(layer, found["white"]["variance"].sel(n=16), rtol=1e-6)
 
 
 def test_flip_is_skipped_on_request(plain, found, capsys):

@@ -43,7 +43,7 @@ def check_slowest_decides(technique, whole):
 
 
 @pytest.mark.parametrize(
-    "shape", ["wall", "plate-3", pytest.param("plate-2", marks=pytest.mark.slow)]
+    "shape", ["wall", *(pytest.param(f"plate-{k}", marks=pytest.mark.slow) for k in (3, 2))]
 )
 def test_slowest_technique_determines_mis(shape):
     place = PLACES[shape]
@@ -118,7 +118,7 @@ def test_spectrum_predicts_the_variance(place, strategy):
 def test_quadrature_of_strata_predicts_the_variance(n):
     """Within 4 σ of 1000 measured realizations, with σ from the reported interval."""
     light = Pixel(**WALL)
-    exact = mcs.exact_variance(light, "jittered", n, tolerance=1e-3)
+    exact = mcs.exact_variance(light, "jittered", n, tolerance=1e-2)  # σ is 4 %
     found = mcs.convergence(light, "jittered", [n], realizations=1000, rng=3)
     low, high = found["variance_ci"].values[0]
     error = np.log(high / low) / (2 * 1.96)

@@ -237,7 +237,8 @@ def smallest_p_value(a, b):
         ("ours", "direct", "llvm_ad_rgb"),
         ("joint", "path", "llvm_ad_rgb"),
         pytest.param("ours", "path", "llvm_ad_rgb", marks=pytest.mark.slow),
-        ("ours", "direct", "scalar_rgb"),
+        # Quicker: `test_scalar_sets_of_a_pixel_are_the_samplers`
+        pytest.param("ours", "direct", "scalar_rgb", marks=pytest.mark.slow),
     ],
 )
 def test_images_agree_with_the_stock_sampler_and_have_less_noise(files, name, integrator, variant):
@@ -259,9 +260,9 @@ def test_an_error_of_two_percent_is_detected(files):
 
 def test_images_repeat_and_seeds_change_them(files):
     for variant in PLUGIN_VARIANTS:
-        image = render_file(files["ours"], variant, seed=1)
-        np.testing.assert_array_equal(image, render_file(files["ours"], variant, seed=1))
-        assert not np.array_equal(image, render_file(files["ours"], variant, seed=2))
+        image = render_file(files["ours"], variant, spp=4, seed=1)
+        np.testing.assert_array_equal(image, render_file(files["ours"], variant, spp=4, seed=1))
+        assert not np.array_equal(image, render_file(files["ours"], variant, spp=4, seed=2))
 
 
 def test_split_passes_give_the_image_of_one_pass(files):
@@ -276,12 +277,18 @@ def test_split_passes_give_the_image_of_one_pass(files):
         render_file(files["ours"], "llvm_ad_rgb", **passes)
 
 
-@pytest.mark.parametrize("variant", PLUGIN_VARIANTS)
-def test_command_writes_the_image(files, tmp_path, capsys, variant):
+@pytest.mark.parametrize(
+    ("variant", "own_process"),
+    [
+        *((variant, False) for variant in PLUGIN_VARIANTS),
+        pytest.param("llvm_ad_rgb", True, marks=pytest.mark.slow),
+    ],
+)
+def test_command_writes_the_image(files, tmp_path, capsys, variant, own_process):
     out = tmp_path / "image.exr"
     command = ["render", files["ours"], "--integrator", "scene", "--variant", variant]
-    command += ["-o", str(out), "--seed", "3"]
-    if variant == "llvm_ad_rgb":  # in a process of its own, which has not started Mitsuba
+    command += ["-o", str(out), "--spp", "4", "--seed", "3"]
+    if own_process:  # which has not started Mitsuba
         printed = python("-c", PROGRAM, *command, timeout=120, check=True).stdout
     else:
         assert main(command) == 0
@@ -289,22 +296,24 @@ def test_command_writes_the_image(files, tmp_path, capsys, variant):
     assert "8 × 6 pixels" in printed
     written = np.array(load_mitsuba().Bitmap(str(out)), dtype=np.float64)
     # The film stores half floats.
-    np.testing.assert_allclose(written, render_file(files["ours"], variant, seed=3), rtol=1e-3)
+    image = render_file(files["ours"], variant, spp=4, seed=3)
+    np.testing.assert_allclose(written, image, rtol=1e-3)
 
 
 @pytest.mark.parametrize("variant", PLUGIN_VARIANTS)
 def test_a_sampler_replaces_the_scenes_own(files, tmp_path, variant):
     """The image equals that of a file with our sampler, and the file does not change."""
     before = Path(files["stock"]).read_bytes()
-    replaced = render_file(files["stock"], variant, sampler="jittered", seed=3)
-    named = render_file(files["ours"], variant, definitions={"spec": "jittered"}, seed=3)
+    few = {"spp": 4, "seed": 3}
+    replaced = render_file(files["stock"], variant, sampler="jittered", **few)
+    named = render_file(files["ours"], variant, definitions={"spec": "jittered"}, **few)
     np.testing.assert_array_equal(replaced, named)
-    assert not np.array_equal(replaced, render_file(files["stock"], variant, seed=3))
+    assert not np.array_equal(replaced, render_file(files["stock"], variant, **few))
     assert Path(files["stock"]).read_bytes() == before
     # A scene whose camera names no sampler has a default one
     bare = tmp_path / "bare.xml"
     bare.write_text(re.sub(r"<sampler.*</sampler>", "", before.decode()), encoding="utf-8")
-    one = render_file(bare, variant, sampler="jittered", spp=16, seed=3)
+    one = render_file(bare, variant, sampler="jittered", **few)
     np.testing.assert_array_equal(one, named)
 
 

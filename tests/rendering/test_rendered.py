@@ -160,13 +160,13 @@ def test_pixels_have_the_mean_and_the_variance_of_images(rfilter, plugin):
     tiles, side = chosen_tiles(film, 48, Stream.from_rng(0))
     pixels = pixels_of(tiles, side)
     rendered = RenderedPixels(Tracer(scene, "scene", "luminance", (8, 6)), film)
-    found = rendered.estimates(plugin, 16, tiles, side, 100, Stream.from_rng(1))
+    found = rendered.estimates(plugin, 16, tiles, side, 60, Stream.from_rng(1))
 
     given = {"type": plugin} if isinstance(plugin, str) else plugin
     description = SCENES["plate"](**size)
     description["sensor"]["sampler"] = {**given, "sample_count": 16}
     loaded = mitsuba.load_dict(description)
-    images = [mitsuba.render(loaded, seed=mitsuba.UInt32(k)) for k in range(100)]
+    images = [mitsuba.render(loaded, seed=mitsuba.UInt32(k)) for k in range(60)]
     weights = [0.212671, 0.715160, 0.072169]
     images = np.stack([np.array(image)[..., :3] @ weights for image in images])
     true = images[:, pixels[:, 1], pixels[:, 0]]

@@ -66,7 +66,12 @@ def test_materials_that_cannot_be_evaluated_are_named(case, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "use", [use_pixel, use_map, pytest.param(use_means, marks=pytest.mark.slow), use_values]
+    "use",
+    [
+        use_pixel,
+        use_map,
+        *(pytest.param(f, marks=pytest.mark.slow) for f in (use_means, use_values)),
+    ],
 )
 def test_the_next_scene_works(use, tmp_path):
     file, good = tmp_path / "bad.xml", tmp_path / "good.xml"

@@ -11,6 +11,7 @@ from tests.processes import python
 
 from mcspectra.core.errors import ConfigError, FileFormatError, McspectraError, ParameterError
 from mcspectra.core.trust import Trust
+from mcspectra.rendering import backend, load_mitsuba
 from mcspectra.rendering.backend import mitsuba_folder
 from mcspectra.rendering.scenes import (
     DictScene,
@@ -264,12 +265,13 @@ def test_a_library_in_the_current_folder_is_not_run(study):
         DictScene({"type": "scene", "a": {"type": "conductor", "material": "../x"}})
 
 
-@pytest.mark.render
-@pytest.mark.skipif(
+compiles = pytest.mark.skipif(
     sys.platform != "linux" or shutil.which("cc") is None, reason="compiles a library"
 )
-def test_no_code_of_a_folder_runs(study):
-    """Mitsuba searched ``plugins/diffuse.so`` in the current folder first, for all scenes."""
+
+
+def marking_libraries(study):
+    """Write libraries and modules that leave a file if they run; return the file."""
     source, mark = study.parent / "mark.c", study.parent / "mark"
     source.write_text(
         "#include <stdio.h>\n__attribute__((constructor)) void mark(void) {"
@@ -282,6 +284,26 @@ def test_no_code_of_a_folder_runs(study):
         shutil.copy(library, library.with_stem(name))
     for name in ("mitsuba", "drjit"):  # the test of LLVM runs in a separate process
         (study / f"{name}.py").write_text(f"open({str(mark)!r}, 'w').close()\n")
+    return mark
+
+
+@pytest.mark.render
+@compiles
+def test_mitsuba_searches_no_library_in_the_current_folder(study, monkeypatch):
+    mark = marking_libraries(study)
+    monkeypatch.chdir(study)
+    folders = [Path(str(folder)) for folder in load_mitsuba().file_resolver()]
+    assert folders == [mitsuba_folder()]
+    assert backend._worked(backend._tried(backend._SCALAR_PROBE))  # in a process of its own
+    assert not mark.exists()
+
+
+@pytest.mark.render
+@pytest.mark.slow
+@compiles
+def test_no_code_of_a_folder_runs(study):
+    """Mitsuba searched ``plugins/diffuse.so`` in the current folder first, for all scenes."""
+    mark = marking_libraries(study)
     (study / "scene.xml").write_text(SCENE.format("<bsdf type='own'/>"))
     (study / "study.toml").write_text(
         'title = "t"\nsamplers = ["jittered"]\n[points]\nn = 4\n[[estimators]]\nname = "a"\n'

@@ -121,9 +121,16 @@ BSDFS = {
         3,
     ),
 }
+SLOW = {"roughconductor"}  # `principled` has a metallic lobe as well
 
 
-@pytest.mark.parametrize(("bsdf", "dims"), BSDFS.values(), ids=BSDFS)
+@pytest.mark.parametrize(
+    ("bsdf", "dims"),
+    [
+        pytest.param(*BSDFS[name], id=name, marks=[pytest.mark.slow] if name in SLOW else [])
+        for name in BSDFS
+    ],
+)
 def test_strategies_agree_on_every_bsdf(bsdf, dims):
     """Uses a rotated map, for which the techniques of the plain map would be wrong."""
     place = {"scene": open_scene(ROTATIONS["turned"], bsdf), **FLOOR, "channel": "rgb"}

@@ -202,7 +202,15 @@ def test_points_have_the_same_bits_in_any_call_and_thread_and_the_declared_prope
     assert same.dims == case.dims
 
 
-@pytest.mark.parametrize("case", UNIFORM, ids=str)
+@pytest.mark.parametrize(
+    "case",
+    [
+        # Descent to a target differs from `step-blue-noise` in the target alone
+        pytest.param(case, marks=pytest.mark.slow) if case.row.spec.startswith("target-") else case
+        for case in UNIFORM
+    ],
+    ids=str,
+)
 def test_every_point_is_uniform(case, make):
     level = 1 - (1 - FALSE_ALARMS) ** (1 / len(UNIFORM))
     assert p_of_uniformity(make(case), case.n, case.dims) > level

@@ -246,7 +246,7 @@ def test_every_axis_of_every_dim_is_stratified(spec):
 
 def test_dims_do_not_repeat():
     points = Sobol(dims=1111).draw(8192)[0]
-    assert len(np.unique(points.T[:, 4096:], axis=0)) == 1111
+    assert len({column.tobytes() for column in points.T[:, 4096:]}) == 1111
 
 
 def test_direction_numbers_are_odd_multiples_of_their_place():
@@ -334,7 +334,7 @@ def test_quality_of_niederreiter_is_the_sum_of_degrees_less_one(dims, t, reached
 
 def test_niederreiter_repeats_no_dim():
     points = Niederreiter(dims=1377).draw(4096)[0]
-    assert len(np.unique(points.T, axis=0)) == 1377
+    assert len({column.tobytes() for column in points.T}) == 1377
     with pytest.raises(ParameterError, match="from 1 to 1377"):
         Niederreiter(dims=1378)
     with pytest.warns(

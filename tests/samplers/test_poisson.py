@@ -149,7 +149,7 @@ def test_power_is_low_at_low_frequencies_and_peaks_near_the_inverse_distance():
     At jamming the 2-D spectrum starts at 0.059 [Torquato, Uche, Stillinger 2006]. A limit of a
     quarter allows for the few percent of missing points and for the rise with frequency.
     """
-    source, n, realizations = PoissonDisk(), 400, 50
+    source, n, realizations = PoissonDisk(), 400, 20
     points = source.draw(n, realizations=realizations, rng=8)
     grid = np.stack(np.meshgrid(np.arange(0, 33), np.arange(-32, 33), indexing="ij"), axis=-1)
     frequencies = grid.reshape(-1, 2)[33:]  # half of the plane, since −m and m have equal power

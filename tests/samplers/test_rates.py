@@ -44,7 +44,7 @@ SMOOTH = "christensen-gaussian"
         # Power at low frequencies gives −1, the edge of the disk −1.5
         ("projective-blue-noise", DISK, [16, 64, 256], -1.25, 0.25),
         (
-            "sliced-optimal-transport(iterations=40, directions=16, sets=4) | shift",
+            "sliced-optimal-transport(iterations=40, directions=16, sets=2) | shift",
             DISK,
             [16, 64, 256],
             -1.3,

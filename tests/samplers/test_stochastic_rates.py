@@ -21,17 +21,17 @@ FEW = [16, 64, 256]
         ("box-jitter | shift", DISK, GRID, 1000, -1.55, -1.45),
         ("multi-jittered", DISK, GRID, 1000, -1.55, -1.45),
         ("correlated-multi-jittered", DISK, GRID, 1000, -1.55, -1.45),
-        ("ldbn(sweeps=20)", DISK, FEW, 150, -1.5, -1.5),
+        ("ldbn(sweeps=20)", DISK, FEW, 100, -1.5, -1.5),
         # Power at low frequencies remains, so the limit is −1; gaps at the edge give −1.5
         ("poisson-disk", DISK, FEW, 400, -1.5, -1.0),
         ("dart-throwing", DISK, FEW, 100, -1.5, -1.0),
         ("best-candidate", DISK, FEW, 100, -1.5, -1.0),
         # Without low frequencies −1.5 from the edge [Pilleboue2015]; finite sets may be steeper
         ("farthest-point(sets=8, sweeps=5)", DISK, FEW, 100, -1.75, -1.25),
-        ("gaussian-blue-noise(iterations=60, sets=4)", "disk", FEW, 400, -9.0, -1.5),
-        ("stealthy-hyperuniform(stealthiness=0.3, sets=4)", "disk", FEW, 500, -9.0, -1.4),
-        ("step-blue-noise(cutoff=0.5, iterations=60, sets=4)", "disk", FEW, 500, -9.0, -1.4),
-        ("bnot(sets=16)", DISK, [64, 128, 256], 500, -1.6, -1.4),
+        ("gaussian-blue-noise(iterations=60, sets=2)", "disk", FEW, 400, -9.0, -1.5),
+        ("stealthy-hyperuniform(stealthiness=0.3, sets=2)", "disk", FEW, 500, -9.0, -1.4),
+        ("step-blue-noise(cutoff=0.5, iterations=60, sets=2)", "disk", FEW, 500, -9.0, -1.4),
+        ("bnot(sets=8)", DISK, [64, 128, 256], 500, -1.6, -1.4),
         # ∫ |k|^(−3) min(1, (|k|/√n)^(2−β)) k dk / n ~ n^(−3/2), with a logarithm for β = 1
         ("perturbed-lattice", "disk", [64, 256, 1024], 300, -1.55, -1.45),
         ("perturbed-lattice(correlation=1.0)", "disk", [64, 256, 1024], 300, -1.65, -1.35),
