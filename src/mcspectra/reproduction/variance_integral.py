@@ -30,7 +30,7 @@ _POWER = log_scale("relative power", 1e-3, 2.0)
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
     """Compare the variance with the sum of products of spectra, with and without stationarity."""
-    realizations = 1000 if quick else 10_000
+    realizations = 1000 if quick else 5000
     terms = {
         name: mcs.variance_terms(
             BELL, name, N, half_width=HALF_WIDTH, realizations=realizations, rng=seed
@@ -43,7 +43,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     # Increase N. Sampling power ∝ ν² gives the rate −1 − 2/d = −2.
     # The rate holds because the integrand, a Gaussian bell, vanishes at the border
     counts = [64, 256, 1024] if quick else [64, 256, 1024, 4096]
-    sampler, realizations = "jittered | shift", 1000 if quick else 4000
+    sampler, realizations = "jittered | shift", 1000 if quick else 2000
     curve = mcs.convergence(BELL, sampler, counts, realizations=realizations, rng=seed)
     known = slope(counts, np.array([exact(sampler, n) for n in counts]))
 
