@@ -30,7 +30,7 @@ _POWER = log_scale("relative power", 1e-3, 2.0)
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
     """Compare the variance with the sum of products of spectra, with and without stationarity."""
-    realizations = 1000 if quick else 5000
+    realizations = 500 if quick else 5000
     terms = {
         name: mcs.variance_terms(
             BELL, name, N, half_width=HALF_WIDTH, realizations=realizations, rng=seed
