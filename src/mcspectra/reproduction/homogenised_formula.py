@@ -18,7 +18,7 @@ __all__ = ["exhibit"]
 SAMPLERS = ("jittered", "latin-hypercube", "poisson-disk", "sobol | owen")
 BELL = "gaussian(center=[0.3, 0.35], width=0.2)"
 N = 64
-HALF_WIDTH = 8  # frequencies |m| ≤ 8 have 99.6 % of the power of the bell
+HALF_WIDTH = 24
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
