@@ -8,7 +8,13 @@ import time
 import pytest
 
 from mcspectra.core.errors import ParameterError
-from mcspectra.core.parallel import map_in_order, process_map, realization_blocks, slices
+from mcspectra.core.parallel import (
+    available_workers,
+    map_in_order,
+    process_map,
+    realization_blocks,
+    slices,
+)
 
 SLICE_NUMBERS = 2**19
 
@@ -58,6 +64,8 @@ def test_results_come_in_order(workers):
 def test_processes_return_results_in_order(workers):
     with process_map(workers) as mapped:
         assert list(mapped(math.sqrt, [4.0, 9.0, 0.0])) == [2.0, 3.0, 0.0]
+        share = max(1, available_workers() // workers)
+        assert list(mapped(available_workers, [None, 5])) == [share, 5]
         with pytest.raises(ValueError, match="domain"):
             list(mapped(math.sqrt, [-1.0]))
 

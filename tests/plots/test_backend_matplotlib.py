@@ -3,6 +3,7 @@
 import io
 import math
 import re
+import zlib
 
 import matplotlib as mpl
 import numpy as np
@@ -283,6 +284,23 @@ def test_encoded_bytes_are_reproducible_without_time_stamps():
     away = np.abs(np.asarray(image).astype(int) - (0xD5, 0x5E, 0x00)).max(axis=2)
     # The line covers 6 pt x ~4 in, so far more than 1 % of the pixels have its color
     assert (away <= 16).mean() > 0.01
+
+
+def test_embedded_fonts_have_outlines_but_no_tables_for_layout():
+    """Text is shaped before it is embedded. Afterwards, fontTools is as before."""
+    from fontTools import subset
+    from fontTools.ttLib import TTFont
+
+    before = subset.load_font
+    pdf = encode(draw(plot(Panel(marks=(), title="fi"))))[1]
+    assert subset.load_font is before
+    streams = re.findall(rb"stream\n(.*?)\nendstream", pdf, re.DOTALL)
+    found = [zlib.decompress(each) for each in streams if each[:1] == b"\x78"]
+    fonts = [TTFont(io.BytesIO(each)) for each in found if each.startswith(b"\0\1\0\0")]
+    assert fonts
+    for font in fonts:
+        assert {"glyf", "cmap"} <= {*font.keys()}
+        assert {"GSUB", "GPOS", "GDEF"}.isdisjoint(font.keys())
 
 
 @pytest.mark.parametrize("shape", [(5, 7), (3, 240), (11, 239)])

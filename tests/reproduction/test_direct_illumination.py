@@ -11,21 +11,12 @@ from mcspectra.reproduction.gallery import make_exhibit
 pytestmark = pytest.mark.render
 
 
-@pytest.fixture(scope="module")
-def made():
-    return make_exhibit("direct-illumination", quick=True, seed=1)[0]
-
-
-def test_all_findings_agree(made, sound):
+def test_all_findings_agree(sound):
+    """One of eight curves is smooth, and each rate excludes the other rate."""
+    made = make_exhibit("direct-illumination", quick=True, seed=1)[0]
     sound(made)
-
-
-def test_one_of_eight_curves_is_smooth(made):
     rates = [f.expected.split()[0] for f in made.findings[:8]]
     assert rates == ["−2.0", *["−1.5"] * 7]
-
-
-def test_the_two_theories_are_distinguished(made):
     for f in made.findings[:8]:
         assert f.interval is not None
         # The interval of a finding is already widened for all verdicts

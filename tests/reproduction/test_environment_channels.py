@@ -11,19 +11,19 @@ from mcspectra.reproduction.claims import judge
 from mcspectra.reproduction.gallery import make_exhibit
 
 
-@pytest.fixture(scope="module")
-def made():
-    return make_exhibit("environment-channels", quick=True, seed=1)[0]
-
-
-def test_all_findings_agree(made, sound):
+def test_all_findings_agree(sound):
+    """Theory has two rates, and the curves of the map are within the limits of their panel."""
+    made = make_exhibit("environment-channels", quick=True, seed=1)[0]
     sound(made)
-
-
-def test_theory_has_two_rates(made):
     rates = [f.expected.split()[0] for f in made.findings[:14]]
     assert rates[:5] == ["−1.5"] * 2 + ["−2.0"] * 3
     assert rates[5:] == ["−2.0"] * 3 + ["−3.0"] * 3 + ["−2.0"] * 3
+    plot = next(p for p in made.plots if p.kind == "one-row")
+    for axes in panel_axes(draw(plot)):
+        low, high = axes.get_ylim()
+        values = np.concatenate([np.asarray(line.get_ydata()) for line in axes.lines])
+        assert low == 0.0 <= np.nanmin(values)
+        assert np.nanmax(values) <= high
 
 
 def test_the_integral_of_the_map():
@@ -55,12 +55,3 @@ def test_rates_of_other_densities_disagree():
         assert judge(channels._rate_of(other, 1, curves[way], exact)).agrees is False
     swapped = {"one": curves["own"], "own": curves["one"]}
     assert judge(channels._gain(0, swapped)).agrees is False
-
-
-def test_curves_of_the_map_are_within_the_limits(made):
-    plot = next(p for p in made.plots if p.kind == "one-row")
-    for axes in panel_axes(draw(plot)):
-        low, high = axes.get_ylim()
-        values = np.concatenate([np.asarray(line.get_ydata()) for line in axes.lines])
-        assert low == 0.0 <= np.nanmin(values)
-        assert np.nanmax(values) <= high

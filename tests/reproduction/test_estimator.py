@@ -14,20 +14,11 @@ from mcspectra.reproduction.claims import Exhibit
 from mcspectra.reproduction.gallery import make_exhibit
 
 
-@pytest.fixture(scope="module")
-def made() -> Exhibit:
-    return make_exhibit("estimator", quick=True, seed=1)[0]
-
-
-def test_all_findings_agree(made: Exhibit, sound: Callable[[Exhibit], None]) -> None:
+def test_all_findings_agree(sound: Callable[[Exhibit], None]) -> None:
+    """Expected values agree with quadrature. Plots are in the order of the slides."""
+    made = make_exhibit("estimator", quick=True, seed=1)[0]
     sound(made)
-
-
-def test_plots_are_in_the_order_of_the_slides(made: Exhibit) -> None:
     assert [p.kind for p in made.plots] == ["integral", "estimator", "points", "sampling-function"]
-
-
-def test_expected_values_by_other_methods(made: Exhibit) -> None:
     bell = quad(lambda x: np.exp(-(x**2)), 0, 1)[0] ** 2
     square = quad(lambda x: np.exp(-2 * x**2), 0, 1)[0] ** 2
     area = quad(lambda x: np.exp(-((x - 0.4) ** 2) / (2 * 0.2**2)), 0, 1)[0]

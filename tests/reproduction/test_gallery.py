@@ -126,7 +126,9 @@ def test_findings_are_plain_json(good):
 
 def test_a_failed_exhibit_does_not_stop_others(tmp_path):
     seen: list[str] = []
-    made = reproduce(tmp_path, done=lambda entry: seen.append(f"{entry.name} {entry.tally}"))
+    made = reproduce(
+        tmp_path, quick=True, done=lambda entry: seen.append(f"{entry.name} {entry.tally}")
+    )
     assert made.failed == ("bad",)
     assert seen == [f"good {COUNTED}", "bad failed"]
     rows = json.loads((tmp_path / "findings.json").read_text(encoding="utf-8"))
@@ -229,7 +231,7 @@ def test_an_unwritable_folder_gives_an_error(tmp_path):
     (tmp_path / "figures").unlink()
     (tmp_path / "index.html").mkdir()
     with pytest.raises(StoreError, match="cannot be written"):
-        reproduce(tmp_path, ["good"])
+        reproduce(tmp_path, ["good"], quick=True)
     assert not list(tmp_path.glob(".*partial"))
 
 
@@ -239,7 +241,7 @@ def test_other_files_are_kept(tmp_path):
     for path in kept:
         path.write_text("mine")
     (tmp_path / "index.html").write_text("old")
-    reproduce(tmp_path, ["good"])
+    reproduce(tmp_path, ["good"], quick=True)
     assert all(path.read_text() == "mine" for path in kept)
     assert (tmp_path / "index.html").read_text(encoding="utf-8") != "old"
     assert not list(tmp_path.glob(".*partial"))
@@ -288,12 +290,12 @@ def test_the_command_reports_disagreements_and_failures(tmp_path, capsys):
 
 
 def test_command_in_json_and_quiet(tmp_path, capsys):
-    assert main(["reproduce", "good", "--json", "--out", str(tmp_path)]) == 0
+    assert main(["reproduce", "good", "--json", "--quick", "--out", str(tmp_path)]) == 0
     told = json.loads(capsys.readouterr().out)
     assert (told["figures"], told["failed"]) == (["good"], [])
     assert (told["agree"], told["correct"], told["judged"]) == (1, 1, 3)
     assert Path(told["gallery"]).exists()
-    assert main(["reproduce", "good", "--quiet", "--out", str(tmp_path)]) == 0
+    assert main(["reproduce", "good", "--quiet", "--quick", "--out", str(tmp_path)]) == 0
     assert [line.split(":")[0] for line in capsys.readouterr().out.splitlines()][1:] == ["page"]
 
 

@@ -5,6 +5,7 @@ from importlib.resources import files
 import pytest
 from playwright.sync_api import Page
 
+from mcspectra.reproduction import closed_forms, strata_alignment
 from mcspectra.reproduction.gallery import load_exhibit, reproduce
 
 pytestmark = pytest.mark.browser
@@ -18,8 +19,11 @@ EVIL = "</p><script>document.title = 'run'</script><img src=http://example.com/x
 
 @pytest.fixture(scope="module", name="gallery")
 def _gallery(tmp_path_factory):
-    """Make two exhibits, and one that fails with an error message that contains markup."""
-    load = load_exhibit
+    """Make two exhibits, and one that fails with an error message that contains markup.
+
+    Pages look the same with a tenth of the realizations.
+    """
+    load, simulate, measured = load_exhibit, closed_forms.simulate, strata_alignment.measured
 
     def broken(*, quick, seed):
         raise ValueError(EVIL)
@@ -28,6 +32,16 @@ def _gallery(tmp_path_factory):
         patch.setattr(
             "mcspectra.reproduction.gallery.load_exhibit",
             lambda name: broken if name == "bias" else load(name),
+        )
+        patch.setattr(
+            closed_forms,
+            "simulate",
+            lambda name, nu, realizations, *rest: simulate(name, nu, realizations // 10, *rest),
+        )
+        patch.setattr(
+            strata_alignment,
+            "measured",
+            lambda f, sampler, realizations, seed: measured(f, sampler, realizations // 10, seed),
         )
         made = reproduce(tmp_path_factory.mktemp("gallery"), NAMES, quick=True)
     assert made.failed == ("bias",)

@@ -37,6 +37,12 @@ def test_a_sum_with_the_rate_of_the_faster_one_disagrees() -> None:
         assert judge(check("wall", wrong)).agrees is False
 
 
+def test_mis_in_a_pixel_is_as_slow_as_bsdf_sampling() -> None:
+    found = slowest._pixel("wall", (6, 8, 11, 16), 60, 1)
+    for check in (slowest._follows, slowest._what_is_left):
+        assert judge(check("wall", found)).agrees is True
+
+
 def test_the_other_technique_of_the_toy_disagrees(disagreeing: Disagreeing) -> None:
     toy, right = slowest.toy_curves(300, 1), slowest.exact
     names = [*slowest.TECHNIQUES]

@@ -10,25 +10,13 @@ from tests.reproduction.conftest import Disagreeing
 
 from mcspectra.reproduction import veach_pictures as veach
 from mcspectra.reproduction.claims import Exhibit, judge
-from mcspectra.reproduction.gallery import Slide, make_exhibit
+from mcspectra.reproduction.gallery import make_exhibit
 
 pytestmark = pytest.mark.render
 
 
-@pytest.fixture(scope="module")
-def drawn() -> tuple[Exhibit, tuple[Slide, ...]]:
-    return make_exhibit("veach-pictures", quick=True, seed=1)
-
-
-@pytest.fixture(scope="module")
-def made(drawn: tuple[Exhibit, tuple[Slide, ...]]) -> Exhibit:
-    return drawn[0]
-
-
-def test_all_findings_agree(
-    drawn: tuple[Exhibit, tuple[Slide, ...]], sound: Callable[[Exhibit], None]
-) -> None:
-    made, slides = drawn
+def test_all_findings_agree(sound: Callable[[Exhibit], None]) -> None:
+    made, slides = make_exhibit("veach-pictures", quick=True, seed=1)
     sound(made)
     assert any("instead of 1024" in slide.reason for slide in slides)
 

@@ -48,14 +48,19 @@ MAX_REALIZATIONS = 10**9
 # Numbers in a block: 16 MiB of float64, more than any cache and far less than all memory
 _BLOCK_NUMBERS = 2**21
 _SLICE_NUMBERS = 2**19  # numbers in a slice: 4 MiB, which take one or two milliseconds
+_processes = 1  # number of processes of `process_map` to which this process belongs
 
 
 def available_workers(workers: int | None = None) -> int:
-    """Return `workers`. The default is the number of processors that this process may use."""
+    """Return `workers`. The default is the number of processors that this process may use.
+
+    Processes of `process_map` share the processors equally, and each may use at least one.
+    """
     if workers is not None:
         return as_integer("workers", workers, least=1, most=1024)
     affinity = getattr(os, "sched_getaffinity", None)
-    return len(affinity(0)) if affinity else os.cpu_count() or 1
+    count = len(affinity(0)) if affinity else os.cpu_count() or 1
+    return max(1, count // _processes)
 
 
 @final
@@ -135,6 +140,7 @@ def process_map(workers: int) -> Iterator[Mapper]:
     With one worker, the current process computes each result when the caller asks for it.
     More workers are new processes, which import the function and start all work at once.
     New processes are spawned, because forking a process with threads may hang.
+    Each new process gets an equal share of the processors: more threads would wait for each other.
 
     Raises
     ------
@@ -147,7 +153,7 @@ def process_map(workers: int) -> Iterator[Mapper]:
         return
     others = set(multiprocessing.active_children())
     spawn = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(workers, spawn, _ignore_interrupts)
+    pool = ProcessPoolExecutor(workers, spawn, _begin, (workers,))
     try:
         yield pool.map
     except BaseException as error:
@@ -164,5 +170,8 @@ def process_map(workers: int) -> Iterator[Mapper]:
         pool.shutdown(wait=False, cancel_futures=True)
 
 
-def _ignore_interrupts() -> None:
+def _begin(processes: int) -> None:
+    """Prepare one of several new processes."""
+    global _processes
+    _processes = processes
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the main process ends the workers

@@ -11,8 +11,10 @@ from __future__ import annotations
 import io
 import math
 import textwrap
+import threading
 import warnings
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -82,6 +84,8 @@ _PGF_DPI = 400  # resolution of maps and dots that belong to a PGF file
 _MOST_PGF = 1500  # largest number of dots in a PGF file: TeX runs out of memory at about 5000
 # Number of colors of a PNG. Files become a third of the size, and flat colors do not change
 _COLORS = 256
+_LAYOUT_TABLES = ("GDEF", "GPOS", "GSUB")  # tables of a font that place and replace glyphs
+_EMBEDDING = threading.Lock()  # one file at a time is written without these tables
 _MOST_PIXELS = 2**15  # largest side of an image in pixels: half of Matplotlib's own limit
 # Width of a legend symbol with its gaps, in letters, for a free and for a given figure width
 _HANDLE, _TIGHT_HANDLE = 7.0, 5.5
@@ -255,10 +259,37 @@ def rasterize(
             # Write the PDF by the backend itself, because savefig would compute the layout again
             figure.set_dpi(_PDF_DPI)
             metadata = {"CreationDate": None, "Creator": "mcspectra"}
-            FigureCanvasPdf(figure).print_pdf(pdf, metadata=metadata)  # type: ignore[no-untyped-call]
+            with _lean_fonts():
+                FigureCanvasPdf(figure).print_pdf(pdf, metadata=metadata)  # type: ignore[no-untyped-call]
             figure.set_dpi(dpi)
             figure.set_canvas(canvas)
     return pixels, pdf.getvalue()
+
+
+@contextmanager
+def _lean_fonts() -> Iterator[None]:
+    """Embed fonts into PDF files without their tables for the layout of texts.
+
+    A PDF has the place of each glyph, so its readers do not use these tables.
+    To cut the tables to the glyphs of a file takes most of the time of the file.
+    """
+    from fontTools import subset
+
+    with _EMBEDDING:
+        usual = subset.load_font
+
+        def load_font(*given: Any, **options: Any) -> Any:
+            font = usual(*given, **options)
+            for table in _LAYOUT_TABLES:
+                if table in font:
+                    del font[table]
+            return font
+
+        subset.load_font = load_font
+        try:
+            yield
+        finally:
+            subset.load_font = usual
 
 
 def _alike(figure: Figure, other: Figure) -> bool:
@@ -354,7 +385,7 @@ def write_figure(figure: Figure, file: Path) -> None:
     stamps: dict[str, Any] = {".png": {}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
     # A fixed salt makes the ids in an SVG reproducible. A tight box would change the width
     fixed: Any = {"svg.hashsalt": "mcspectra", "pdf.fonttype": 42, "savefig.bbox": None}
-    with writing(file), mpl.rc_context(fixed):
+    with writing(file), mpl.rc_context(fixed), _lean_fonts():
         if extension == ".pgf":
             _write_pgf(figure, file)
         else:
@@ -374,7 +405,7 @@ def write_pages(pages: Iterable[tuple[str, Plot] | Figure], path: str | PathLike
 
     about = {"CreationDate": None, "Creator": "mcspectra"}
     fonts = mpl.rc_context({"pdf.fonttype": 42})
-    with writing(path), fonts, PdfPages(path, metadata=about) as pdf:
+    with writing(path), fonts, _lean_fonts(), PdfPages(path, metadata=about) as pdf:
         for page in pages:
             if isinstance(page, tuple):
                 title, plot = page

@@ -16,7 +16,7 @@ import numpy as np
 import xarray as xr
 
 import mcspectra as mcs
-from mcspectra.core.checks import Array
+from mcspectra.core.checks import BELOW_ONE, Array
 from mcspectra.integrands._quadrature import gauss_rule
 from mcspectra.plots.description import (
     Axis,
@@ -364,9 +364,10 @@ def _share_panel(terms: dict[str, xr.Dataset]) -> Panel:
 
 def _strata_panel(share: float, title: str, seed: int) -> Panel:
     """Return the strata of importance sampling on the domain, and a set of points."""
-    borders = np.arange(_SIDE + 1) / _SIDE
-    across, up = _placed(np.stack([borders, borders], axis=-1), share).T
-    points = _placed(mcs.sampler("jittered", 2).draw(_SIDE**2, rng=seed)[0], share)
+    borders = np.minimum(np.arange(_SIDE + 1) / _SIDE, BELOW_ONE)
+    density = _density(share)
+    across, up = density.sample(np.stack([borders, borders], axis=-1)).T
+    points = density.sample(mcs.sampler("jittered", 2).draw(_SIDE**2, rng=seed)[0])
     return edge_panel(AT, across, up, title, points, y="" if share != SHARE else "y")
 
 
@@ -375,20 +376,15 @@ def aligned_share(side: int) -> float:
     return round(SHARE * side) / side
 
 
-def _placed(u: Array, share: float) -> Array:
-    """Warp primary points to importance samples, of which a `share` is left of the edge."""
-    left = u[..., 0] / share * AT
-    right = AT + (u[..., 0] - share) / (1 - share) * (1 - AT)
-    x = np.where(u[..., 0] < share, left, right)
-    # Along the other axis, the density is (AT + y) / (AT + ½)
-    y = np.sqrt(AT**2 + 2 * (AT + 0.5) * u[..., 1]) - AT
-    return np.asarray(np.minimum(np.stack([x, y], axis=-1), np.nextafter(1.0, 0.0)))
+def _density(share: float) -> mcs.Density:
+    """Return the density of importance samples, of which a `share` is left of the edge.
 
-
-def _density(x: Array, share: float) -> Array:
-    """Return the density of importance samples, of which a `share` is left of the edge."""
-    across = np.where(x[..., 0] < AT, share / AT, (1 - share) / (1 - AT))
-    return np.asarray(across * (AT + x[..., 1]) / (AT + 0.5))
+    Across, it is constant on both sides of the edge, which is the first border of three cells.
+    Along the other axis, it is (AT + y) / (AT + ½).
+    """
+    heights = [share / AT, *[(1 - share) / (1 - AT)] * 2]
+    along = mcs.densities.Linear(slope=1 / (AT + 0.5), dims=1)
+    return mcs.densities.Product(parts=[mcs.densities.PiecewiseConstant(values=heights), along])
 
 
 def importance_sampling(share: float) -> mcs.Estimator:
@@ -396,10 +392,7 @@ def importance_sampling(share: float) -> mcs.Estimator:
 
     The share of points left of the edge is `SHARE`, or `aligned_share`.
     """
-    density = mcs.Density.from_functions(
-        pdf=lambda x: _density(x, share), sample=lambda u: _placed(u, share), dims=2
-    )
-    return mcs.Estimator(edge(AT), density)
+    return mcs.Estimator(edge(AT), _density(share))
 
 
 def exact_variance(share: float, side: int) -> float:
@@ -409,12 +402,13 @@ def exact_variance(share: float, side: int) -> float:
     A column of strata that the edge cuts mixes both, with the fractions `cut` and 1 − `cut`.
     """
     t, weights = gauss_rule(_ORDER)
+    density = _density(share)
     v = (np.arange(side)[:, None] + t) / side
     # Left and right of the edge: mean and mean square of f/p in each row of strata
     first, second = np.empty((2, side)), np.empty((2, side))
     for k, u in enumerate((0.5 * share, 0.5 * (1 + share))):
-        x = _placed(np.stack([np.full_like(v, u), v], axis=-1), share)
-        value = edge(AT)(x) / _density(x, share)
+        x = density.sample(np.stack([np.full_like(v, u), v], axis=-1))
+        value = edge(AT)(x) / density.pdf(x)
         first[k], second[k] = value @ weights, value**2 @ weights
     whole = int(np.floor(share * side + 1e-9))
     cut = max(share * side - whole, 0.0)

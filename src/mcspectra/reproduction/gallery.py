@@ -65,6 +65,20 @@ _SIGNS: dict[bool | None, tuple[str, Literal["yes", "no", "none"]]] = {
     False: ("✗ does not agree", "no"),
     None: ("– no verdict", "none"),
 }
+# The exhibits that take longest, in this order. They begin first, so that processes end together
+_LONGEST = (
+    "veach-pictures",
+    "environment-channels",
+    "variance-integral",
+    "dimensionality",
+    "mis-slowest",
+    "homogenised-formula",
+    "pair-correlation",
+    "generalised-formula",
+    "importance-terms",
+    "importance-spectra",
+    "phase",
+)
 _EXPLORER = "http://localhost:5006/"  # the address of ``mcspectra app --port 5006``
 
 
@@ -281,7 +295,7 @@ def reproduce(
     command
         Command that the page shows for repeating the run.
     done
-        Function that is called with each entry once it is finished.
+        Function that is called with each entry once it is finished, the longest exhibits first.
     workers
         Number of processes, at least 1. The results do not depend on it.
         With several processes, the main part of a script needs ``if __name__ == "__main__":``.
@@ -316,11 +330,13 @@ def reproduce(
         (root / _FIGURES).mkdir(parents=True, exist_ok=True)
         report("reproduce", 0.0)
         entries = []
-        for entry in mapped(partial(_entry, quick=quick, seed=seed), chosen):
+        longest = sorted(chosen, key=lambda name: (*_LONGEST, name).index(name))
+        for entry in mapped(partial(_entry, quick=quick, seed=seed), longest):
             entries.append(entry)
             report("reproduce", len(entries) / (len(chosen) + 1))
             if done is not None:
                 done(entry)
+        entries.sort(key=lambda entry: chosen.index(entry.name))
         rows = [
             {"exhibit": entry.name, "slide": slide.number} | asdict(finding)
             for entry in entries

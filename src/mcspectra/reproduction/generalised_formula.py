@@ -40,7 +40,7 @@ _SHOWN = 10  # half width of the matrices in the figure
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
     """Estimate terms and matrices of all samplers and integrands, and compare with closed forms."""
-    realizations = 1000 if quick else 10_000
+    realizations = 500 if quick else 5000
     line, bell = (
         {name: terms(mcs.integrand(spec, 1), name, realizations, seed) for name in SAMPLERS}
         for spec in (LINE, BELL)
@@ -113,7 +113,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     ]
     first, second, third = split(matrix)
     # The third term is a small part of the variance, so measure the variance precisely
-    curve = mcs.convergence(by_density, "jittered", [N], realizations=20 * realizations, rng=seed)
+    curve = mcs.convergence(by_density, "jittered", [N], realizations=40 * realizations, rng=seed)
     rest = Measured.of(curve.isel(n=0), "variance") - Measured.normal(first + second, 0.0)
     return Exhibit(
         numbers={

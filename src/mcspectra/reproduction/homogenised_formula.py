@@ -23,7 +23,7 @@ HALF_WIDTH = 24
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
     """Measure the terms of four samplers with and without a shift, and sum closed forms."""
-    realizations = 600 if quick else 6000
+    realizations = 600 if quick else 3000
     shifted = {name: terms(f"{name} | shift", realizations, seed) for name in SAMPLERS}
     rows = {name: ratios(name, 4 * realizations, seed) for name in SAMPLERS}
     x = "Σ |f_m|² ⟨|S_m|²⟩ / measured variance"

@@ -138,7 +138,7 @@ def _density(amplitude: float) -> mcs.Density:
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
     """Measure the terms in cases that confirm statements of the slides, and in counterexamples."""
-    realizations = 2000 if quick else 20_000
+    realizations = 1000 if quick else 10_000
     of = {case: case.terms(realizations, seed) for case in (LINE, BAR, GOOD, STRATIFIED, BAD, FLAT)}
     shifted = TermsCase("", "line", 0.0, "jittered | shift").terms(realizations, seed)
     third = {case: number(case.exact()[2]) for case in of}

@@ -40,7 +40,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     """Measure single techniques and their sum, for a 1-D example and for two pixels."""
     toy = toy_curves(400 if quick else 4000, seed)
     sides = [side if quick else 2 * side for side in _SIDES]
-    pixels = {name: _pixel(name, sides, 80 if quick else 400, seed) for name in _PIXELS}
+    pixels = {name: _pixel(name, sides, 80 if quick else 250, seed) for name in _PIXELS}
     light, bsdf, mis = (rate_text(pixels["wall"].isel(estimator=i)) for i in range(3))
     known = dict(zip(toy, (exact(0), exact(1), exact(0) + exact(1)), strict=True))
     bottleneck = toy["sum"].attrs["bottleneck"]

@@ -32,7 +32,7 @@ N = 64
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
     """Count pairs of points, transform their density, and compute variances from it."""
-    realizations = 400 if quick else 4000
+    realizations = 400 if quick else 2000
     pairs = {name: count_pairs(name, realizations, seed) for name in SAMPLERS}
     variances = {name: by_pairs(name, realizations, seed) for name in _COUNTED}
     # Points that are not shifted have the same mean g(r) as shifted points, but another variance
