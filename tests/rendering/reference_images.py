@@ -21,9 +21,9 @@ LEVEL = 0.01  # of all pixels together
 PASSING = 0.9975  # share of the pixels that must not differ
 OURS = (
     {"type": "mcspectra"},
-    {"type": "mcspectra", "joint_dims": 0},
-    {"type": "mcspectra", "joint_dims": 8},
     {"type": "mcspectra", "spec": "sobol | owen"},
+    {"type": "mcspectra", "spec": "sobol | owen", "joint_dims": 0},
+    {"type": "mcspectra", "spec": "sobol | owen", "joint_dims": 8},
     {"type": "mcspectra", "spec": "halton | permute"},
     {"type": "mcspectra", "spec": "pmj02"},
 )
