@@ -341,9 +341,10 @@ def build_page(document: Any) -> None:
     explorer = Explorer(document, query)
     document.on_event("document_ready", lambda _: explorer.start())
     document.on_session_destroyed(lambda _: explorer.close())
-    for name, root in explorer.roots.items():
-        root.name = name
-        document.add_root(root)
+    with document.models.freeze():  # Bokeh searches all models once, not after each root
+        for name, root in explorer.roots.items():
+            root.name = name
+            document.add_root(root)
     document.title = TITLE
     document.template = get_env().from_string(_TEMPLATE)
     document.template_variables.update(

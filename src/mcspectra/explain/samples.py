@@ -378,7 +378,9 @@ def _fitted(
     """
     degrees = len(left) - 1
     floor = rounding_floor(np.array(size))
-    used, noise = found > floor, float(floor)
+    used = found > floor
+    # Pairwise sums have a rounding error of about one ulp. Measured differences need more
+    noise = float(np.finfo(float).eps * abs(size)) ** 2
     gone = counts[np.maximum.accumulate(used[::-1])[::-1].sum() :]
     vanishes = float(gone[0]) if exact and len(gone) else math.inf
     counts, found, left = counts[used], found[used], left[:, used]
