@@ -97,6 +97,10 @@ def test_the_verdict_names_the_largest_gain_and_loss(make):
     assert verdict({one: first[one]}, {one: second[one]}).startswith("B has less noise than A. Of")
     assert verdict({one: second[one]}, {one: first[one]}).startswith("B has more noise than A. Of")
     assert verdict({one: first[one]}, {one: first[one]}).startswith("A and B have the same")
+    two = ("open", "random")
+    assert verdict({two: first[two]}, {two: second[two]}) == (
+        "No difference between the noise of A and B is significant (1 common curve)."
+    )
 
 
 @pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 2))])

@@ -109,7 +109,10 @@ def verdict(first: Curves, second: Curves) -> str:
         text = "B has more noise than A"
     else:
         text = "B has less noise than A for some curves and more for others"
-    text += f". Of {counted(len(both), 'common curve')}: {', '.join(counts)}."
+    if open_ == len(both):
+        text += f" ({counted(len(both), 'common curve')})."
+    else:
+        text += f". Of {counted(len(both), 'common curve')}: {', '.join(counts)}."
     for pairs, what, best in ((less, "largest gain", min), (more, "largest loss", max)):
         if pairs:
             name, sampler = pair = best(pairs, key=lambda each: found[each].ratio.value)
@@ -212,7 +215,8 @@ def _side_by_side(first: Curves, second: Curves) -> Iterator[html.Block]:
             "Ratio: variance of B divided by variance of A at the largest common n. Below 1, B has "
             "less noise. Difference: rate of B minus rate of A. If it is negative, the variance of "
             "B falls faster. The 95 % intervals assume independent results; they are too wide if "
-            "both studies used the same seed.",
+            "both studies used the same seed. Each interval holds for its row alone; the sentence "
+            "at the top uses wider intervals, which hold for all rows together.",
             (
                 "Estimator",
                 "Sampler",
