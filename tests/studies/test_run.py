@@ -223,7 +223,7 @@ def test_interrupted_and_resumed_in_other_chunks_gives_the_same_bits(
                 decode_study(STUDY),
                 tmp_path,
                 resume=attempt > 0,
-                engine=lambda text: Stopping(15),
+                engine=lambda text: Stopping(5),
             )
             break
         except KeyboardInterrupt:
