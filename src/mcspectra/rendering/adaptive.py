@@ -285,7 +285,7 @@ def render_adaptive(
         Mitsuba plugin, such as ``"path(max_depth=5)"``; by default the scene's own.
     sampler, joint_dims
         One of our samplers and its joint dims, as in `render_file`.
-        By default `mcspectra.rendering.plugin.default_spec` with 4 joint dims.
+        The default is that of `mcspectra.rendering.plugin.default_spec`, with 4 joint dims.
     seed
         Seed of the image, an integer of at least 0.
 

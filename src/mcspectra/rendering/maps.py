@@ -495,7 +495,7 @@ def variance_map(
         If ``"mis"`` is given, its two parts are measured as well.
     sampler
         Sampler or its spec; by default ``"jittered"``.
-        With an integrator the default is `mcspectra.rendering.plugin.default_spec`.
+        Maps with an integrator have the default of `mcspectra.rendering.plugin.default_spec`.
         Each technique has its own points. A list of samplers compares them.
     counts
         Numbers of samples n of a technique: at least two, in ascending order.

@@ -1,4 +1,4 @@
-"""Imports what most tasks need; the process from which workers are forked loads it once.
+"""Modules that most tasks need. They are loaded once, by the process that forks the workers.
 
 Otherwise each worker spends more time on imports than on its first tasks.
 """
