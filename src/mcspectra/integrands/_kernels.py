@@ -34,6 +34,7 @@ def subtract_polynomials(
     """Subtract from out (K, C) the polynomials of cells at points (K, d) in these cells.
 
     The polynomial of each of the N cells interpolates the values (N, q^d C) at q nodes per axis.
+    There are at least two nodes per axis.
     `low` and `size` are corners and sides of the cells, (N, d).
     `inverse` (q, q) turns Legendre polynomials into the basis of the nodes.
     """
