@@ -153,6 +153,7 @@ def test_adaptive_samples_lower_the_largest_errors_at_equal_cost():
     def errors(spp, first):
         made = [render_adaptive(scene, spp, seed=first + k) for k in range(renders)]
         values = np.stack(made) @ LUMINANCE
+        values = values[:, values.any(axis=0)]  # the corners of the film see no surface
         relative = values.std(axis=0, ddof=1) / values.mean(axis=0)
         return np.array([np.quantile(relative, 0.95), np.sqrt(np.mean(relative**2))])
 
