@@ -429,10 +429,8 @@ def _by_map(options: argparse.Namespace, scene: str, files: list[Path]) -> VerbO
         else:
             write_png(file, image, exposure=options.exposure)
     height, width, _ = image.shape
-    sampler, mean = (
-        options.sampler or default_spec(joint_dims=options.joint_dims),
-        image.mean(axis=(0, 1)),
-    )
+    sampler = options.sampler or default_spec(joint_dims=options.joint_dims)
+    mean = image.mean(axis=(0, 1))
     size = f"{width} × {height} pixels, {seconds:.1f} s"
     ends = f"{spp.min():.0f} to {spp.max():.0f}, mean {spp.mean():.1f}"
     lines = [

@@ -335,7 +335,7 @@ class Region:
         """Return a function of one point set (n, d): |S_m|² at all frequencies of the grid.
 
         The function keeps the plan of its Fourier transform, so only one thread may call it.
-        For few points, making the plan takes longer than the transform.
+        If there are few points, the plan takes longer to make than the transform.
         """
         import finufft
 
