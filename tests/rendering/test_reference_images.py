@@ -54,6 +54,8 @@ def test_renders_pass_the_test_of_reference_images(name, plugin):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SCENES)
 def test_scaled_points_fail(name):
-    known = reference(name, 16, 12, 2**14)
-    assert known.passes(pixels(name, 16, 12).scaled(1.0, 2**14, seed=3), 2**14)[0]
-    assert not known.passes(pixels(name, 16, 12).scaled(0.97, 2**14, seed=3), 2**14)[0]
+    known, image = reference(name, 16, 12, 2**14), pixels(name, 16, 12).scaled
+    clean = [known.passes(image(1.0, 2**14, seed=seed), 2**14)[0] for seed in range(3, 8)]
+    # An image without bias fails with probability 0.01: two of five with probability 1e-3
+    assert sum(clean) >= 4
+    assert not known.passes(image(0.97, 2**14, seed=3), 2**14)[0]
