@@ -44,6 +44,21 @@ class Rendered:
         return 1.0 + sigma * normal
 
 
+def test_a_known_rate_is_not_estimated():
+    """With the known rate, the interval is wide by the errors of the pixels only."""
+    spread = np.exp(np.random.default_rng(1).normal(0.0, 0.6, (32, 64)))
+    widths = {}
+    for rate in (None, -1.0):
+        work = _Work(Rendered(spread, -1.0), Stream.from_rng(3), 30.0, 0.0)
+        tiles, _ = chosen_tiles(Rendered.film, 256, Stream.from_rng(100))
+        values = {n: work.rendered.estimates("", n, tiles, 1, 8, work._stream()) for n in (16, 64)}
+        needed = work._needed("", values, np.ones(len(tiles)), tiles, 0.5, 0.01, rate)
+        low, high = needed.spp_ci
+        assert low < (np.median(spread) / 0.01) ** 2 < high
+        widths[rate] = high / low
+    assert widths[-1.0] < widths[None]
+
+
 @pytest.mark.parametrize("rate", [-1.0, -1.5])
 @pytest.mark.parametrize("target", [0.15, 0.03])
 def test_needed_samples_are_those_of_the_quantile(rate, target):
@@ -121,6 +136,9 @@ def test_equal_ends_and_open_intervals_of_samples():
     assert _spp(Needed(0.5, 28.0, (20.0, 40.0))) == "28 (20 to 40)"
     assert _spp(Needed(0.5, 28.0, (20.0, np.inf))) == "28 (20 or more)"
     assert _spp(Needed(0.5, np.inf, (1.0, np.inf))) == "an unknown number of"
+    # This interval excludes nothing
+    assert _spp(Needed(0.95, 5e7, (1e-11, 2e26))) == "an unknown number of"
+    assert _spp(Needed(0.95, 5e4, (65.0, 3e7))) == "50000 (65 to 30000000)"
 
 
 @pytest.mark.parametrize(

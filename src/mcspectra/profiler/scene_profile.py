@@ -124,6 +124,10 @@ class SceneSettings:
     # Limits of the slope of log variance against log n. Measured slopes are clipped to this range
     steepest: float = -3.0
     slowest: float = -0.5
+    # Ratio of the upper end of an interval to a number of samples.
+    # Above it, the number is not printed if the lower end is at most one sample,
+    # because the interval excludes nothing
+    unknown: float = 100.0
 
 
 _SETTINGS = SceneSettings()
@@ -297,7 +301,8 @@ def _noisy(values: Sequence[Array]) -> Array:
 
 def _spp(each: Needed) -> str:
     low, high = each.spp_ci
-    if not each.spp < _ENDLESS:
+    unknown = high > _SETTINGS.unknown * each.spp and low <= 1.0
+    if unknown or not each.spp < _ENDLESS:
         return "an unknown number of"
     if not high < _ENDLESS:
         return f"{whole_samples(each.spp)} ({whole_samples(low)} or more)"
@@ -679,7 +684,14 @@ class _Work:
         needed = {
             name: tuple(
                 self._needed(
-                    candidates[name], fresh.get(name, values[name]), mean, pixels, share, target
+                    candidates[name],
+                    fresh.get(name, values[name]),
+                    mean,
+                    pixels,
+                    share,
+                    target,
+                    # The variance of independent samples falls exactly as 1/n
+                    rate=-1.0 if name == "independent" else None,
                 )
                 for share in (0.5, 0.95)
             )
@@ -805,8 +817,12 @@ class _Work:
         pixels: Array,
         share: float,
         target: float,
+        rate: float | None = None,
     ) -> Needed:
-        """Find the number of samples with which a share of the pixels reaches the target."""
+        """Find the number of samples with which a share of the pixels reaches the target.
+
+        The rate of the variance is estimated unless it is known exactly.
+        """
         settings, goal = _SETTINGS, 2.0 * math.log(target)
         seen = np.flatnonzero(mean > 0.0)
         logs = {n: self._narrowed(v[:, seen], mean[seen]) for n, v in values.items()}
@@ -822,8 +838,10 @@ class _Work:
             return min(max(slope, settings.steepest), settings.slowest)
 
         (level, error), (before, before_error) = quantile(last), quantile(first)
-        slope = bounded((level - before) / math.log(last / first))
-        slope_error = max(math.hypot(error, before_error) / math.log(last / first), 0.1)
+        slope, slope_error = rate or 0.0, 0.0
+        if rate is None:
+            slope = bounded((level - before) / math.log(last / first))
+            slope_error = max(math.hypot(error, before_error) / math.log(last / first), 0.1)
         n = float(last)
         wanted = n * math.exp((goal - level) / slope)
         if abs(before - goal) < abs(level - goal):
@@ -851,8 +869,13 @@ class _Work:
             # At the last number of samples, the errors of these pixels were near the quantile.
             # The error of the quantile is added to the scatter of the errors in the new renders
             scatter = 1.2533 * float(np.std(there)) / math.sqrt(len(near))
-            slope = bounded((own - level) / math.log(count / n)) if count != n else slope
-            slope_error = math.hypot(scatter, error) / abs(math.log(count / n) or 1.0)
+            if count != n and rate is None:
+                # The slope between these two numbers of samples is noisy if they are close,
+                # so it is averaged with the slope before, weighted by the errors of both
+                step = math.log(count / n)
+                weight = slope_error**2 / (slope_error**2 + (scatter**2 + error**2) / step**2)
+                slope = bounded(slope + weight * ((own - level) / step - slope))
+                slope_error *= math.sqrt(1.0 - weight)
             n, level, error = float(count), own, math.hypot(error, scatter)
             wanted = n * math.exp((goal - level) / slope)
         away = math.hypot(error, slope_error * abs(math.log(wanted / n))) / abs(slope)
