@@ -7,6 +7,7 @@ A cell is covered if prediction and measurement differ by less than their combin
 Predictions do not evaluate f at the points of the sampler.
 Measurements have at least 1,000 realizations.
 The option ``--group=2-D`` selects one group, and ``--group=new`` selects all new groups.
+The option ``--sampler=bnot`` selects one sampler.
 
 Groups named ``new`` test every fast sampler with an offset (shift, strata-shift, digital-shift).
 Some problems of the new groups have 4 to 8 dims, and some have unbounded integrands.
@@ -401,6 +402,8 @@ def measure(group: Group, sampler: str) -> tuple[tuple[int, ...], Array, Array]:
     Counts have the shape (N,). Variances and standard errors have the shape (problems, N).
     """
     many = _DEAR.get(sampler.partition(" ")[0], group.realizations)
+    if many < group.realizations:
+        return _measure_together(group, sampler, many)
     variances, errors, counts = [], [], ()
     for problem in group.problems:
         source = mcs.sampler(sampler, dims=problem.dims)
@@ -415,6 +418,29 @@ def measure(group: Group, sampler: str) -> tuple[tuple[int, ...], Array, Array]:
         half = np.where(np.isfinite(high), (high - low) / 2.0, np.inf)
         errors.append(half / 1.96)
     return counts, np.array(variances), np.array(errors)
+
+
+def _measure_together(
+    group: Group, sampler: str, realizations: int
+) -> tuple[tuple[int, ...], Array, Array]:
+    """Measure all problems with the same points, because drawing these points takes most time.
+
+    The problems must have no densities. Returns the same arrays as `measure`.
+    """
+    source = mcs.sampler(sampler, dims=group.problems[0].dims)
+    counts = tuple(sorted({source.nearest_count(n) for n in group.counts}))
+    variances, errors = np.empty((2, len(group.problems), len(counts)))
+    for j, n in enumerate(counts):
+        batches = []
+        for batch in range(0, realizations, 100):
+            points = source.draw(n, realizations=100, rng=10_000 + batch)
+            batches.append([p.integrand(points).mean(axis=-1) for p in group.problems])
+        off = np.concatenate(batches, axis=-1)
+        off -= off.mean(axis=-1, keepdims=True)
+        variances[:, j] = (off**2).sum(axis=-1) / (realizations - 1)
+        fourth = (off**4).mean(axis=-1)
+        errors[:, j] = np.sqrt((fourth - variances[:, j] ** 2) / realizations)
+    return counts, variances, errors
 
 
 @dataclass
@@ -447,6 +473,7 @@ def main(*flags: str) -> None:
     The worst predictions are listed last, each with a call that repeats the prediction.
     """
     only = tuple(flag.partition("=")[2] for flag in flags if flag.startswith("--group="))
+    samplers = {flag.partition("=")[2] for flag in flags if flag.startswith("--sampler=")}
     worst: list[tuple[float, str]] = []
     totals: dict[str, Tally] = {}
     all_of = Tally()
@@ -460,6 +487,8 @@ def main(*flags: str) -> None:
         own = totals[name] = Tally()
         problems = [p.estimator if isinstance(p, Unbounded) else p for p in group.problems]
         for sampler in group.samplers:
+            if samplers and sampler not in samplers:
+                continue
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
                 counts, measured, error = measure(group, sampler)
