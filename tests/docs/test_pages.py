@@ -80,6 +80,32 @@ def test_a_missing_anchor_is_detected():
     assert "the-four-terms" not in _anchors("theory.md")
 
 
+def _rows_of_calls():
+    """Return the calls of the last table of CONTRIBUTING.md, each with its files."""
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    for row in text.rpartition("|---|---|\n")[2].strip().splitlines():
+        call, files = re.fullmatch(r"\| `(.+?)` \| (.+) \|", row.replace(r"\|", "¦")).groups()
+        yield call.replace("¦", "|"), re.findall(r"`(.+?)`", files)
+
+
+@pytest.mark.parametrize(("call", "files"), list(_rows_of_calls()), ids=lambda value: value[:16])
+def test_the_files_that_determine_a_call_run_in_it(call, files):
+    source, ran = ROOT / "src" / "mcspectra", set()
+
+    def note(frame, event, _):
+        if event == "call":
+            ran.add(frame.f_code.co_filename)
+
+    before = sys.getprofile()
+    sys.setprofile(note)
+    try:
+        eval(call, {"mcs": mcs})
+    finally:
+        sys.setprofile(before)
+    assert len(files) <= 15
+    assert {str(source / file) for file in files} <= ran
+
+
 @pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md", "SECURITY.md", "CHANGELOG.md"])
 def test_links_of_pages_at_the_root_resolve(page):
     for target in _LINK.findall((ROOT / page).read_text(encoding="utf-8")):
