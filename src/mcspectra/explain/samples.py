@@ -179,6 +179,22 @@ class Curve:
             drift=math.sqrt(share) * self.drift,
         )
 
+    def leveled(self) -> Curve:
+        """Return the curve with the level and the scatter of its points about a straight line.
+
+        If an edge of g happens to lie at a border of strata, the variance at one count is far
+        below the line through the other counts. Extrapolated from this count alone, the variance
+        would be far too small.
+        """
+        if not math.isfinite(self.rate):
+            return self
+        last = self.counts >= self.counts[-1] / 2.0**CURVE_SETTINGS.octaves
+        n, variance = self.counts[last], self.variance[last]
+        off = np.log(variance / variance[-1]) - self.rate * np.log(n / n[-1])
+        if len(off) < 3:
+            return self
+        return replace(self, level=float(off.mean()), scatter=float(off.std(ddof=1)))
+
     @property
     def rate_ci(self) -> tuple[float, float]:
         """95 % interval of the rate, by Student's t."""

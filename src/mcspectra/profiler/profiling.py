@@ -1283,6 +1283,8 @@ def _improved(
         if n < _SETTINGS.few_points:
             smooths |= curve.rate < _SETTINGS.steepest_rate
             curve = replace(curve, rate=max(curve.rate, _SETTINGS.steepest_rate))
+        if jumps:
+            curve = curve.leveled()
         (ours, ours_se), (other, other_se) = curve.at(n), base.at(cost)
         # Extrapolate the variance with the measured rate of the changed estimator.
         # Also extrapolate the variance as if the gain over the best sampler did not depend on n.
@@ -1290,7 +1292,7 @@ def _improved(
         # Half of the difference of the two extrapolated log variances is an additional error
         points_at_budget = budget // estimator.evaluations_per_point
         (value, error), at_best = curve.at(at_budget), base.at(points_at_budget)[0]
-        kept = ours / other * at_best if other > 0.0 else 0.0
+        kept = math.exp(curve.level) * ours / other * at_best if other > 0.0 else 0.0
         error = math.hypot(error, 0.5 * math.log(value / kept)) if value > 0.0 < kept else error
         after = math.sqrt(value * kept)
         sure = math.exp(-CONFIDENCE_Z * math.hypot(ours_se, other_se))
