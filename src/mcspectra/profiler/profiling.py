@@ -837,6 +837,10 @@ def _by_theory(
     for cause in causes:
         if cause.name in {"border-growth", "heavy-tail"} and "exponent" in cause.evidence:
             return replace(curve, rate=max(curve.rate, -2.0 * (1.0 - cause.evidence["exponent"])))
+        # If g grows more slowly than any power, its variance in the stratum at the border
+        # hardly falls with n. This stratum alone then gives the rate −2
+        if cause.name == "border-growth":
+            curve = replace(curve, rate=max(curve.rate, -2.0))
     # Small sets do not resolve high frequencies of g, so their rate does not hold for larger sets
     waves = names.get("high-frequency")
     resolved_by = math.inf if waves is None else waves.evidence["resolved_by"]
@@ -852,7 +856,9 @@ def _by_theory(
         limit = min(-4.0 + 4.0 * third, -1.0)
         curve = replace(curve, rate=max(curve.rate, limit))
         error = math.hypot(_SETTINGS.theory_error, 2.0 * third)
-        return curve.towards(limit, error) if name == _FOLDED and smooth else curve
+        # Few points do not resolve a narrow peak. Before, the rate is less steep than in theory
+        resolved = name == _FOLDED and smooth and curve.counts[-1] >= _SETTINGS.few_points
+        return curve.towards(limit, error) if resolved else curve
     if name not in {NETS, "jittered"} or first not in _EXPONENTS or not math.isfinite(curve.rate):
         return curve
     # A jump cuts n^(1 − 1/d) of n strata.
