@@ -3,6 +3,7 @@
 from dataclasses import replace
 from queue import SimpleQueue
 
+import numpy as np
 import pytest
 from bokeh.document import Document
 from bokeh.models import InlineStyleSheet
@@ -11,7 +12,7 @@ from mcspectra.app import compute as compute_module
 from mcspectra.app.board import Board
 from mcspectra.app.compute import UPDATE_KINDS, compute
 from mcspectra.app.figures import FIGURES, figures_of
-from mcspectra.app.page import Explorer
+from mcspectra.app.page import Explorer, FirstPage
 from mcspectra.app.state import ExplorerSetup, ExplorerState
 from mcspectra.core.errors import McspectraError
 from mcspectra.measure import convergence
@@ -156,6 +157,7 @@ def test_a_new_figure_sends_only_its_own_models():
     explorer = Explorer(document, SMALL_QUERY)
     for root in explorer.roots.values():
         document.add_root(root)
+    explorer._shown()  # the first call also shows the controls
     events = []
     document.on_change(events.append)
     for kind in ("points", "spectrum"):
@@ -168,6 +170,86 @@ def test_a_new_figure_sends_only_its_own_models():
     events.clear()
     explorer._shown()
     assert events == []
+
+
+def test_a_new_page_has_the_top_figure_if_its_results_are_cached():
+    """The browser then gets this figure together with the page, and the controls later."""
+    pair = ExplorerState(a=SMALL, b=replace(SMALL, sampler="random"))
+    for state, kind, top in (
+        (pair, "convergence", "A and B: convergence"),
+        (ExplorerState(a=SMALL), "integrand", "A: integrand"),
+    ):
+        for _, setup in state.setups():
+            compute(kind, setup, 16)
+        explorer = Explorer(Document(), state.query())
+        explorer.prepare()
+        assert list(visible(explorer)) == [top]
+        assert [explorer.roots[name].children for name in ("side", "foot")] == [[], []]
+
+
+def test_a_new_page_computes_nothing(monkeypatch):
+    monkeypatch.setattr(compute_module, "_computed", lambda *_: pytest.fail("computed"))
+    for state in (
+        ExplorerState(a=replace(SMALL, integrand="disk")),
+        ExplorerState(a=replace(SMALL, seed=9), b=replace(SMALL, seed=9, sampler="random")),
+    ):
+        explorer = Explorer(Document(), state.query())
+        explorer.prepare()
+        assert visible(explorer) == {}
+
+
+def test_the_early_figure_is_the_one_of_the_first_round():
+    """It shows the same numbers as a page that has waited for its first round."""
+    state = ExplorerState(a=SMALL, b=replace(SMALL, sampler="random"))
+    curves = {side: compute("convergence", setup, 16) for side, setup in state.setups()}
+    early, late = (Explorer(Document(), state.query()) for _ in range(2))
+    early.prepare()
+    card = early._both
+    shown = [dict(source.data) for source in card.drawn._sources]
+    for explorer in (early, late):
+        for side, board in explorer._boards.items():
+            board.latest["convergence"] = curves[side]
+        explorer._shown()
+    assert early._both is card
+    assert len(shown) > 0
+    for old, source in zip(shown, late._both.drawn._sources, strict=True):
+        np.testing.assert_equal(old, dict(source.data))
+
+
+def test_the_early_integrand_is_not_drawn_again_by_the_job(page, monkeypatch):
+    page.board.latest["integrand"] = compute("integrand", SMALL, 16)
+    assert page.board.show("integrand", SMALL) == ["integrand"]
+    card, updated = page.board.cards["integrand"], []
+    monkeypatch.setattr(Drawn, "update", lambda _, plot: updated.append(plot.kind))
+    page.board.run(SMALL)
+    while page.board.busy:
+        page.acts.get(timeout=60)()
+    assert page.board.cards["integrand"] is card
+    assert "integrand" not in updated
+
+
+def test_the_controls_come_with_the_first_figure():
+    explorer = Explorer(Document(), SMALL_QUERY)
+    (plot,) = figures_of("points", compute("points", SMALL, 2), "jittered")
+    explorer._boards["A"]._place(plot)
+    assert explorer.roots["side"].children == []
+    explorer._shown()
+    children = explorer.roots["side"].children
+    assert explorer._controls["A"].layout in children[-1].children
+    assert len(explorer.roots["foot"].children) == 2
+    explorer._shown()
+    assert explorer.roots["side"].children == children
+
+
+def test_the_first_page_is_made_in_advance_and_used_once():
+    first = FirstPage()
+    assert first.take("n=16") is None  # other pages do not wait for the first page
+    first.make()
+    assert first.take("theme=dark") is None
+    explorer = first.take("")
+    assert explorer.state == Explorer(Document(), "").state
+    assert list(visible(explorer)) == ["A and B: convergence"]
+    assert first.take("") is None
 
 
 def test_odd_addresses_get_a_sentence():

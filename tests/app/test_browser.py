@@ -163,6 +163,17 @@ def test_copied_python_gives_the_displayed_figures(page, address):
     assert shown == pytest.approx(float(found["rate"]), abs=5e-3)
 
 
+def test_the_default_page_opens_again_and_in_another_tab(page, address):
+    """The first page is made in advance; a reload and another tab get pages of their own."""
+    other = page.context.browser.new_page()
+    for tab, load in ((page, "goto"), (page, "reload"), (other, "goto")):
+        getattr(tab, load)(*([address] if load == "goto" else []))
+        both = card(tab, "A and B: Convergence")
+        expect(both.locator("canvas").first).to_be_visible(timeout=_PATIENCE)
+        expect(controls(tab).get_by_label("Sampler, A").first).to_be_visible(timeout=_PATIENCE)
+    other.close()
+
+
 def test_an_invalid_entry_leaves_gray_figures_and_no_numbers(page, address):
     open_state(page, address, _SMALL)
     height = page.evaluate("document.documentElement.scrollHeight")

@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import http.client
 import logging
+import re
 import socket
 import threading
 import time
@@ -17,6 +18,7 @@ from bokeh.server.protocol_handler import ProtocolHandler
 from tornado import httputil, web
 
 from mcspectra.app import compute, server
+from mcspectra.app.page import FirstPage
 from mcspectra.app.server import ADDRESS, Guard, make_server
 from mcspectra.cli.main import main
 from mcspectra.core.errors import ParameterError
@@ -139,13 +141,12 @@ def test_another_site_posts_nothing():
 
 
 @contextlib.contextmanager
-def running():
-    """Port of a server that runs in a thread."""
-    made = []
+def running(made, first=None):
+    """Port of a server that runs in a thread. The list `made` gets the server."""
 
     def serve():
         asyncio.set_event_loop(asyncio.new_event_loop())
-        made.append(make_server())
+        made.append(make_server(first=first))
         made[0].start()
         made[0].io_loop.start()
 
@@ -162,14 +163,14 @@ def running():
 @pytest.fixture(scope="module")
 def port():
     """Port of a server shared by all tests."""
-    with running() as found:
+    with running([]) as found:
         yield found
 
 
 @pytest.fixture
 def empty_port():
     """Port of a server without a page."""
-    with running() as found:
+    with running([]) as found:
         yield found
 
 
@@ -206,6 +207,28 @@ def test_a_request_alone_computes_nothing(port, monkeypatch):
     assert get(port)[0] == 200
     time.sleep(0.5)
     assert computed == []
+
+
+def test_the_first_document_has_the_top_figure_for_each_browser():
+    """The second page is not the one that was made in advance, and shares no model with it."""
+    made, first = [], FirstPage()
+    first.take("n=16")  # the rest of the first round is not needed
+    first.make()
+    with running(made, first) as port:
+        texts = [get(port)[2] for _ in range(2)]
+        documents = [each.document for each in made[0].get_sessions("/")]
+    assert len(documents) == 2
+    for document in documents:
+        slot = document.get_model_by_name("A and B: convergence")
+        assert slot.visible
+        assert len(slot.children) == 1
+    owned = [{model.id for model in document.models} for document in documents]
+    assert owned[0].isdisjoint(owned[1])
+    for text in texts:  # the browser shows the head of the page before it runs the scripts
+        scripts = re.findall(r"<script[^>]*src=[^>]*>", text)
+        assert len(scripts) == 2
+        assert all(each.startswith("<script defer ") for each in scripts)
+        assert "Bokeh." not in text[: text.index("<body>")]  # would run before these scripts
 
 
 def test_too_many_pages_give_a_sentence(port, monkeypatch):

@@ -185,22 +185,29 @@ class Board:
             return
         if news.kind in self.latest and self._newest[job, news.kind] is not news:
             return  # the queue contains a newer update of the same part
-        # Show a part of the results. If the part has not changed, nothing is sent
         self.latest[news.kind] = news.value
-        before, kinds = self._drawn.get(news.kind, (None, []))
-        if before is news.value:
-            for kind in kinds:
-                self.cards[kind].layout.styles = _FRESH
-        else:
-            plots = figures_of(news.kind, news.value, self._setup.displaced_sampler)
-            for plot in plots:
-                self._place(plot)
-            kinds = [plot.kind for plot in plots]
-            self._drawn[news.kind] = (news.value, kinds)
-        self._fresh |= set(kinds)
+        self._fresh |= set(self.show(news.kind, self._setup))
         self._fraction = news.fraction
         self._say(f"{news.realizations} realizations, {news.fraction:.0%} done.")
         self._on_shown()
+
+    def show(self, kind: str, setup: ExplorerSetup) -> list[str]:
+        """Draw the figures of a part of `latest`. If the part has not changed, send nothing.
+
+        Returns the names of the figures.
+        """
+        value = self.latest[kind]
+        before, names = self._drawn.get(kind, (None, []))
+        if before is value:
+            for name in names:
+                self.cards[name].layout.styles = _FRESH
+            return names
+        plots = figures_of(kind, value, setup.displaced_sampler)
+        for plot in plots:
+            self._place(plot)
+        names = [plot.kind for plot in plots]
+        self._drawn[kind] = (value, names)
+        return names
 
     def _place(self, plot: Plot) -> None:
         """Show a plot in its card (figure with heading)."""

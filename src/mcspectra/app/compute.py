@@ -12,6 +12,7 @@ import dataclasses
 import threading
 import time
 import warnings
+from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -45,6 +46,7 @@ __all__ = [
     "Update",
     "analyses_of",
     "compute",
+    "first_round",
     "integrand_specs",
     "ladder",
     "make_parts",
@@ -76,6 +78,9 @@ _LONGEST_ROUND = 30.0  # in seconds; the job stops before a round that should ta
 _MATRIX_HALF_WIDTH = 64
 _KEPT = 64  # maximum number of cached datasets, of about 1 MB each
 _GRID = {1: 1024, 2: 128}  # number of grid points per axis in plots of the integrand
+# The latest results by kind and set-up; the cache of `functools` cannot be read without computing
+_RESULTS: OrderedDict[tuple[str, ExplorerSetup], xr.Dataset] = OrderedDict()
+_RESULTS_LOCK = threading.Lock()
 _FILTERS = threading.Lock()  # warning filters belong to the process, not to a thread
 
 
@@ -119,15 +124,39 @@ def compute(kind: str, setup: ExplorerSetup, realizations: int) -> xr.Dataset:
     McspectraError
         If integrand, density and sampler do not fit together, or an analysis refuses them.
     """
+    key = _key(kind, setup, realizations)
+    found = _cached(key)
+    if found is None:
+        found = _computed(*key)
+        with _RESULTS_LOCK:
+            _RESULTS[key] = found
+            while len(_RESULTS) > _KEPT:
+                _RESULTS.popitem(last=False)
+    return found
+
+
+def first_round(kind: str, setup: ExplorerSetup) -> xr.Dataset | None:
+    """Return the part `kind` of the first round's results if it is cached, otherwise None."""
+    return _cached(_key(kind, setup, next(rounds(setup))))
+
+
+def _key(kind: str, setup: ExplorerSetup, realizations: int) -> tuple[str, ExplorerSetup]:
+    """Return the key of a cached part. Fields that do not affect the part have fixed values."""
     if kind in ("points", "spectrum"):
         setup = replace(setup, integrand="constant", mirror="none", smoothing=0.0, basis="fourier")
     if kind in _OWN:
         setup = ExplorerSetup(**{name: getattr(setup, name) for name in _OWN[kind]})
     once = kind in ("points", "integrand", "predict")
-    return _computed(kind, replace(setup, realizations=2 if once else realizations))
+    return kind, replace(setup, realizations=2 if once else realizations)
 
 
-@lru_cache(_KEPT)
+def _cached(key: tuple[str, ExplorerSetup]) -> xr.Dataset | None:
+    with _RESULTS_LOCK:
+        if key in _RESULTS:
+            _RESULTS.move_to_end(key)
+        return _RESULTS.get(key)
+
+
 def _computed(kind: str, setup: ExplorerSetup) -> xr.Dataset:
     parts = make_parts(setup)
     if kind == "integrand":

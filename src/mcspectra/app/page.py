@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import textwrap
+import threading
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any, final
 from urllib.parse import parse_qsl, urlencode
 
 from bokeh.core.templates import get_env
+from bokeh.document import Document
 from bokeh.models import Column, CustomJS, InlineStyleSheet, Row, TabPanel, Tabs
 from bokeh.models.widgets.buttons import Button
 from bokeh.models.widgets.inputs import Checkbox, TextAreaInput
@@ -17,7 +19,14 @@ from bokeh.models.widgets.markups import Div
 from tornado.ioloop import IOLoop
 
 from mcspectra.app.board import JOINT, STALE, Board, Card, card_of
-from mcspectra.app.compute import analyses_of, integrand_specs
+from mcspectra.app.compute import (
+    UPDATE_KINDS,
+    analyses_of,
+    compute,
+    first_round,
+    integrand_specs,
+    rounds,
+)
 from mcspectra.app.controls import Controls
 from mcspectra.app.figures import FIGURES
 from mcspectra.app.scene import SceneView, pixel_spec
@@ -34,11 +43,11 @@ from mcspectra.report.study import study_toml
 from mcspectra.report.tables import summary_table
 from mcspectra.studies.summary import rows_of
 
-__all__ = ["TITLE", "Explorer", "as_python", "as_toml", "build_page"]
+__all__ = ["TITLE", "Explorer", "FirstPage", "as_python", "as_toml", "build_page"]
 
 TITLE = "mcspectra explorer"
 
-_TEMPLATE = Path(__file__).with_name("page.html.j2").read_text("utf-8")
+_TEMPLATE = get_env().from_string(Path(__file__).with_name("page.html.j2").read_text("utf-8"))
 _WIDGETS = """
 :host { color: var(--ink); --color: var(--ink); --background-color: var(--field);
   --border-color: var(--line); --surface-background-color: var(--raised);
@@ -65,6 +74,8 @@ history.replaceState(null, "", location.pathname + (query && "?" + query));
 document.getElementById("figures").classList.toggle("paired", paired);
 """
 _PLACES = [(JOINT, "convergence"), *((side, kind) for kind in FIGURES for side in "AB")]
+_LONGEST_MAKING = 2.0  # seconds for which a request waits until the default page is made
+_LONGEST_WAIT = 300  # milliseconds until the controls are shown if no figure is ready
 _COPY = "navigator.clipboard.writeText(text.value)"
 _PROGRAM = "import mcspectra as mcs\n"
 _EXAMPLES = {
@@ -100,14 +111,11 @@ class Explorer:
     def __init__(self, document: Any, query: str) -> None:
         refused = ""
         try:
-            # If the page's address contains no set-up, show the first example
-            first = "" if "=" in query.replace("theme=", "") else next(iter(_EXAMPLES.values()))
-            begin = urlencode(parse_qsl(first) + parse_qsl(query)) if first else query
-            self.state = ExplorerState.from_query(begin)
+            self.state = _state_of(query)
         except McspectraError as error:
             self.state, refused = ExplorerState(), f"{error} The defaults are shown."
         self._document, self._loop = document, IOLoop.current(instance=False)
-        self._started = self._closed = False
+        self._started = self._closed = self._furnished = False
         self._sheet = InlineStyleSheet(css=_WIDGETS)
         self._boards: dict[str, Board] = {}
         self._controls: dict[str, Controls] = {}
@@ -136,7 +144,7 @@ class Explorer:
         self._scene = SceneView(self._sheet, self._choose_pixel, self._later)
         # Texts to export, each with a button that copies it to the clipboard
         self._texts: dict[str, Any] = {}
-        texts = Column(stylesheets=[_TEXTS], sizing_mode="stretch_width")
+        self._exports: list[Any] = []
         for name in ("Python", "TOML"):
             self._texts[name] = area = TextAreaInput(
                 title=f"As {name}", rows=12, max_length=100_000, sizing_mode="stretch_width",
@@ -144,30 +152,53 @@ class Explorer:
             )  # fmt: skip
             button = Button(label=f"Copy as {name}", width=140, stylesheets=[self._sheet])
             button.js_on_click(CustomJS(args={"text": area}, code=_COPY))
-            texts.children.append(Column(children=[button, area], sizing_mode="stretch_width"))
+            self._exports.append(Column(children=[button, area], sizing_mode="stretch_width"))
         examples = "".join(
             f'<li><a href="?{urlencode(parse_qsl(query))}">{escape_html(title)}</a></li>'
             for title, query in _EXAMPLES.items()
         )
-        talk = f"<details><summary>Examples of the talk</summary><ul>{examples}</ul></details>"
+        self._talk = block(
+            text=f"<details><summary>Examples of the talk</summary><ul>{examples}</ul></details>"
+        )
         # If anything changes, Bokeh lays out the whole root element and draws all of its figures.
         # Use separate root elements, so that a change of a text or figure moves no other figure
         self._slots: dict[tuple[str, str], Any] = {
             place: Column(visible=False, sizing_mode="stretch_width") for place in _PLACES
         }
         self.roots: dict[str, Any] = {
-            "side": Column(
-                children=[block(text=talk), self._compare, self._sides], sizing_mode="stretch_width"
-            ),
+            "side": Column(sizing_mode="stretch_width"),
             "head": Column(
                 children=[self._refused, self._headers, self._summary], sizing_mode="stretch_width"
             ),
             "scene": self._scene.layout,
             **{_name(*place): slot for place, slot in self._slots.items()},
-            "foot": texts,
+            "foot": Column(stylesheets=[_TEXTS], sizing_mode="stretch_width"),
         }
         self.roots["head"].js_on_change("tags", CustomJS(code=_TELL))
         self._arrange()
+
+    def prepare(self) -> None:
+        """Draw the top figure of the page if its results are in the cache."""
+        kind = "integrand" if self.state.b is None else "convergence"
+        results = {side: first_round(kind, setup) for side, setup in self.state.setups()}
+        if all(result is not None for result in results.values()):
+            for side, setup in self.state.setups():
+                board = self._boards[side]
+                board.latest[kind] = results[side]
+                if self.state.b is None:
+                    board.show(kind, setup)
+            self._draw_both()
+            self._lay_out()
+
+    def attach(self, document: Any) -> None:
+        """Show the page in the document of a session."""
+        self._document, self._loop = document, IOLoop.current(instance=False)
+        document.on_event("document_ready", lambda _: self.start())
+        document.on_session_destroyed(lambda _: self.close())
+        with document.models.freeze():  # Bokeh searches all models once, not after each root
+            for name, root in self.roots.items():
+                root.name = name
+                document.add_root(root)
 
     def start(self) -> None:
         """Start computing when a browser shows the page. Requests alone compute nothing."""
@@ -178,6 +209,11 @@ class Explorer:
             # If a link contains a pixel, show the picture as well
             if any("pixel(" in setup.integrand for _, setup in self.state.setups()):
                 self._scene.open()
+            # Show the controls after the first figure, or soon if the first figure takes long
+            if any(slot.visible for slot in self._slots.values()):
+                self._furnish()
+            else:
+                self._document.add_timeout_callback(self._furnish, _LONGEST_WAIT)
 
     def close(self) -> None:
         """Cancel all jobs when the tab is closed."""
@@ -185,18 +221,21 @@ class Explorer:
         for board in self._boards.values():
             board.cancel(quiet=True)
 
-    def _arrange(self) -> None:
-        """Create and lay out the controls and figures for the current set-ups."""
+    def _furnish(self) -> None:
+        """Show the controls and the exports, once."""
+        if not self._furnished:
+            self._furnished = True
+            self._lay_out_controls()
+            self.roots["side"].children = [self._talk, self._compare, self._sides]
+            self.roots["foot"].children = self._exports
+
+    def _lay_out_controls(self) -> None:
+        """Create and show the controls of the current set-ups. Two set-ups have a tab each."""
         setups = dict(self.state.setups())
-        for side in [side for side in self._boards if side not in setups]:
-            self._boards.pop(side).cancel(quiet=True)
+        for side in [side for side in self._controls if side not in setups]:
             self._controls.pop(side)
         for side, setup in setups.items():
-            if side not in self._boards:
-                self._boards[side] = Board(
-                    side, self._sheet,
-                    later=self._later, on_update=self._write_texts, on_shown=self._shown,
-                )  # fmt: skip
+            if side not in self._controls:
                 self._controls[side] = Controls(
                     setup, side, self._sheet,
                     on_change=partial(self._change, side),
@@ -204,14 +243,28 @@ class Explorer:
                     on_scene=self._scene.open,
                     later=self._later,
                 )  # fmt: skip
-        for board in self._boards.values():
-            board.pair(len(setups) > 1)
         layouts = {side: each.layout for side, each in self._controls.items()}
         self._tabs = Tabs(
             tabs=[TabPanel(child=layout, title=side) for side, layout in layouts.items()],
             sizing_mode="stretch_width", stylesheets=[self._sheet],
         )  # fmt: skip
         self._sides.children = [self._tabs] if len(layouts) > 1 else list(layouts.values())
+
+    def _arrange(self) -> None:
+        """Create the boards of the current set-ups, and lay out their figures."""
+        setups = dict(self.state.setups())
+        for side in [side for side in self._boards if side not in setups]:
+            self._boards.pop(side).cancel(quiet=True)
+        for side in setups:
+            if side not in self._boards:
+                self._boards[side] = Board(
+                    side, self._sheet,
+                    later=self._later, on_update=self._write_texts, on_shown=self._shown,
+                )  # fmt: skip
+        for board in self._boards.values():
+            board.pair(len(setups) > 1)
+        if self._furnished:
+            self._lay_out_controls()
         self._headers.children = [board.header for board in self._boards.values()]
         self._lay_out()
         self._tell_address()
@@ -293,6 +346,7 @@ class Explorer:
         self._write_texts("")
 
     def _choose_pixel(self, x: int, y: int, strategy: str) -> None:
+        self._furnish()
         side = "B" if self.state.b is not None and self._tabs.active == 1 else "A"
         try:
             spec = pixel_spec(x, y, strategy)
@@ -326,6 +380,7 @@ class Explorer:
         """Update the places of figures and the table of results."""
         self._draw_both()
         self._lay_out()
+        self._furnish()
         rows = [_row(side, setup, self._boards[side]) for side, setup in self.state.setups()]
         head = "".join(
             f'<th scope="col">{name}</th>'
@@ -334,23 +389,75 @@ class Explorer:
         self._summary.text = f"<table><tr>{head}</tr>{''.join(rows)}</table>"
 
 
-def build_page(document: Any) -> None:
-    """Create the page of a new session from the query string in its address."""
+@final
+class FirstPage:
+    """The default page, made while the browser starts.
+
+    Loading and compiling the code of the first computation takes most of the time.
+    """
+
+    def __init__(self) -> None:
+        self._explorer: Explorer | None = None
+        self._made, self._asked = threading.Event(), threading.Event()
+
+    def make(self) -> None:
+        """Compute the first round of the page, and draw the top figure."""
+        setups = [setup for _, setup in _state_of("").setups()]
+        try:
+            for setup in setups:
+                compute("convergence", setup, next(rounds(setup)))
+            explorer = Explorer(Document(), "")
+            explorer.prepare()
+            self._explorer = explorer
+        finally:
+            self._made.set()
+        for kind in UPDATE_KINDS:
+            for setup in setups:
+                if self._asked.is_set():  # the job of this page computes the rest
+                    return
+                compute(kind, setup, next(rounds(setup)))
+
+    def take(self, query: str) -> Explorer | None:
+        """Return the page at the first call without a query, otherwise None."""
+        self._asked.set()
+        if query:
+            return None
+        self._made.wait(_LONGEST_MAKING)
+        explorer, self._explorer = self._explorer, None
+        return explorer
+
+
+def build_page(document: Any, first: FirstPage | None = None) -> None:
+    """Create the page of a new session from the query string in its address.
+
+    Parameters
+    ----------
+    document
+        Bokeh document of the session.
+    first
+        The default page if it is made in advance. Requests themselves compute nothing.
+    """
     arguments = document.session_context.request.arguments
     query = urlencode([(key, value) for key, values in arguments.items() for value in values])
-    explorer = Explorer(document, query)
-    document.on_event("document_ready", lambda _: explorer.start())
-    document.on_session_destroyed(lambda _: explorer.close())
-    with document.models.freeze():  # Bokeh searches all models once, not after each root
-        for name, root in explorer.roots.items():
-            root.name = name
-            document.add_root(root)
+    explorer = None if first is None else first.take(query)
+    if explorer is None:
+        explorer = Explorer(document, query)
+        explorer.prepare()
+    explorer.attach(document)
     document.title = TITLE
-    document.template = get_env().from_string(_TEMPLATE)
+    document.template = _TEMPLATE
     document.template_variables.update(
         theme=explorer.state.theme, themes=THEMES, paired=explorer.state.b is not None,
         figures=[_name(*place) for place in _PLACES],
     )  # fmt: skip
+
+
+def _state_of(query: str) -> ExplorerState:
+    """Return the state of an address. If the address has no set-up, this is the first example."""
+    first = "" if "=" in query.replace("theme=", "") else next(iter(_EXAMPLES.values()))
+    return ExplorerState.from_query(
+        urlencode(parse_qsl(first) + parse_qsl(query)) if first else query
+    )
 
 
 def _name(side: str, kind: str) -> str:

@@ -19,7 +19,8 @@ import traceback
 import warnings
 import weakref
 from collections.abc import Awaitable, Callable
-from typing import Any, final
+from functools import partial
+from typing import TYPE_CHECKING, Any, final
 from urllib.parse import urlsplit
 
 from tornado import httputil, routing, web
@@ -27,6 +28,9 @@ from tornado import httputil, routing, web
 from mcspectra.core.checks import as_integer
 from mcspectra.core.display import printable
 from mcspectra.core.errors import ParameterError
+
+if TYPE_CHECKING:
+    from mcspectra.app.page import FirstPage
 
 __all__ = ["ADDRESS", "MOST_SESSIONS", "Guard", "make_server", "serve"]
 
@@ -155,33 +159,35 @@ class _Busy(web.RequestHandler):
         return None
 
 
-def make_server(port: int = 0) -> Any:
+def make_server(port: int = 0, first: FirstPage | None = None) -> Any:
     """Return a `bokeh.server.server.Server` that is bound to its port but not started.
 
     Parameters
     ----------
     port
         Port on the loopback interface. 0 stands for any free port.
+    first
+        The default page if it is made in advance.
 
     Raises
     ------
     ParameterError
         If the port is out of range or taken.
     """
-    from bokeh.core.validation import silence
-    from bokeh.core.validation.warnings import EMPTY_LAYOUT
     from bokeh.server.server import Server
+    from bokeh.settings import settings
 
     from mcspectra.app.page import build_page
 
-    silence(EMPTY_LAYOUT)  # bokeh warns of a layout without figures, which are added later
+    # Bokeh would search each new page for mistakes, and warn of layouts that are still empty
+    settings.perform_document_validation.set_value(False)
     if as_integer("port", port, least=0, most=65535) == 0:
         with socket.socket() as probe:
             probe.bind((ADDRESS, 0))
             port = int(probe.getsockname()[1])
     try:
         server: Any = Server(
-            {"/": build_page},
+            {"/": partial(build_page, first=first)},
             port=port,
             address=ADDRESS,
             allow_websocket_origin=[f"{ADDRESS}:{port}", f"localhost:{port}"],
@@ -216,7 +222,10 @@ def serve(port: int = 0, *, open_browser: bool = True, quiet: bool = False) -> N
     """
     import webbrowser
 
-    server = make_server(port)
+    from mcspectra.app.page import FirstPage
+
+    first = FirstPage()
+    server = make_server(port, first)
     # The page itself shows warnings, so do not repeat them on standard error.
     warnings.simplefilter("ignore")
     # If a tab closes early, bokeh logs a warning and assertions fail: ignore them
@@ -227,7 +236,8 @@ def serve(port: int = 0, *, open_browser: bool = True, quiet: bool = False) -> N
     if not quiet:
         print(f"The explorer is at {address}; stop it with Ctrl-C.", flush=True)
     server.start()
-    threading.Thread(target=_warm_up, name="explorer warm-up", daemon=True).start()
+    # Load and compile code while the browser starts and loads the first page
+    threading.Thread(target=first.make, name="explorer warm-up", daemon=True).start()
     if open_browser:
         server.io_loop.add_callback(webbrowser.open, address)
     server.io_loop.start()
@@ -252,12 +262,3 @@ def _has_open_tab(record: logging.LogRecord) -> bool:
     if not isinstance(error, AssertionError):
         return True
     return traceback.extract_tb(error.__traceback__)[-1].name != "session"
-
-
-def _warm_up() -> None:
-    """Load and compile code while the browser loads the first page; this halves the wait."""
-    from mcspectra.app.compute import UPDATE_KINDS, compute
-    from mcspectra.app.state import ExplorerSetup
-
-    for kind in UPDATE_KINDS:
-        compute(kind, ExplorerSetup(half_width=4), 2)
