@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 import pytest
 import xarray as xr
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from tests.fonts import fonts_once
 from tests.report.figures import leave_out_figures
 
@@ -284,7 +285,10 @@ def undrawn(monkeypatch):
 
 @contextmanager
 def no_pdf():
-    """Write PDF files without contents, which take half of the time of a figure."""
+    """Write PDF files without contents, and figures without layout.
+
+    A PDF takes half of the time of a figure, and the layout half of the rest.
+    """
     usual = backend_matplotlib.rasterize
 
     def rasterize(figure, *, with_pdf, **options):
@@ -292,6 +296,7 @@ def no_pdf():
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(backend_matplotlib, "rasterize", rasterize)
+        patch.setattr(ConstrainedLayoutEngine, "execute", lambda *_: None)
         yield
 
 
