@@ -284,19 +284,23 @@ def undrawn(monkeypatch):
 
 
 @contextmanager
-def no_pdf():
-    """Write PDF files without contents, and figures without layout.
+def no_layout():
+    """Draw figures without layout, which takes half of the time of a picture."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ConstrainedLayoutEngine, "execute", lambda *_: None)
+        yield
 
-    A PDF takes half of the time of a figure, and the layout half of the rest.
-    """
+
+@contextmanager
+def no_pdf():
+    """Write PDF files without contents, which take half of the time of a figure; omit layout."""
     usual = backend_matplotlib.rasterize
 
     def rasterize(figure, *, with_pdf, **options):
         return usual(figure, with_pdf=False, **options)[0], b" " if with_pdf else b""
 
-    with pytest.MonkeyPatch.context() as patch:
+    with no_layout(), pytest.MonkeyPatch.context() as patch:
         patch.setattr(backend_matplotlib, "rasterize", rasterize)
-        patch.setattr(ConstrainedLayoutEngine, "execute", lambda *_: None)
         yield
 
 
