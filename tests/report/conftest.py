@@ -305,14 +305,18 @@ def no_pdf():
 
 
 @pytest.fixture(scope="session")
-def bench_page(tmp_path_factory):
+def bench_page(once, tmp_path_factory):
     """Write the page of a bench of two samplers with their cards; return its path."""
-    bench = mcs.sampler_bench(["random", "sobol | owen"], counts=[4, 16], realizations=20)
-    effort = replace(QUICK, n=16, spectra=6, counts=())
-    cards = [measure_card(spec, effort=effort) for spec in bench["sampler"].values]
-    folder = tmp_path_factory.mktemp("bench") / "out"
-    # Two integrands: a figure of all eight takes most of the time
-    return write_bench(bench.isel(integrand=slice(2)), str(folder), cards)
+
+    def written():
+        bench = mcs.sampler_bench(["random", "sobol | owen"], counts=[4, 16], realizations=20)
+        effort = replace(QUICK, n=16, spectra=6, counts=())
+        cards = [measure_card(spec, effort=effort) for spec in bench["sampler"].values]
+        folder = tmp_path_factory.mktemp("bench") / "out"
+        # Two integrands: a figure of all eight takes most of the time
+        return write_bench(bench.isel(integrand=slice(2)), str(folder), cards)
+
+    return once("bench-page", written)
 
 
 @pytest.fixture(name="make", scope="session")
