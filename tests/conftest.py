@@ -116,6 +116,31 @@ def pytest_xdist_auto_num_workers():
     return (os.cpu_count() or 1) + 1
 
 
+# Files whose tests share a browser, a cluster or compiled kernels, which take seconds to start
+TOGETHER = {
+    "tests/app/test_browser.py",
+    "tests/cli/test_map.py",
+    "tests/cli/test_pixel.py",
+    "tests/report/test_browser.py",
+    "tests/studies/test_cluster.py",
+    "tests/studies/test_cluster_studies.py",
+    "tests/studies/test_path.py",
+    "tests/studies/test_pixel.py",
+}
+
+
+def pytest_xdist_make_scheduler(config, log):
+    """Run all tests of a file of `TOGETHER` in one worker, and these files first."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class Scheduling(LoadScopeScheduling):
+        def _split_scope(self, nodeid):
+            file = nodeid.partition("::")[0]
+            return file if file in TOGETHER else nodeid
+
+    return Scheduling(config, log)
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_collection():
     """Turn the garbage collector off during collection, and exempt all existing objects from it.
