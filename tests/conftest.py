@@ -2,6 +2,7 @@
 
 import gc
 import os
+import pickle
 import signal
 import sys
 from collections import Counter
@@ -31,18 +32,41 @@ NO_BROWSER = (
 NO_QMCPY = "QMCPy is not installed; with a C compiler, pip install 'mcspectra[qmcpy]' builds it"
 
 
+def _shared(tmp_path_factory):
+    """Return a temporary folder that all workers of this run share."""
+    folder = tmp_path_factory.getbasetemp()
+    return folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
+
+
 @pytest.fixture(scope="session", autouse=True)
 def own_cache(tmp_path_factory):
     """Separate the cache of the tests from the user's cache.
 
     Workers share it, so that an optimized set is computed once.
     """
-    folder = tmp_path_factory.getbasetemp()
-    if "PYTEST_XDIST_WORKER" in os.environ:
-        folder = folder.parent
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("MCSPECTRA_CACHE", str(folder / "mcspectra-cache"))
+        patch.setenv("MCSPECTRA_CACHE", str(_shared(tmp_path_factory) / "mcspectra-cache"))
         yield
+
+
+@pytest.fixture(scope="session")
+def once(tmp_path_factory):
+    """Return a function ``once(name, make)`` for values of fixtures that take seconds.
+
+    One worker calls `make`; the others wait and read the value. Each worker has its own copy.
+    """
+    import fcntl
+
+    def value(name, make):
+        file = _shared(tmp_path_factory) / f"{name}.pickle"
+        with file.with_suffix(".lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not file.exists():
+                content = pickle.dumps(make())
+                file.write_bytes(content)
+        return pickle.loads(file.read_bytes())
+
+    return value
 
 
 @pytest.fixture(autouse=True)
@@ -90,6 +114,31 @@ def browser():
 def pytest_xdist_auto_num_workers():
     """Use one worker more than cores, because tests wait for processes a seventh of the time."""
     return (os.cpu_count() or 1) + 1
+
+
+# Files whose tests share a browser, a cluster or compiled kernels, which take seconds to start
+TOGETHER = {
+    "tests/app/test_browser.py",
+    "tests/cli/test_map.py",
+    "tests/cli/test_pixel.py",
+    "tests/report/test_browser.py",
+    "tests/studies/test_cluster.py",
+    "tests/studies/test_cluster_studies.py",
+    "tests/studies/test_path.py",
+    "tests/studies/test_pixel.py",
+}
+
+
+def pytest_xdist_make_scheduler(config, log):
+    """Run all tests of a file of `TOGETHER` in one worker, and these files first."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class Scheduling(LoadScopeScheduling):
+        def _split_scope(self, nodeid):
+            file = nodeid.partition("::")[0]
+            return file if file in TOGETHER else nodeid
+
+    return Scheduling(config, log)
 
 
 @pytest.hookimpl(wrapper=True)

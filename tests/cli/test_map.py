@@ -1,12 +1,14 @@
 """The verb ``map``: files, numbers, resumption, and one sentence for bad input."""
 
 import json
+import shutil
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 import xarray as xr
+from tests.report.conftest import no_layout
 
 from mcspectra.cli.main import main
 from mcspectra.core.images import exr_attributes, read_image
@@ -26,14 +28,19 @@ def run(capsys, *arguments):
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    """A map on disk, and the result of the function."""
+def made(once, tmp_path_factory):
+    """A map on disk, which tests only read, and the result of the function."""
     from mcspectra.rendering import variance_map
 
-    folder = tmp_path_factory.mktemp("map") / "out"
-    assert main(["map", "veach", *SMALL, "--seed", "3", "--out", str(folder), "--quiet"]) == 0
-    options: dict[str, Any] = {"size": (24, 16), "crop": (8, 6, 6, 4), "counts": (4, 16)}
-    return folder, variance_map("veach", realizations=8, rng=3, **options)
+    def drawn():
+        folder = tmp_path_factory.mktemp("map") / "out"
+        with no_layout():
+            asked = ["map", "veach", *SMALL, "--seed", "3", "--out", str(folder), "--quiet"]
+            assert main(asked) == 0
+        options: dict[str, Any] = {"size": (24, 16), "crop": (8, 6, 6, 4), "counts": (4, 16)}
+        return folder, variance_map("veach", realizations=8, rng=3, **options)
+
+    return once("map", drawn)
 
 
 def test_layers_hold_the_maps(made):
@@ -67,8 +74,8 @@ def test_pictures_and_page(made):
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_json_is_strict_and_complete(made, capsys):
-    folder, result = made
+def test_json_is_strict_and_complete(made, tmp_path, capsys):
+    folder, result = shutil.copytree(made[0], tmp_path / "out"), made[1]
     stored = json.loads((folder / "map.json").read_text(), parse_constant=pytest.fail)
     rate = float(np.nanmedian(result["rate"].sel(strategy="mis")))
     assert stored["strategies"]["mis"]["rate"] == rate
@@ -231,7 +238,8 @@ def test_a_map_of_whole_paths_names_its_worst_pixels_and_resumes(capsys, tmp_pat
     folder = tmp_path / "out"
     asked = ("penumbra", "--size", "12,8", "--integrator", "path(max_depth=2)", "--counts", "4,16",
              "-m", 8, "--out", folder)  # fmt: skip
-    code, out, err = run(capsys, *asked)
+    with no_layout():
+        code, out, err = run(capsys, *asked)
     assert code == 0, err
     assert "path" in out
     summary = json.loads((folder / "map.json").read_text(encoding="utf-8"))
@@ -283,12 +291,11 @@ def test_several_samplers_are_compared_and_resume(capsys, tmp_path):
     assert (folder / "maps.exr").read_bytes() == before
 
 
-def test_a_map_of_black_pixels_has_a_page(capsys, tmp_path, monkeypatch):
-    # The layout takes half of the time; the page above has the same pictures and labels
-    monkeypatch.setattr("matplotlib.layout_engine.ConstrainedLayoutEngine.execute", lambda *_: None)
+def test_a_map_of_black_pixels_has_a_page(capsys, tmp_path):
     asked = ("penumbra(width=24, height=18)", "--crop", "0,0,3,2", "--integrator", "path", "-m", 4,
              "--counts", "4,16", "--chains", 8, "--out", tmp_path)  # fmt: skip
-    code, _, err = run(capsys, *asked)
+    with no_layout():
+        code, _, err = run(capsys, *asked)
     assert code == 0, err
     assert "variance by bounce: unknown." in (tmp_path / "report.html").read_text()
 

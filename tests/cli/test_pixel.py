@@ -1,5 +1,6 @@
 """The verb ``pixel``: text, JSON, files, and one sentence with exit code 2 for bad input."""
 
+import hashlib
 import json
 import re
 from dataclasses import replace
@@ -51,16 +52,13 @@ def run(capsys, *arguments):
 
 
 @pytest.fixture(scope="module", autouse=True)
-def small_effort():
+def small_effort(once):
     """Reduce the work; equal arguments return the same tree."""
     small = replace(EFFORTS["quick"], half_width={2: 6, 3: 2}, resolution=16)
-    made: dict[str, Any] = {}
 
     def kept(*given, **options):
-        key = repr((given, sorted(options.items())))
-        if key not in made:
-            made[key] = analyse_pixel(*given, **options)
-        return made[key]
+        key = hashlib.sha256(repr((given, sorted(options.items()))).encode()).hexdigest()
+        return once(f"pixel-{key}", lambda: analyse_pixel(*given, **options))
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pixel, "predict", predicted_bell)

@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 import pytest
 import xarray as xr
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from tests.fonts import fonts_once
 from tests.report.figures import leave_out_figures
 
@@ -283,27 +284,39 @@ def undrawn(monkeypatch):
 
 
 @contextmanager
+def no_layout():
+    """Draw figures without layout, which takes half of the time of a picture."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ConstrainedLayoutEngine, "execute", lambda *_: None)
+        yield
+
+
+@contextmanager
 def no_pdf():
-    """Write PDF files without contents, which take half of the time of a figure."""
+    """Write PDF files without contents, which take half of the time of a figure; omit layout."""
     usual = backend_matplotlib.rasterize
 
     def rasterize(figure, *, with_pdf, **options):
         return usual(figure, with_pdf=False, **options)[0], b" " if with_pdf else b""
 
-    with pytest.MonkeyPatch.context() as patch:
+    with no_layout(), pytest.MonkeyPatch.context() as patch:
         patch.setattr(backend_matplotlib, "rasterize", rasterize)
         yield
 
 
 @pytest.fixture(scope="session")
-def bench_page(tmp_path_factory):
+def bench_page(once, tmp_path_factory):
     """Write the page of a bench of two samplers with their cards; return its path."""
-    bench = mcs.sampler_bench(["random", "sobol | owen"], counts=[4, 16], realizations=20)
-    effort = replace(QUICK, n=16, spectra=6, counts=())
-    cards = [measure_card(spec, effort=effort) for spec in bench["sampler"].values]
-    folder = tmp_path_factory.mktemp("bench") / "out"
-    # Two integrands: a figure of all eight takes most of the time
-    return write_bench(bench.isel(integrand=slice(2)), str(folder), cards)
+
+    def written():
+        bench = mcs.sampler_bench(["random", "sobol | owen"], counts=[4, 16], realizations=20)
+        effort = replace(QUICK, n=16, spectra=6, counts=())
+        cards = [measure_card(spec, effort=effort) for spec in bench["sampler"].values]
+        folder = tmp_path_factory.mktemp("bench") / "out"
+        # Two integrands: a figure of all eight takes most of the time
+        return write_bench(bench.isel(integrand=slice(2)), str(folder), cards)
+
+    return once("bench-page", written)
 
 
 @pytest.fixture(name="make", scope="session")

@@ -14,9 +14,10 @@ from mcspectra.report.bench_page import bench_plots, bench_table, write_bench
 
 
 @pytest.fixture(scope="module")
-def bench():
+def bench(once):
     samplers = ["jittered", "sobol | owen", "pmj02"]
-    return mcs.sampler_bench(samplers, counts=(16, 64, 256), dims=(2, 3), realizations=30)
+    options = {"counts": (16, 64, 256), "dims": (2, 3), "realizations": 30}
+    return once("bench", lambda: mcs.sampler_bench(samplers, **options))
 
 
 def test_the_table_has_rates_and_ranks(bench):

@@ -22,10 +22,10 @@ EVIL = "</script><script>document.title='run'</script>$$x$$"
 
 
 @pytest.fixture(scope="module", name="folder")
-def _folder(make, tmp_path_factory):
+def _folder(make, once, tmp_path_factory):
     """Write reports of a small study, which has a malicious name, and of a comparison."""
     with no_pdf():
-        return _written(make, tmp_path_factory)
+        return once("browser", lambda: _written(make, tmp_path_factory))
 
 
 def _written(make, tmp_path_factory):
@@ -40,8 +40,12 @@ def _written(make, tmp_path_factory):
 
 
 @pytest.fixture(scope="module", name="images")
-def _images(tmp_path_factory):
+def _images(once, tmp_path_factory):
     """Write the pages of a map, of frames and of a gate."""
+    return once("images", lambda: _pages_of_images(tmp_path_factory))
+
+
+def _pages_of_images(tmp_path_factory):
     root, rng = tmp_path_factory.mktemp("images"), np.random.default_rng(1)
     for name, mean in (("new", 0.9), ("old", 1.0)):
         (root / name).mkdir()

@@ -23,22 +23,29 @@ NAMED = "points(path='{}', name='50 % & a_b')"
 
 
 @pytest.fixture(scope="module")
-def bench(tmp_path_factory):
-    place, rng = tmp_path_factory.mktemp("points"), np.random.default_rng(1)
-    for n in (16, 64):
-        np.savez(place / f"{n}.npz", points=rng.random((20, n, 2)))
-    samplers = ["jittered", "sobol | owen", NAMED.format(place / "*.npz")]
-    made = mcs.sampler_bench(samplers, counts=(16, 64), realizations=20)
-    return made.isel(integrand=[0, 4, 7])
+def bench(once, tmp_path_factory):
+    def measured():
+        place, rng = tmp_path_factory.mktemp("points"), np.random.default_rng(1)
+        for n in (16, 64):
+            np.savez(place / f"{n}.npz", points=rng.random((20, n, 2)))
+        samplers = ["jittered", "sobol | owen", NAMED.format(place / "*.npz")]
+        made = mcs.sampler_bench(samplers, counts=(16, 64), realizations=20)
+        return made.isel(integrand=[0, 4, 7])
+
+    return once("paper-bench", measured)
 
 
 @pytest.fixture(scope="module")
-def folder(bench, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("paper") / "figures"
-    written = bench.mcspectra.paper(folder, width="84mm", font_size=7, spectra="log", colors="gray")
-    assert written[-1] == folder / "main.tex"
-    assert all(path.exists() for path in written)
-    return folder
+def folder(bench, once, tmp_path_factory):
+    def written():
+        folder = tmp_path_factory.mktemp("paper") / "figures"
+        look = {"width": "84mm", "font_size": 7, "spectra": "log", "colors": "gray"}
+        files = bench.mcspectra.paper(folder, **look)
+        assert files[-1] == folder / "main.tex"
+        assert all(path.exists() for path in files)
+        return folder
+
+    return once("paper", written)
 
 
 def test_every_figure_has_three_formats_and_tables_are_there(folder):

@@ -29,12 +29,16 @@ Make = dict[str, Callable[..., Any]]
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory, request):
+def folder(once, request):
     """Write the report of a small study; `test_page_at_another_path` writes PDF files as well."""
-    study = request.getfixturevalue("study_folder")
-    with no_pdf():
-        write_report(study)
-    return Path(study)
+
+    def written():
+        study = Path(request.getfixturevalue("study_folder"))
+        with no_pdf():
+            write_report(study)
+        return study
+
+    return once("report", written)
 
 
 @pytest.fixture(scope="module")

@@ -1,9 +1,8 @@
 """Run a study on two workers, cut one of them off, and print the result as JSON.
 
-``namespace``: each worker is its own host, a network namespace connected to the scheduler's by a
-pair of virtual Ethernet devices, of which one is taken down. The program itself must run in its own
-network namespace, which ends with it (``unshare --net``). ``stopped``: both workers share this
-host, and one is stopped, so that it keeps its connections and answers nothing.
+Each worker is its own host, a network namespace connected to the scheduler's by a pair of virtual
+Ethernet devices, of which one is taken down. The program itself must run in its own network
+namespace, which ends with it (``unshare --net``).
 """
 
 import itertools
@@ -133,20 +132,13 @@ def run(address, cut):
     return outcomes
 
 
-def main(way):
-    if way == "namespace":
-        address = f"tcp://{HOST}:{PORT}"
-        ip("link", "set", "lo", "up")
-        ip("addr", "add", f"{HOST}/32", "dev", "lo")
-        processes = [scheduler(HOST), isolated_worker(0), isolated_worker(1)]
-        cut = lambda: ip("link", "set", "near0", "down")
-    else:
-        address = f"tcp://127.0.0.1:{PORT}"
-        workers = [started(*worker(address, "127.0.0.1", f"worker{i}")) for i in range(2)]
-        processes = [scheduler("127.0.0.1"), *workers]
-        cut = lambda: workers[0].send_signal(signal.SIGSTOP)
+def main():
+    ip("link", "set", "lo", "up")
+    ip("addr", "add", f"{HOST}/32", "dev", "lo")
+    processes = [scheduler(HOST), isolated_worker(0), isolated_worker(1)]
     try:
-        print(json.dumps(run(address, cut)))
+        address = f"tcp://{HOST}:{PORT}"
+        print(json.dumps(run(address, lambda: ip("link", "set", "near0", "down"))))
     finally:
         for process in processes:
             process.kill()
@@ -155,4 +147,4 @@ def main(way):
 if __name__ == "__main__":
     signal.signal(signal.SIGALRM, lambda *_: sys.exit("It took too long."))
     signal.alarm(LONGEST)
-    main(sys.argv[1])
+    main()

@@ -42,9 +42,9 @@ def local_cluster(workers):
                 cluster.close(timeout=30)
 
 
-def scheduler(*options):
-    """Start the program ``dask scheduler``."""
-    return _forked("scheduler", "--no-dashboard", *options)
+def scheduler(*options, settings=()):
+    """Start the program ``dask scheduler`` with these settings of dask."""
+    return _forked("scheduler", "--no-dashboard", *options, settings=settings)
 
 
 def worker(*options):
@@ -52,17 +52,18 @@ def worker(*options):
     return _forked("worker", "--nthreads", "1", "--no-nanny", *options)
 
 
-def _forked(what, *options):
+def _forked(what, *options, settings=()):
     arguments = ("--host", "127.0.0.1", *options)
     with _forking() as context:
-        process = context.Process(target=_run, args=(what, arguments), daemon=True)
+        process = context.Process(target=_run, args=(what, arguments, dict(settings)), daemon=True)
         process.start()
     return process
 
 
-def _run(what, arguments):
+def _run(what, arguments, settings):
     """Run a program of dask and discard its log."""
     silent = os.open(os.devnull, os.O_WRONLY)
     os.dup2(silent, 1)
     os.dup2(silent, 2)
-    importlib.import_module(f"distributed.cli.dask_{what}").main(arguments)
+    with dask.config.set(settings):
+        importlib.import_module(f"distributed.cli.dask_{what}").main(arguments)

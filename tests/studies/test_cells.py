@@ -48,10 +48,15 @@ SAMPLER = "jittered | shift"
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("study")
-    run_study(decode_study(STUDY), folder, workers=2)
-    return folder
+def finished(once, tmp_path_factory):
+    """The results of the study; one test writes its report."""
+
+    def computed():
+        folder = tmp_path_factory.mktemp("study")
+        run_study(decode_study(STUDY), folder, workers=2)
+        return folder
+
+    return once("cells", computed)
 
 
 @functools.cache

@@ -38,10 +38,13 @@ dims = 2
 
 
 @pytest.fixture(scope="module")
-def expected(tmp_path_factory, stored_values):
-    folder = tmp_path_factory.mktemp("threads")
-    run_study(decode_study(STUDY), folder, workers=1)
-    return stored_values(folder)
+def expected(once, tmp_path_factory, stored_values):
+    def computed():
+        folder = tmp_path_factory.mktemp("threads")
+        run_study(decode_study(STUDY), folder, workers=1)
+        return stored_values(folder)
+
+    return once("threads", computed)
 
 
 @pytest.fixture(scope="module")

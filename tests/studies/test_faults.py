@@ -64,11 +64,15 @@ def study(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def straight(tmp_path_factory):
+def straight(once, tmp_path_factory):
     """The store of an undisturbed run."""
-    out = tmp_path_factory.mktemp("straight")
-    run_study(CONFIG, out, workers=1)
-    return stored(out)
+
+    def computed():
+        out = tmp_path_factory.mktemp("straight")
+        run_study(CONFIG, out, workers=1)
+        return stored(out)
+
+    return once("straight", computed)
 
 
 PROGRAM = [sys.executable, "-m", "tests.studies.undrawn"]

@@ -64,9 +64,9 @@ PATHS = tuple(cell.path for cell in make_plan(CONFIG, ".").cells)
 
 
 @pytest.fixture(scope="module")
-def honest(tmp_path_factory):
+def honest(once, tmp_path_factory):
     """Results of a real run, by path."""
-    return honest_results(tmp_path_factory.mktemp("honest"))
+    return once("honest", lambda: honest_results(tmp_path_factory.mktemp("honest")))
 
 
 def honest_results(folder):

@@ -31,11 +31,14 @@ COUNTS = (16, 128)
 
 
 @pytest.fixture(scope="module")
-def tree():
-    with pytest.MonkeyPatch.context() as patch:
-        # Fewer paths for the variance components than usual; their errors are compared below
-        patch.setattr(path, "_EFFORTS", {"quick": (COUNTS, 200, 4_000, 2**12, False)})
-        return analyse_path(SCENE, X, Y, integrator=PATH, samplers=SAMPLERS, rng=3)
+def tree(once):
+    def analyse():
+        with pytest.MonkeyPatch.context() as patch:
+            # Fewer paths for the variance components than usual; their errors are compared below
+            patch.setattr(path, "_EFFORTS", {"quick": (COUNTS, 200, 4_000, 2**12, False)})
+            return analyse_path(SCENE, X, Y, integrator=PATH, samplers=SAMPLERS, rng=3)
+
+    return once("path", analyse)
 
 
 def test_shares_by_bounce_sum_to_the_variance_of_a_path(tree):
@@ -169,10 +172,14 @@ def lamps():
     return scene | {"sensor": scene["sensor"] | {"film": film}}
 
 
-def test_the_improved_light_selection_pays_from_the_stated_count(lamps):
+@pytest.fixture(scope="module")
+def lights(once, lamps):
     f = path_pixel(lamps, 24, 26, integrator="path(max_depth=3)")
-    lights = shares_by_light(f, 2**13, Stream.from_rng(5))
-    assert lights is not None
+    return once("lights", lambda: shares_by_light(f, 2**13, Stream.from_rng(5)))
+
+
+def test_the_improved_light_selection_pays_from_the_stated_count(lamps, lights):
+    f = path_pixel(lamps, 24, 26, integrator="path(max_depth=3)")
     assert lights["light"].values.tolist() == emitter_names(f.scene)
     assert float(lights["light_share"].sum()) == pytest.approx(1.0, abs=1e-4)  # float32
     for name in ("light_probability", "light_selection"):
@@ -203,10 +210,9 @@ def test_the_improved_light_selection_pays_from_the_stated_count(lamps):
 
 
 @pytest.mark.usefixtures("undrawn")  # The page that the verb writes above has pictures
-def test_a_page_of_lights_has_their_table(lamps, tree, tmp_path):
-    f = path_pixel(lamps, 24, 26, integrator="path(max_depth=3)")
+def test_a_page_of_lights_has_their_table(lights, tree, tmp_path):
     found = tree.copy()
-    found["lights"] = xr.DataTree(shares_by_light(f, 2**10, Stream.from_rng(5)))
+    found["lights"] = xr.DataTree(lights)
     page = write_path(found, tmp_path).read_text(encoding="utf-8")
     assert path_answer(found).split(":")[0] in page
     assert "Better chosen" in page

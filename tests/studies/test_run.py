@@ -80,10 +80,15 @@ def _path(name):
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("study")
-    run_study(decode_study(STUDY), folder, workers=1)
-    return folder
+def folder(once, tmp_path_factory):
+    """The results of the study, which tests only read."""
+
+    def computed():
+        folder = tmp_path_factory.mktemp("study")
+        run_study(decode_study(STUDY), folder, workers=1)
+        return folder
+
+    return once("run", computed)
 
 
 @pytest.fixture(scope="module")

@@ -55,10 +55,15 @@ dims = 1
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("study")
-    run_study(decode_study(STUDY), folder, workers=1)
-    return folder
+def finished(once, tmp_path_factory):
+    """The results of the study, which tests only read."""
+
+    def computed():
+        folder = tmp_path_factory.mktemp("study")
+        run_study(decode_study(STUDY), folder, workers=1)
+        return folder
+
+    return once("studies", computed)
 
 
 def test_resume_computes_only_missing_cells(finished, tmp_path, stored_values):

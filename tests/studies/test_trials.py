@@ -28,7 +28,7 @@ def test_each_cell_off_a_zeroed_page_is_recovered(tmp_path, count):
 @pytest.mark.parametrize(
     "counts",
     [
-        {"locks": 1, "power": 3, "memory": 2, "clocks": 2},
+        {"locks": 1, "power": 2, "memory": 1, "clocks": 1},
         pytest.param({"power": 300}, marks=pytest.mark.endurance),
         pytest.param({"memory": 150}, marks=pytest.mark.endurance),
         pytest.param({"clocks": 40}, marks=pytest.mark.endurance),
