@@ -13,6 +13,11 @@ from mcspectra.prediction.exact import level_variances
 REALIZATIONS = 3000
 
 
+@pytest.fixture(autouse=True)
+def small(few_probes):
+    """Search functions for details at few points; none of them has small details."""
+
+
 def _pull(estimator, sampler, n, expected, rng):
     """Return the difference of log variances in standard errors of the measured variance."""
     d = mcs.convergence(estimator, sampler, [n], realizations=REALIZATIONS, rng=rng)

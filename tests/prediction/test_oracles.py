@@ -10,6 +10,11 @@ import mcspectra as mcs
 REALIZATIONS = 4000
 
 
+@pytest.fixture(autouse=True)
+def small(few_probes):
+    """Search functions for details at few points; none of them has small details."""
+
+
 def _fraction(x):
     return x - math.floor(x)
 

@@ -13,6 +13,12 @@ from mcspectra.core.confidence import CONFIDENCE_Z
 from mcspectra.core.errors import NoClosedForm
 from mcspectra.measure._kernels import pair_sum_1d, pair_sum_2d
 
+
+@pytest.fixture(autouse=True)
+def small(few_probes):
+    """Search functions for details at few points; none of them has small details."""
+
+
 MIS = mcs.MultipleImportance(
     mcs.integrand("gaussian(width=0.25)", dims=1),
     [mcs.density("linear(slope=1)", dims=1), mcs.density("linear(slope=-1)", dims=1)],

@@ -14,6 +14,11 @@ from mcspectra.prediction.separable import PiecewiseCurve, separated
 from mcspectra.samplers import as_sampler
 
 
+@pytest.fixture(autouse=True)
+def small(few_probes):
+    """Search functions for details at few points; none of them has small details."""
+
+
 def means_of_power(a, place, cells):
     """Return means of |x − place|^-a and of its square over equal cells."""
     ends = np.arange(cells + 1) / cells - place
