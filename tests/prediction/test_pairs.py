@@ -188,7 +188,7 @@ def test_pairs_that_do_not_converge_are_refused():
     """A disk's border crosses cells, where fixed rules have an error of 3 %."""
     estimator = mcs.Estimator("disk(center=0.4, radius=0.2)", "linear(slope=1.5)", dims=2)
     with pytest.raises(NoClosedForm, match=r"has an error of .* in a variance"):
-        by_pairs(estimator, "jittered", 256)
+        by_pairs(estimator, "jittered", 64)
 
 
 def test_many_strata_take_little_memory():

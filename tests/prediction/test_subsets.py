@@ -84,7 +84,7 @@ class TestExact:
     @pytest.mark.parametrize(
         ("function", "spec", "n"),
         [
-            (oscillating, "sobol | owen", 16),
+            pytest.param(oscillating, "sobol | owen", 16, marks=pytest.mark.slow),  # As halton
             (product, "halton | owen", 16),
             (oscillating, "sobol | digital-shift", 8),
             pytest.param(oscillating, "sobol | digital-shift", 16, marks=pytest.mark.slow),
