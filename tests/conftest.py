@@ -21,6 +21,7 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
 from mcspectra.core import trust
+from mcspectra.rendering import backend
 from mcspectra.samplers import external
 from tests.browser import chromium
 
@@ -67,6 +68,26 @@ def once(tmp_path_factory):
         return pickle.loads(file.read_bytes())
 
     return value
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_thread_of_drjit():
+    """Let Dr.Jit use one thread unless a test gives a number: a core has more than one worker.
+
+    With a thread per core, threads that wait for small kernels take a third of the processor time.
+    """
+    imported = backend._imported
+
+    def with_one_thread():
+        mitsuba = imported()
+        import drjit
+
+        drjit.set_thread_count(1)
+        return mitsuba
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(backend, "_imported", with_one_thread)
+        yield
 
 
 @pytest.fixture(autouse=True)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy.special import stdtrit
 
 import mcspectra as mcs
 from mcspectra.core.records import merged
@@ -42,7 +42,7 @@ def test_the_interval_of_captured_covers_the_truth(runs):
     low, high = np.array([d["captured_ci"].values for d in runs]).T
     missed = np.count_nonzero((truth < low) | (truth > high))
     assert missed <= 10  # binomial(40, 0.05) exceeds 10 with probability 5e-6
-    claimed = np.median(np.log(high / low)) / 2 / stats.t.ppf(0.975, 19)
+    claimed = np.median(np.log(high / low)) / 2 / stdtrit(19, 0.975)
     spread = np.std(np.log([float(d["captured"]) for d in runs]), ddof=1)
     # Intervals are wider if few batches hold most of the error, but less than twice as wide
     assert 1 - 4 * SPREAD < claimed / spread < 2

@@ -1,14 +1,11 @@
 """Terms of several samplers at once equal the terms of each sampler alone."""
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
 import mcspectra as mcs
 from mcspectra.core.errors import InfiniteWeightVarianceWarning, McspectraError, ParameterError
 from mcspectra.measure.terms import Terms
-from mcspectra.plots.kinds import describe, kinds_of
-from mcspectra.report.result_files import write_result, write_result_file
 from mcspectra.testing import check_analysis
 
 SAMPLERS = ["jittered", "random", "sobol | owen"]
@@ -101,21 +98,3 @@ def test_invalid_lists_are_refused():
 
 def test_the_contract_holds_for_a_list():
     check_analysis(Terms(n=4, half_width=2, realizations=40), sampler=["random", "jittered"])
-
-
-def test_plots_pages_and_sentences_have_every_sampler(tmp_path):
-    f = mcs.integrand("gaussian", dims=1)
-    samplers = SAMPLERS[:2]
-    found = mcs.variance_terms(f, samplers, 16, cross_matrix=True, **OPTIONS)
-    for kind in kinds_of(found):
-        assert all(sampler in describe(kind, found).words for sampler in samplers), kind
-    assert {"terms", "captured", "contributions", "bands", "cross-matrix"} <= set(kinds_of(found))
-    plt.close(found.mcspectra.plot("terms")[0].figure)
-    said = found.mcspectra.summary()
-    page = write_result(found, tmp_path / "page.html").read_text(encoding="utf-8")
-    write_result_file(found, str(tmp_path / "table.csv"), "")
-    table = (tmp_path / "table.csv").read_text(encoding="utf-8")
-    for sampler in samplers:
-        assert f"{sampler}: " in said
-        assert sampler in page
-        assert f"\n{sampler}," in table

@@ -102,7 +102,8 @@ def test_thousands_of_points(n):
     ("sampler", "n"),
     [
         pytest.param("sobol | owen", 16, marks=pytest.mark.slow),
-        ("sobol | owen", 4096),
+        # Base 2 has a base of its own in halton, and its cells are measured below
+        pytest.param("sobol | owen", 4096, marks=pytest.mark.slow),
         ("halton | owen", 16),
         pytest.param("halton | owen", 4096, marks=pytest.mark.slow),
         ("jittered", 16),

@@ -13,6 +13,12 @@ from mcspectra.core.confidence import CONFIDENCE_Z
 from mcspectra.core.errors import NoClosedForm
 from mcspectra.measure._kernels import pair_sum_1d, pair_sum_2d
 
+
+@pytest.fixture(autouse=True)
+def small(few_probes):
+    """Search functions for details at few points; none of them has small details."""
+
+
 MIS = mcs.MultipleImportance(
     mcs.integrand("gaussian(width=0.25)", dims=1),
     [mcs.density("linear(slope=1)", dims=1), mcs.density("linear(slope=-1)", dims=1)],
@@ -182,7 +188,7 @@ def test_pairs_that_do_not_converge_are_refused():
     """A disk's border crosses cells, where fixed rules have an error of 3 %."""
     estimator = mcs.Estimator("disk(center=0.4, radius=0.2)", "linear(slope=1.5)", dims=2)
     with pytest.raises(NoClosedForm, match=r"has an error of .* in a variance"):
-        by_pairs(estimator, "jittered", 256)
+        by_pairs(estimator, "jittered", 64)
 
 
 def test_many_strata_take_little_memory():

@@ -266,7 +266,8 @@ def test_a_table_keeps_its_channels():
     [
         (DISK, "multi-jittered", 64),
         ("gaussian(width=0.1)", "pmj02 | shuffle", 256),
-        (DISK, "pmj", 128),
+        # Shuffled pmj02 is quick above
+        pytest.param(DISK, "pmj", 128, marks=pytest.mark.slow),
         ("gaussian(width=0.1)", "latin-hypercube(strength=2)", 49),
         (DISK, "orthogonal-array", 121),
     ],

@@ -406,14 +406,16 @@ def _burn_in(z: Array, settings: ChainSettings) -> int:
     This spectrum is fitted to the last half of each chain.
     Draws are replaced by normal scores, which have no heavy tails.
     """
-    from scipy.special import ndtri
-    from scipy.stats import f, rankdata
+    from scipy.special import fdtrc, ndtri
 
     chains, n = map(int, z.shape)
     half = n // 2
     if half < settings.least_draws or not np.ptp(z):
         return 0
-    scores = ndtri((rankdata(z).reshape(z.shape) - 0.5) / z.size)
+    # Equal draws share the mean of their ranks
+    _, place, counts = np.unique(z, return_inverse=True, return_counts=True)
+    ranks = (np.cumsum(counts) - 0.5 * (counts - 1.0))[place].reshape(z.shape)
+    scores = ndtri((ranks - 0.5) / z.size)
     last, mean = scores[:, half:], scores.mean(axis=0)
     if not np.ptp(last, axis=1).all():
         return 0
@@ -426,7 +428,7 @@ def _burn_in(z: Array, settings: ChainSettings) -> int:
         """
         spread = fit.at_zero * (1.0 / (stop - start) + 1.0 / (n - first)) / chains
         away = float(mean[start:stop].mean() - mean[first:].mean())
-        return float(f.sf(away**2 / spread, 1, fit.degrees))
+        return float(fdtrc(1, fit.degrees, away**2 / spread))
 
     sizes = [max(1, round(part * n)) for part in settings.starts]
     if min(chance(0, size) for size in sizes) * len(sizes) > settings.alarm:
@@ -453,8 +455,7 @@ def _stationary_error(
     The edges are the ends of the bands of frequency.
     `drifts` describes a drift that the search for a burn-in found, or is empty without a drift.
     """
-    from scipy.signal import lfilter
-    from scipy.stats import chi2, f, t
+    from scipy.special import fdtrc, gammaincinv, stdtrit
 
     chains, n = x.shape
     mean = float((w * x).sum() / w.sum())
@@ -485,7 +486,7 @@ def _stationary_error(
     fit = own = _fitted(z)
     series, remark = z, ""
     if chains > 1:
-        white = np.asarray(lfilter(fit.coefficients, [1.0], z))[:, fit.coefficients.size - 1 :]
+        white = np.array([np.convolve(row, fit.coefficients, "valid") for row in z])
         waves = np.fft.rfft(white, axis=1)[:, 1 : (n + 1) // 2]
         each = np.maximum((np.abs(waves) ** 2).sum(axis=0), np.finfo(float).tiny)
         together = np.abs(waves.sum(axis=0)) ** 2 / each
@@ -512,9 +513,9 @@ def _stationary_error(
     time /= np.sqrt(time @ time)
     slopes = series @ time
     flat = _fitted(series - slopes.mean() * time)
-    shared = f.sf(rows * slopes.mean() ** 2 / flat.at_zero, 1, flat.degrees)
+    shared = fdtrc(1, flat.degrees, rows * slopes.mean() ** 2 / flat.at_zero)
     drift = (
-        min(shared, f.sf((slopes**2).mean() / flat.at_zero, rows, flat.degrees))
+        min(shared, fdtrc(rows, flat.degrees, (slopes**2).mean() / flat.at_zero))
         < settings.alarm / 2
     )
     moves = np.diff(x, axis=1, prepend=math.nan, append=math.nan) != 0
@@ -522,7 +523,7 @@ def _stationary_error(
     repeats = run >= max(settings.run * n, settings.least_draws)
     if repeats and np.unique(x).size > settings.values:
         stuck = f"a chain repeats one value for {run} of {n} draws"
-    elif rows > 1 and f.sf(ratio, rows - 1, degrees) < settings.alarm:
+    elif rows > 1 and fdtrc(rows - 1, degrees, ratio) < settings.alarm:
         stuck = f"the means of the chains differ {math.sqrt(ratio):.2g} times as much as the draws "
         stuck += "within a chain explain: they are in different parts of the distribution"
     elif n < settings.forgotten * tau or drift or drifts:
@@ -553,8 +554,8 @@ def _stationary_error(
     # Intervals use Student's t and χ². They are infinite if the error has no upper bound
     bounded = not {"stuck-chain", "heavy-tail"} & set(causes)
     mcse = math.sqrt(variance)
-    half = float(t.ppf(0.975, degrees)) * mcse if bounded else math.inf
-    low, high = np.sqrt(degrees / chi2.ppf([0.975, 0.025], degrees)) * mcse
+    half = float(stdtrit(degrees, 0.975)) * mcse if bounded else math.inf
+    low, high = np.sqrt(0.5 * degrees / gammaincinv(0.5 * degrees, [0.975, 0.025])) * mcse
     high = float(high) if bounded else math.inf
     spread = float((w * (x - mean) ** 2).sum() / w.sum()) + variance
     of_grid = np.searchsorted(edges, fit.frequency, side="right").clip(1, size) - 1
@@ -564,7 +565,7 @@ def _stationary_error(
     # In the band below 1/n, the spectrum is measured by the scatter of the chains' means
     freedom = 2.0 * rows * n * np.diff(edges)
     power[0], freedom[0] = (n * means.var(ddof=1), rows - 1) if rows > 1 else (math.nan, math.nan)
-    chances = chi2.ppf([0.975, 0.025], freedom[:, None])
+    chances = 2.0 * gammaincinv(0.5 * freedom[:, None], [0.975, 0.025])
     draw = fitted * np.diff(edges)
     return {
         "mean": mean,

@@ -252,17 +252,13 @@ def _errors(known: Array, points: Array, shifts: Array) -> Array:
     d = points.shape[1]
     forward: Any = getattr(finufft, f"nufft{d}d1")
     back: Any = getattr(finufft, f"nufft{d}d2")
+    # One thread: threads of transforms of this size wait for each other longer than they compute
+    options: dict[str, Any] = {"eps": _SETTINGS.precision, "isign": -1, "nthreads": 1}
     ones = np.full(len(points), 1.0 / len(points), complex)
-    shared = forward(
-        *np.ascontiguousarray(2 * np.pi * points.T),
-        ones,
-        known.shape[1:],
-        eps=_SETTINGS.precision,
-        isign=-1,
-    )
+    shared = forward(*np.ascontiguousarray(2 * np.pi * points.T), ones, known.shape[1:], **options)
     places = np.ascontiguousarray(2 * np.pi * shifts.T)
     if len(known) == 1:
-        found = back(*places, np.conj(known[0]) * shared, eps=_SETTINGS.precision, isign=-1)
+        found = back(*places, np.conj(known[0]) * shared, **options)
         return np.asarray(found.real)
     phases = np.exp(-1j * places[..., None] * (np.arange(known.shape[1]) - known.shape[1] // 2))
     terms = np.conj(known) * shared
