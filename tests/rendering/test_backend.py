@@ -7,12 +7,20 @@ import sys
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from tests.processes import python
 
 from mcspectra.core.errors import MissingDependency
-from mcspectra.rendering import backend
-from mcspectra.rendering.backend import VARIANT, Verdict, describe, find_library, load_mitsuba
+from mcspectra.rendering import backend, load_scene
+from mcspectra.rendering.backend import (
+    VARIANT,
+    Verdict,
+    describe,
+    find_library,
+    load_mitsuba,
+    threads_for_files,
+)
 
 pytestmark = pytest.mark.render
 
@@ -57,6 +65,25 @@ def test_loaded_module_has_the_variant_even_after_another_was_set():
     assert mitsuba.variant() == VARIANT
     mitsuba.set_variant("scalar_rgb")
     assert load_mitsuba().variant() == VARIANT
+
+
+def test_files_are_written_and_read_on_one_core(tmp_path):
+    """With one thread, Mitsuba would wait forever for a thread that compresses the pixels."""
+    mitsuba = load_mitsuba()
+    import drjit
+
+    file = str(tmp_path / "pixels.exr")
+    pixels = np.random.default_rng(1).random((200, 300, 3), np.float32)
+    assert drjit.thread_count() == 1
+    with threads_for_files():
+        mitsuba.Bitmap(pixels).write(file)
+    scene = {
+        "type": "scene",
+        "camera": {"type": "perspective"},
+        "sky": {"type": "envmap", "filename": file},
+    }
+    assert len(load_scene(scene).emitters()) == 1
+    assert drjit.thread_count() == 1
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from mcspectra.cli.main import main
 from mcspectra.core.errors import CountError, FileFormatError, MissingDependency, ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.rendering import load_mitsuba, load_scene, register_samplers, render_file
-from mcspectra.rendering.backend import LARGEST_SAMPLE, import_mitsuba
+from mcspectra.rendering.backend import LARGEST_SAMPLE, import_mitsuba, threads_for_files
 from mcspectra.rendering.plugin import PLUGIN_VARIANTS, PaddedSets, Rounds
 from mcspectra.rendering.scenes import film_size
 
@@ -294,7 +294,8 @@ def test_command_writes_the_image(files, tmp_path, capsys, variant, own_process)
         assert main(command) == 0
         printed = capsys.readouterr().out
     assert "8 × 6 pixels" in printed
-    written = np.array(load_mitsuba().Bitmap(str(out)), dtype=np.float64)
+    with threads_for_files():
+        written = np.array(load_mitsuba().Bitmap(str(out)), dtype=np.float64)
     # The film stores half floats.
     image = render_file(files["ours"], variant, spp=4, seed=3)
     np.testing.assert_allclose(written, image, rtol=1e-3)

@@ -16,6 +16,7 @@ from mcspectra.rendering import (
     project,
     veach,
 )
+from mcspectra.rendering.backend import threads_for_files
 from mcspectra.rendering.scenes import emitter_name, film_size, find_emitter, sensor_of
 
 pytestmark = pytest.mark.render
@@ -175,7 +176,9 @@ def test_a_texture_is_found_next_to_its_scene(tmp_path, monkeypatch):
     (scenes / "textures").mkdir(parents=True)
     elsewhere.mkdir()
     pixels = np.full((4, 4, 3), 0.25, np.float32)
-    load_mitsuba().Bitmap(pixels).write(str(scenes / "textures" / "gray.exr"))
+    bitmap = load_mitsuba().Bitmap(pixels)
+    with threads_for_files():
+        bitmap.write(str(scenes / "textures" / "gray.exr"))
     (scenes / "scene.xml").write_text(_BITMAP.format("textures/gray.exr"))
     for folder in (elsewhere, scenes):
         monkeypatch.chdir(folder)

@@ -46,6 +46,7 @@ __all__ = [
     "import_mitsuba",
     "load_mitsuba",
     "mitsuba_folder",
+    "threads_for_files",
 ]
 
 VARIANT = "llvm_ad_rgb"
@@ -288,6 +289,25 @@ def _imported() -> Any:
         resolver.clear()
         resolver.append(str(mitsuba_folder()))
     return mitsuba
+
+
+@contextlib.contextmanager
+def threads_for_files() -> Iterator[None]:
+    """Let Dr.Jit use at least two threads inside the block, which reads or writes EXR files.
+
+    Mitsuba waits for another thread of Dr.Jit, which compresses or decompresses the pixels.
+    With one thread, for example on a machine with one core, Mitsuba would wait forever.
+    """
+    import drjit
+
+    before = drjit.thread_count()
+    if before < 2:
+        drjit.set_thread_count(2)
+    try:
+        yield
+    finally:
+        if before < 2:
+            drjit.set_thread_count(before)
 
 
 @functools.cache

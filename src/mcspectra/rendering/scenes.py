@@ -40,6 +40,7 @@ from mcspectra.rendering.backend import (
     import_mitsuba,
     load_mitsuba,
     mitsuba_folder,
+    threads_for_files,
 )
 from mcspectra.rendering.plugin import PLUGIN, register_samplers
 from mcspectra.samplers import as_sampler
@@ -230,8 +231,9 @@ def render_file(
         as_sampler(sampler, 2)
     elif joint_dims is not None:
         raise ParameterError(Parameter("joint_dims"), " is for a sampler of this package; name it.")
-    with LOCK:
+    with LOCK, contextlib.ExitStack() as stack:
         (known,), mitsuba = register_samplers(variant)[:1], import_mitsuba()
+        stack.enter_context(threads_for_files())
         before, resolver = mitsuba.variant(), mitsuba.file_resolver()
         mitsuba.set_variant(known)
         try:
@@ -455,7 +457,8 @@ def _built(request: str | Path | DictScene, _state: Hashable = None) -> Any:
     register_samplers(VARIANT)  # the scene may use one of our samplers
     try:
         # Do not optimize the scene: merging renames shapes and changes their order
-        scene = load(source, optimize=False)
+        with threads_for_files():
+            scene = load(source, optimize=False)
     except (RuntimeError, TypeError, UnicodeDecodeError) as error:
         raise FileFormatError(
             f"Mitsuba cannot read the scene {shown(name)}: {mitsuba_reason(error)}."
