@@ -17,12 +17,19 @@ from mcspectra.rendering import load_mitsuba
 
 SIZE, FRAMES, COUNTS = 64, 6, (16, 64)
 
-mi = load_mitsuba()
-box = mi.cornell_box()
-box["sensor"]["film"] |= {"width": SIZE, "height": SIZE, "rfilter": {"type": "box"}}
-scene = mi.load_dict(box)
-for spp in COUNTS:
-    for frame in range(FRAMES):
-        image = np.array(mi.render(scene, spp=spp, seed=1000 * spp + frame))
-        file = Path(sys.argv[1]) / f"cornell_{frame}_{spp}spp.npy"
-        np.save(file, image.astype(np.float16))
+
+def main(folder: str) -> None:
+    """Render all frames and write them to a folder."""
+    mi = load_mitsuba()
+    box = mi.cornell_box()
+    box["sensor"]["film"] |= {"width": SIZE, "height": SIZE, "rfilter": {"type": "box"}}
+    scene = mi.load_dict(box)
+    for spp in COUNTS:
+        for frame in range(FRAMES):
+            image = np.array(mi.render(scene, spp=spp, seed=1000 * spp + frame))
+            file = Path(folder) / f"cornell_{frame}_{spp}spp.npy"
+            np.save(file, image.astype(np.float16))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])
