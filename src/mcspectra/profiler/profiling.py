@@ -1289,7 +1289,8 @@ def _improved(
         if n < _SETTINGS.few_points:
             smooths |= curve.rate < _SETTINGS.steepest_rate
             curve = replace(curve, rate=max(curve.rate, _SETTINGS.steepest_rate))
-        if jumps:
+        # Only edges along an axis can coincide with borders of strata
+        if _shape(causes) == "axis-parallel-jump":
             curve = curve.leveled()
         (ours, ours_se), (other, other_se) = curve.at(n), base.at(cost)
         # Extrapolate the variance with the measured rate of the changed estimator.
