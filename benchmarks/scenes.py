@@ -106,11 +106,18 @@ def truth(name, target):
         errors[spp] = np.quantile(relative, (0.5, 0.95))
     for k, each in enumerate(found.needed_now):
         logs = np.log([error[k] for error in errors.values()])
-        true = math.exp(np.interp(-math.log(target), -logs, np.log(list(errors))))
+        # Beyond the largest number of samples, extrapolate with the slope between the last two
+        ns = np.log(list(errors))
+        true = math.exp(
+            np.interp(-math.log(target), -logs, ns)
+            if logs[-1] <= math.log(target)
+            else ns[-1] + (math.log(target) - logs[-1]) * (ns[-1] - ns[-2]) / (logs[-1] - logs[-2])
+        )
         low, high = each.spp_ci
+        how = "truth" if true <= max(errors) else "extrapolated truth"
         print(
             f"{name:6} {given:12} target {target} at {each.share:.0%}: profile {each.spp:.0f} "
-            f"({low:.0f} to {high:.0f}), truth {true:.0f}, ratio {each.spp / true:.2f}",
+            f"({low:.0f} to {high:.0f}), {how} {true:.0f}, ratio {each.spp / true:.2f}",
             flush=True,
         )
 
