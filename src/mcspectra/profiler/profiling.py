@@ -856,7 +856,8 @@ def _by_theory(
         limit = min(-4.0 + 4.0 * third, -1.0)
         curve = replace(curve, rate=max(curve.rate, limit))
         error = math.hypot(_SETTINGS.theory_error, 2.0 * third)
-        # Few points do not resolve a narrow peak. Before, the rate is less steep than in theory
+        # Until the points resolve a narrow peak of g, the rate is less steep than in theory.
+        # Few points therefore keep their measured rate
         resolved = name == _FOLDED and smooth and curve.counts[-1] >= _SETTINGS.few_points
         return curve.towards(limit, error) if resolved else curve
     if name not in {NETS, "jittered"} or first not in _EXPONENTS or not math.isfinite(curve.rate):

@@ -838,10 +838,11 @@ class _Work:
             return min(max(slope, settings.steepest), settings.slowest)
 
         (level, error), (before, before_error) = quantile(last), quantile(first)
-        slope, slope_error = rate or 0.0, 0.0
         if rate is None:
             slope = bounded((level - before) / math.log(last / first))
             slope_error = max(math.hypot(error, before_error) / math.log(last / first), 0.1)
+        else:
+            slope, slope_error = rate, 0.0
         n = float(last)
         wanted = n * math.exp((goal - level) / slope)
         if abs(before - goal) < abs(level - goal):
