@@ -595,8 +595,9 @@ def _with_profile(
         return value, (value - away, value + away), note
     widths = interval[1] - interval[0], high - low
     if math.isinf(widths[0]) and not math.isinf(widths[1]):
+        # The interval of the profile holds for any value in it, also for the new estimate
         note = f"the interval is that of the profile, because with the advised points {note}"
-        return profile.integral, (low, high), note
+        return value if low <= value <= high else profile.integral, (low, high), note
     if not (math.isfinite(sum(widths)) and min(widths) > 0.0):
         return value, interval, note
     # The width from few replicates has a large error. Use the expected width if it is smaller

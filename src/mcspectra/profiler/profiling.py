@@ -131,6 +131,7 @@ class ProfileSettings:
     # the distance must exceed this number of standard errors of the given estimator's mean.
     # A normal error exceeds 4 standard errors with probability 6e-5.
     off_sigmas: float = 4.0
+    # Lattices are measured only if their largest count is at least `few_points`.
     # If nets have fewer points than `few_points`, the rate of a changed estimator is limited:
     # rates that are steeper than `steepest_rate` are replaced by `steepest_rate`.
     # Few points do not show whether a steep rate continues at larger numbers of points.
@@ -331,6 +332,8 @@ class Profile:
             name: limits.get(name, math.sqrt(curve.at(self.points)[0]))
             for name, curve in self.samplers.items()
         }
+        random = self.samplers.get("random")
+        largest = math.inf if random is None else self._rmse(random)
         rows = []
         for name in sorted(order, key=order.__getitem__):
             curve = self.samplers[name]
@@ -343,7 +346,11 @@ class Profile:
                 rate = "no error seen" if curve.vanishes <= self.points else "none"
             rmse = self._rmse(curve)
             shown = "not known" if math.isnan(rmse) else f"{rmse:.3g}"
-            shown = f"< {limits[name]:.2g}" if name in limits else shown
+            if name in limits:
+                # A limit above the RMSE of random points says nothing
+                told = limits[name] < largest
+                shown = f"< {limits[name]:.2g}" if told else "not known"
+                rate = rate if told else "not known"
             rows.append((name, shown, rate.replace("-", "−")))
         return rows
 
@@ -856,10 +863,7 @@ def _by_theory(
         limit = min(-4.0 + 4.0 * third, -1.0)
         curve = replace(curve, rate=max(curve.rate, limit))
         error = math.hypot(_SETTINGS.theory_error, 2.0 * third)
-        # Until the points resolve a narrow peak of g, the rate is less steep than in theory.
-        # Few points therefore keep their measured rate
-        resolved = name == _FOLDED and smooth and curve.counts[-1] >= _SETTINGS.few_points
-        return curve.towards(limit, error) if resolved else curve
+        return curve.towards(limit, error) if name == _FOLDED and smooth else curve
     if name not in {NETS, "jittered"} or first not in _EXPONENTS or not math.isfinite(curve.rate):
         return curve
     # A jump cuts n^(1 − 1/d) of n strata.
@@ -920,7 +924,7 @@ def _rivals(evidence: Evidence, causes: Sequence[Cause], points: int) -> dict[st
     names = list[str]()
     if not grows and (smooth or _shape(causes) in _GAINED):
         if evidence.is_periodic:
-            names = [LATTICE, _FOLDED] if smooth else [LATTICE]
+            names = [LATTICE]
         elif dims > _SETTINGS.paired_dims:
             names = [_FOLDED]
         elif smooth and not found:
@@ -947,8 +951,7 @@ def _measured(
 
     If `few` is true, fewer sets are drawn at fewer counts n, so that each set has more points.
     """
-    most_sets = _SETTINGS.lattice_sets if lattice else CAUSE_SETTINGS.nets
-    most_sets = _SETTINGS.steep_sets if few else most_sets
+    most_sets, steps = _sets_and_steps(lattice=lattice, few=few)
     each, least = estimator.cost, _SETTINGS.least_sets
     sets = drawn = int(min(most_sets, sampler.most_realizations))
     if sets < least:
@@ -956,9 +959,7 @@ def _measured(
     setup, counts = Setup(estimator, sampler), list[int]()
     while sets > least and affordable_count(setup, evaluations // (2 * sets)) is None:
         sets -= 1
-    steps = _SETTINGS.steep_counts if few else _SETTINGS.counts
-    # Divide the evaluations between the counts: each smaller count gets half as many
-    first = evaluations / (2.0 - 2.0 ** (1 - steps)) / sets
+    first = evaluations / _in_all(steps) / sets
     for k in range(steps):
         n = affordable_count(setup, int(first / 2**k))
         if n is not None and n not in counts:
@@ -983,6 +984,18 @@ def _measured(
     else:
         curve = curve_of(counts, found)
     return curve, _replicates(points, found[-1]), cost
+
+
+def _sets_and_steps(*, lattice: bool, few: bool) -> tuple[int, int]:
+    """Return how many sets of a sampler are drawn at each count, and how many counts there are."""
+    if few:
+        return _SETTINGS.steep_sets, _SETTINGS.steep_counts
+    return _SETTINGS.lattice_sets if lattice else CAUSE_SETTINGS.nets, _SETTINGS.counts
+
+
+def _in_all(steps: int) -> float:
+    """Return the sum of `steps` counts of points, each half as large as the one before it."""
+    return float(2.0 - 2.0 ** (1 - steps))
 
 
 def _replicates(points: Sequence[Array], estimates: Array) -> Replicates:
@@ -1016,6 +1029,16 @@ def _is_known(curve: Curve, count: int) -> bool:
     return math.isfinite(curve.rate) or count >= curve.vanishes
 
 
+def _is_below(curve: Curve, other: Curve) -> bool:
+    """Return whether a variance is significantly less than another at the last measured count."""
+    if not (len(curve.counts) and len(other.counts)):
+        return False
+    n = float(curve.counts[-1])
+    (ours, ours_se), (theirs, theirs_se) = curve.at(n), other.at(n)
+    error = math.hypot(ours_se, curve.scatter, theirs_se)
+    return ours < theirs * math.exp(-CONFIDENCE_Z * error)
+
+
 def _bound(curve: Curve, points: int) -> float:
     """Return the variance at `points` points, increased by one standard error of its logarithm."""
     value, error = curve.at(points)
@@ -1032,8 +1055,7 @@ def _measured_rivals(
     The third value is the number of evaluations that were used.
     """
     curves, not_tried, calls = dict[str, Curve](), list[str](), 0
-    jumps, least = _shape(causes) in _JUMPS, 2 * _SETTINGS.lattice_sets * _SETTINGS.least_checked
-    enough = _is_smooth(causes) or left >= least
+    jumps = _shape(causes) in _JUMPS
     # If g is periodic without kinks, lattices have steep rates, also after a substitution
     steep = {name for name, each in rivals.items() if each.kind == "periodized"}
     steep |= {LATTICE} if _is_smooth(causes) else set()
@@ -1041,8 +1063,9 @@ def _measured_rivals(
     for place, (name, rival) in enumerate(rivals.items()):
         setup, lattice = rival.setup, name != _PAIRS
         share = (left - calls) * weights[name] // sum(list(weights.values())[place:])
-        if not enough and rival.kind == "sampler":
-            not_tried.append(f"{name}: only {left} evaluations remain for it")
+        sets, steps = _sets_and_steps(lattice=lattice, few=name in steep)
+        if lattice and share < sets * _SETTINGS.few_points * setup.cost * _in_all(steps):
+            not_tried.append(f"{name}: only {share} evaluations remain for it")
             continue
         own = stream.child(97 - place)
         # Skip samplers that do not support this number of dims or points
@@ -1051,9 +1074,7 @@ def _measured_rivals(
                 setup.estimator, setup.sampler, share, own, lattice=lattice, few=name in steep
             )
             calls += cost
-            if lattice and curve.counts[-1:].sum() < _SETTINGS.few_points:
-                curve = replace(curve, rate=max(curve.rate, _SETTINGS.steepest_rate))
-            elif name in steep:
+            if name in steep:
                 # Few counts hardly show the rate. Assume a 95 % interval of the rate that reaches
                 # from a quarter of the theoretical rate to the whole theoretical rate
                 limit = -2.0 * CANDIDATE_SETTINGS.order * (1.0 - _growth(causes))
@@ -1098,9 +1119,13 @@ def _samplers(
         # Variances for smooth functions reach their rate only with large sets.
         # For analytic functions the variance falls faster than any power of n
         steepens = name in rivals and bool(beyond)
-        if steepens and not _is_known(curve, count):
+        known = _is_known(curve, count)
+        sure = steepens and known and _is_below(curve, curves[NETS])
+        if steepens and not known:
             variance = math.nan, math.nan
-        found.append(_FoundSampler(candidate, count, variance, curve.rate, curve.rate_ci, steepens))
+        found.append(
+            _FoundSampler(candidate, count, variance, curve.rate, curve.rate_ci, steepens, sure)
+        )
     return found
 
 
@@ -1306,7 +1331,8 @@ def _improved(
         sure = math.exp(-CONFIDENCE_Z * math.hypot(ours_se, other_se))
         # If tails are not resolved, small sets underestimate the variance
         doubt = math.exp(_SETTINGS.tail_errors * error) if grows else 1.0
-        better = ours < other * sure and after * doubt < at_best
+        known = after * math.exp(error) < _bound(base, points_at_budget)
+        better = ours < other * sure and after * doubt < at_best and known
         own = replace(offer, change=f"{offer.change}, and sample with {NETS}")
         measured = (after, error)
         found.append(
