@@ -385,7 +385,8 @@ def main() -> None:
 
     share("cause", [o.names_cause for o in outcomes])
     share("interval", [o.covers for o in outcomes if o.covers is not None])
-    known = [o for o in outcomes if not math.isnan(o.stated)]
+    # An infinite error, which is right for an infinite variance, has no measured value
+    known = [o for o in outcomes if math.isfinite(o.stated)]
     exact = [o for o in known if not o.found.answer.best.is_bounded]
     share(
         f"stated error within a factor of {FACTOR}",

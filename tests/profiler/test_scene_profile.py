@@ -11,7 +11,7 @@ from mcspectra.cli.main import main
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.profiler import profile_scene
-from mcspectra.profiler.scene_profile import Needed, _spp, _Work, sampler_name
+from mcspectra.profiler.scene_profile import Needed, _in_order, _spp, _Work, sampler_name
 from mcspectra.rendering import load_mitsuba
 from mcspectra.rendering.paths import Tracer
 from mcspectra.rendering.plugin import register_samplers
@@ -82,6 +82,41 @@ def test_needed_samples_are_those_of_the_quantile(rate, target):
 
 
 @pytest.mark.slow
+def test_one_pixel_has_a_standard_error_too():
+    """Earlier versions took the scatter over pixels alone, which is 0 for one pixel."""
+    hits = 0
+    for seed in range(40):
+        work = _Work(Rendered(np.full((32, 64), 0.5), -1.5), Stream.from_rng(seed), 30.0, 0.0)
+        pixel = np.array([[3, 5]])
+        values = {n: work.rendered.estimates("", n, pixel, 1, 64, work._stream()) for n in (16, 64)}
+        needed = work._needed("", values, np.ones(1), pixel, 0.5, 0.03)
+        low, high = needed.spp_ci
+        hits += low <= (0.5 / 0.03) ** (2.0 / 1.5) <= high
+        assert 1.0 < high / low < 5.0
+    # 40 intervals of 95 %: fewer than 33 hits have probability 1e-3
+    assert hits >= 33
+    near = np.random.default_rng(0).normal(size=(2, 64, 1))
+    log, error = _Work._ratio(*near)
+    assert 0.0 < error < 0.4
+    assert abs(log) < 3.0 * error
+
+
+def test_samples_for_more_pixels_are_never_fewer():
+    half, most = Needed(0.5, 185.0, (141.0, 243.0)), Needed(0.95, 176.0, (135.0, 260.0))
+    assert _in_order([half, most]) == (half, Needed(0.95, 185.0, (141.0, 260.0)))
+    assert _in_order([half, Needed(0.95, 300.0, (200.0, 400.0))])[1].spp == 300.0
+
+
+def test_a_crop_of_one_pixel_is_profiled():
+    scene = SCENES["plate"](**FILM)
+    made = profile_scene(scene, target=0.05, crop=(10, 9, 1, 1), seconds=2.0)
+    low, high = made.needed[0].spp_ci
+    assert low < made.needed[0].spp < high
+    assert made.needed[0] == made.needed[1] or made.needed[0].spp <= made.needed[1].spp
+    assert made.renders > 32
+    assert "1 pixel rendered" in str(made)
+
+
 def test_a_better_sampler_is_found_and_confirmed(found):
     assert found.answer.given.name == "independent"
     assert found.answer.changes

@@ -47,7 +47,9 @@ class AnswerSettings:
     may_gain: float = 2.0
     # If the ends of the interval of an RMSE differ by more than this factor, only the upper end
     # is stated: the number between them would suggest a precision that it does not have.
-    wide: float = 100.0
+    # In 200 profiles (the cases of `benchmarks battery`, five seeds each), 40 of 44 stated RMSEs
+    # were within a factor of 1.5 of the measured error. With 100 instead of 20, 42 of 52 were.
+    wide: float = 20.0
 
 
 _SETTINGS = AnswerSettings()

@@ -27,7 +27,7 @@ from __future__ import annotations
 import math
 import shlex
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, final
 
@@ -94,6 +94,9 @@ class SceneSettings:
     # With 32 renders, the variance of a pixel has a relative error of 25 %.
     most_renders: int = 32
     least_renders: int = 8
+    # Maximum number of renders if fewer than `pixels` pixels are measured, such as those of a crop.
+    # With 1024 renders, the variance of a pixel has a relative error of 4 %.
+    renders_of_few: int = 1024
     # Number of pixels, and number of renders, in the test that measures the speed.
     # The test takes 65,000 samples, because smaller wavefronts are slow
     pilot_pixels: int = 256
@@ -252,7 +255,8 @@ class SceneProfile:
         )
         for result in self.answer.results:
             low, high = result.gain_ci
-            ends = "" if result is self.answer.given else f"({_ends(1 / high, 1 / low)})"
+            most = 1.0 / low if low > 0.0 else math.inf
+            ends = "" if result is self.answer.given else f"({_ends(1.0 / high, most)})"
             lines.append(f"  {result.name:<60} {1.0 / result.gain:.2f} {ends}".rstrip())
         lines.append("worst pixels")
         for x, y, error in self.worst:
@@ -297,6 +301,36 @@ def _noisy(values: Sequence[Array]) -> Array:
         relative = np.where(mean > 0.0, logs - 2.0 * np.log(mean), -np.inf)
     seen = relative[np.isfinite(relative)]
     return np.asarray(relative >= (np.median(seen) if seen.size else -np.inf))
+
+
+def _noise_of_log(renders: int) -> float:
+    """Return the standard deviation of the logarithm of a variance, from normal values."""
+    from scipy.special import polygamma
+
+    return math.sqrt(float(polygamma(1, 0.5 * (renders - 1))))
+
+
+def _spread(logs: Array, noise: float) -> float:
+    """Return the standard deviation of logarithms of variances, which is at least their noise.
+
+    One pixel has no standard deviation, and that of few pixels may be small by chance.
+    """
+    return max(float(np.std(logs, ddof=1)) if len(logs) > 1 else 0.0, noise)
+
+
+def _in_order(found: Iterable[Needed]) -> tuple[Needed, ...]:
+    """Return the numbers of samples, none of which is less than that of a smaller share of pixels.
+
+    The shares have their own renders, so that a number may be less than the one before by chance.
+    """
+    made = list[Needed]()
+    for each in found:
+        if made:
+            last = made[-1]
+            ends = tuple(map(max, each.spp_ci, last.spp_ci))
+            each = Needed(each.share, max(each.spp, last.spp), (ends[0], ends[1]))
+        made.append(each)
+    return tuple(made)
 
 
 def _spp(each: Needed) -> str:
@@ -555,7 +589,10 @@ class _Work:
             )
             order = np.argsort(self._stream().uniforms(0, len(tiles), 1)[:, 0], kind="stable")
             tiles = tiles[np.sort(order[:keep])]
-        renders = min(max(renders, settings.least_renders), settings.most_renders)
+        # Few pixels are rendered more often: their variances are as precise as the time allows
+        few = max(1, settings.pixels // (len(tiles) * side**2))
+        most_renders = min(few * settings.most_renders, settings.renders_of_few)
+        renders = min(max(renders, settings.least_renders), most_renders)
         renders += renders % 2
         return tiles, renders, speed
 
@@ -603,10 +640,11 @@ class _Work:
         va, vb = a.var(axis=0, ddof=1), b.var(axis=0, ddof=1)
         floor = (4.0 * np.finfo(np.float32).eps * a.mean(axis=0)) ** 2
         known = (va > floor) & (vb > floor)
-        if known.sum() < 2:
+        if not known.any():
             return 0.0, math.inf
         logs = np.log(va[known] / vb[known])
-        return float(logs.mean()), float(logs.std(ddof=1) / math.sqrt(known.sum()))
+        noise = math.hypot(_noise_of_log(len(a)), _noise_of_log(len(b)))
+        return float(logs.mean()), _spread(logs, noise) / math.sqrt(known.sum())
 
     def _result(
         self,
@@ -659,9 +697,10 @@ class _Work:
 
         def result(name: str) -> CandidateResult:
             n = at[name]
-            logs = self._logs(values[name][n] if name not in fresh else fresh[name][n], mean)[seen]
+            own = values[name][n] if name not in fresh else fresh[name][n]
+            logs = self._logs(own, mean)[seen]
             median = math.exp(0.5 * float(np.median(logs)))
-            spread = 1.2533 * float(np.std(logs)) / math.sqrt(len(logs))
+            spread = 1.2533 * _spread(logs, _noise_of_log(len(own))) / math.sqrt(len(logs))
             ends = tuple(median * math.exp(0.5 * k * CONFIDENCE_Z * spread) for k in (-1, 1))
             log, se = ratios.get(name, (0.0, 0.0))
             gain_ci = (math.exp(-log - z * se), math.exp(-log + z * se))
@@ -682,7 +721,7 @@ class _Work:
         whole = Answer.of(last, results)
         chosen = whole.best.name
         needed = {
-            name: tuple(
+            name: _in_order(
                 self._needed(
                     candidates[name],
                     fresh.get(name, values[name]),
@@ -832,7 +871,9 @@ class _Work:
         def quantile(n: int) -> tuple[float, float]:
             """Return a quantile of the log squared errors, and its standard error from ranks."""
             ends = np.quantile(logs[n], [max(share - half, 0.0), share, min(share + half, 1.0)])
-            return float(ends[1]), float(ends[2] - ends[0]) / (2.0 * CONFIDENCE_Z)
+            # With few pixels, the noise of each measured variance is the larger error
+            noise = 1.2533 * _noise_of_log(len(values[n])) / math.sqrt(len(seen))
+            return float(ends[1]), max(float(ends[2] - ends[0]) / (2.0 * CONFIDENCE_Z), noise)
 
         def bounded(slope: float) -> float:
             return min(max(slope, settings.steepest), settings.slowest)
@@ -858,18 +899,20 @@ class _Work:
             start = max(0, min(rank - settings.near // 2, len(order) - settings.near))
             near = seen[order[start : start + settings.near]]
             film = self.rendered.film
-            each = (1 + 2 * film.margin) ** 2 * len(near) * settings.near_renders
+            renders = settings.near_renders * max(1, settings.near // len(near))
+            each = (1 + 2 * film.margin) ** 2 * len(near) * renders
             speed = self.rendered.samples / self.rendered.seconds
             afford = 0.1 * self.limit * speed / each
             count = 4 ** max(1, round(math.log(min(wanted, afford, settings.most_samples), 4)))
             if count <= n and wanted > n:
                 break  # more samples would take too much time, so extrapolate
-            found = self._values(plugin, count, pixels[near], settings.near_renders, side=1)
+            found = self._values(plugin, count, pixels[near], renders, side=1)
             there = self._logs(found, mean[near])
             own = float(np.median(there))
             # At the last number of samples, the errors of these pixels were near the quantile.
             # The error of the quantile is added to the scatter of the errors in the new renders
-            scatter = 1.2533 * float(np.std(there)) / math.sqrt(len(near))
+            noise = _noise_of_log(renders)
+            scatter = 1.2533 * _spread(there, noise) / math.sqrt(len(near))
             if count != n and rate is None:
                 # The slope between these two numbers of samples is noisy if they are close,
                 # so it is averaged with the slope before, weighted by the errors of both
@@ -918,7 +961,7 @@ class _Work:
         se = (
             off.std(axis=1, ddof=1) * math.sqrt(known.sum()) / total.sum()
             if known.sum() > 1
-            else share * np.inf
+            else np.full_like(share, np.inf)
         )
         made = [
             VarianceShare(
