@@ -137,6 +137,20 @@ def test_the_curves_of_two_set_ups_share_a_plot():
     assert visible(explorer) == {}
 
 
+def test_a_second_set_up_has_random_points(monkeypatch):
+    """The box next to "Compare with a second set-up, B" adds it, with all else as in A."""
+    explorer = Explorer(Document(), SMALL_QUERY)
+    explorer._shown()  # the controls
+    run = []
+    monkeypatch.setattr(Board, "run", lambda board, setup: run.append((board, setup)))
+    explorer._compare.active = True
+    other = replace(SMALL, sampler="random")
+    assert explorer.state == ExplorerState(a=SMALL, b=other)
+    assert explorer.roots["head"].tags == [explorer.state.query(), True]
+    assert list(explorer._controls) == ["A", "B"]
+    assert run == [(explorer._boards["B"], other)]
+
+
 def test_figures_of_two_set_ups_are_in_pairs():
     """If only one set-up has a figure, the place of the other's figure is blank."""
     setups = ExplorerState(a=SMALL, b=replace(SMALL, sampler="random"))
