@@ -18,7 +18,7 @@ from mcspectra.core.errors import McspectraError
 from mcspectra.measure import convergence
 from mcspectra.plots.backend_bokeh import Drawn
 
-SMALL = ExplorerSetup(n=16, half_width=4, realizations=16)
+SMALL = ExplorerSetup(n=16, half_width=4, realizations=16, counts=(4, 16, 64))
 SMALL_QUERY = ExplorerState(a=SMALL).query()
 
 
