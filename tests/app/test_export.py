@@ -21,7 +21,9 @@ SETUPS = [
     ExplorerSetup(
         dims=1, sampler="jittered | shift", density="linear(slope=0.5)", strata_shift=0.25, **SMALL
     ),
-    ExplorerSetup(integrand="disk", smoothing=0.125, basis="cosine", seed=5, **SMALL),
+    ExplorerSetup(
+        dims=1, integrand="step(at=0.3)", smoothing=0.125, basis="cosine", seed=5, **SMALL
+    ),
     ExplorerSetup(
         dims=1, mirror="integrand", density="power(exponent=1)", integrand="polynomial", **SMALL
     ),
