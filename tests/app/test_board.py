@@ -18,7 +18,7 @@ from mcspectra.core.errors import McspectraError
 from mcspectra.measure import convergence
 from mcspectra.plots.backend_bokeh import Drawn
 
-SMALL = ExplorerSetup(n=16, half_width=4, realizations=16)
+SMALL = ExplorerSetup(n=16, half_width=4, realizations=16, counts=(4, 16, 64))
 SMALL_QUERY = ExplorerState(a=SMALL).query()
 
 
@@ -135,6 +135,20 @@ def test_the_curves_of_two_set_ups_share_a_plot():
     assert visible(explorer)["A and B: convergence"].children == [joint]
     explorer._choose_comparison("", True, False)
     assert visible(explorer) == {}
+
+
+def test_a_second_set_up_has_random_points(monkeypatch):
+    """The box next to "Compare with a second set-up, B" adds it, with all else as in A."""
+    explorer = Explorer(Document(), SMALL_QUERY)
+    explorer._shown()  # the controls
+    run = []
+    monkeypatch.setattr(Board, "run", lambda board, setup: run.append((board, setup)))
+    explorer._compare.active = True
+    other = replace(SMALL, sampler="random")
+    assert explorer.state == ExplorerState(a=SMALL, b=other)
+    assert explorer.roots["head"].tags == [explorer.state.query(), True]
+    assert list(explorer._controls) == ["A", "B"]
+    assert run == [(explorer._boards["B"], other)]
 
 
 def test_figures_of_two_set_ups_are_in_pairs():

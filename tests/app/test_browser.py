@@ -8,6 +8,7 @@ import sys
 import urllib.error
 import urllib.request
 from importlib.resources import files
+from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
@@ -20,10 +21,9 @@ from mcspectra.plots.text import number
 
 pytestmark = pytest.mark.browser
 _PATIENCE = 90_000  # Milliseconds; a quiet machine needs less than one second
-_SMALL = "half_width=4&realizations=16&n=16"
+_SMALL = "half_width=4&realizations=16&n=16&counts=4,16,64&density=linear(slope=0.5)"
 _CARDS = "[role=group][aria-label^='A: '], [role=group][aria-label^='B: ']"
 _PLACES = "(a, b) => [a, b].map(each => each.getBoundingClientRect().toJSON())"
-_DENSITY = f"{_SMALL}&density=linear(slope=0.5)"
 _PAIR = "&".join([_SMALL, *(f"b.{each}" for each in _SMALL.split("&")), "b.sampler=random"])
 
 
@@ -39,7 +39,8 @@ def address(tmp_path_factory, terminal):
     cache = str(tmp_path_factory.mktemp("cache"))
     with terminal.open("wb") as stderr:
         process = subprocess.Popen(
-            [sys.executable, "-m", "mcspectra", "app", "--no-browser"],
+            [sys.executable, "-m", "tests.app.small", "app", "--no-browser"],
+            cwd=Path(__file__).parents[2],
             stdout=subprocess.PIPE,
             stderr=stderr,
             text=True,
@@ -61,27 +62,30 @@ def seen():
 
 
 @pytest.fixture(scope="module")
-def page(browser, address, seen):
-    """A tab that can reach only the explorer."""
+def context(browser, address, seen):
+    """Tabs with a common cache of the explorer's scripts, which a rule for requests would empty."""
 
-    def only_here(route):
-        if route.request.url.startswith((address, "data:", "blob:")):
-            route.continue_()
-        else:
-            seen["elsewhere"].append(route.request.url)
-            route.abort()
+    def note(request):
+        if not request.url.startswith((address, "data:", "blob:")):
+            seen["elsewhere"].append(request.url)
 
-    tab = browser.new_page(viewport={"width": 1300, "height": 900})
-    tab.set_default_timeout(_PATIENCE)
+    made = browser.new_context(viewport={"width": 1300, "height": 900})
+    made.set_default_timeout(_PATIENCE)
     expect.set_options(timeout=_PATIENCE)
-    tab.route("**/*", only_here)
-    tab.on("pageerror", lambda error: seen["errors"].append(str(error)))
-    tab.on(
+    made.on("request", note)
+    made.on("weberror", lambda error: seen["errors"].append(str(error.error)))
+    made.on(
         "console",
         lambda message: seen["errors"].append(message.text) if message.type == "error" else None,
     )
-    yield tab
-    tab.close()
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope="module")
+def page(context):
+    """The tab of most tests."""
+    return context.new_page()
 
 
 # A search of the whole page visits ten thousand elements, so tests search the part that they mean
@@ -141,67 +145,21 @@ def state_of(page):
     return ExplorerState.from_query(urlsplit(page.url).query)
 
 
-def test_all_widgets_have_names(page, address):
-    open_state(page, address, _SMALL)
-    expect(controls(page).get_by_role("slider", name="Points n, A", exact=True)).to_be_visible()
-    name = "Compare with a second set-up, B"
-    expect(controls(page).get_by_role("checkbox", name=name, exact=True)).to_be_visible()
-    lines = page.locator("body").aria_snapshot().splitlines()
-    for role in ("slider", "checkbox", "combobox", "textbox", "button", "figure", "progressbar"):
-        own = [line.strip() for line in lines if line.strip().startswith(f"- {role}")]
-        assert all('"' in line for line in own), own
+def test_the_default_page_opens_and_its_tab_closes_during_its_job(context, address):
+    """This test comes first: the page of the next test computes after the abandoned job."""
+    tab = context.new_page()
+    tab.goto(address)
+    expect(card(tab, "A and B: Convergence").locator("canvas").first).to_be_visible()
+    expect(controls(tab).get_by_label("Sampler, A").first).to_be_visible()
+    head(tab).get_by_text("% done.").first.wait_for()
+    tab.close()
 
 
-def test_copied_python_gives_the_displayed_figures(page, address):
-    open_state(page, address, _SMALL)
-    with contextlib.redirect_stdout(io.StringIO()) as printed:
-        exec(compile(program(page), "copied", "exec"), {})  # noqa: S102
-    found = dict(line.split() for line in printed.getvalue().splitlines())
-    cells = head(page).get_by_role("row", name="A jittered").get_by_role("cell").all_inner_texts()
-    assert cells[2] == number(float(found["measured_variance"]))
-    shown = float(cells[4].split()[0].replace("−", "-"))
-    assert shown == pytest.approx(float(found["rate"]), abs=5e-3)
-
-
-def test_the_default_page_opens_again_and_in_another_tab(page, address):
-    """The first page is made in advance; a reload and another tab get pages of their own."""
-    other = page.context.browser.new_page()
-    for tab, load in ((page, "goto"), (page, "reload"), (other, "goto")):
-        getattr(tab, load)(*([address] if load == "goto" else []))
-        both = card(tab, "A and B: Convergence")
-        expect(both.locator("canvas").first).to_be_visible(timeout=_PATIENCE)
-        expect(controls(tab).get_by_label("Sampler, A").first).to_be_visible(timeout=_PATIENCE)
-    other.close()
-
-
-def test_an_invalid_entry_leaves_gray_figures_and_no_numbers(page, address):
-    open_state(page, address, _SMALL)
-    height = page.evaluate("document.documentElement.scrollHeight")
-    field = controls(page).get_by_label("Sampler spec, A", exact=True)
-    field.fill("no-such")
-    field.press("Enter")
-    expect(head(page).get_by_role("alert")).to_contain_text(
-        "A: There is no sampler called 'no-such'"
-    )
-    expect(field).to_have_value("no-such")
-    figure = card(page, "A: Convergence")
-    expect(figure).to_have_css("opacity", "0.35")
-    assert page.evaluate("document.documentElement.scrollHeight") == pytest.approx(height, abs=80)
-    row = head(page).get_by_role("row", name="A no-such")
-    assert row.get_by_role("cell").all_inner_texts()[2:] == ["–", "–", "–"]
-    assert program(page).startswith("# There is no")
-    field.fill("jittered")
-    field.press("Enter")
-    done(page)
-    expect(figure).to_have_css("opacity", "1")
-
-
-def test_two_set_ups_and_the_address_restores_them(page, address):
-    open_state(page, address, _SMALL)  # shown by earlier tests
-    controls(page).get_by_role("checkbox", name="Compare with").check()
-    wait_for(page, "b.sampler", "random")
+def test_the_address_restores_two_set_ups(page, address, terminal):
+    open_state(page, address, _PAIR)
     done(page, "B")
-    state = state_of(page)
+    assert "Traceback" not in terminal.read_text()  # of the job whose tab was closed
+    assert state_of(page) == ExplorerState.from_query(_PAIR)
     for title in ("Points", "Power spectrum", "Terms of the variance"):
         cards = [card(page, f"{side}: {title}") for side in "AB"]
         for side, each in zip("AB", cards, strict=True):
@@ -217,12 +175,6 @@ def test_two_set_ups_and_the_address_restores_them(page, address):
     # The curves of A and B are in one plot
     both = card(page, "A and B: Convergence")
     expect(both.get_by_role("heading", name="A and B: Convergence")).to_be_visible()
-    expect(figures(page).locator(_CARDS)).to_have_count(16)
-    page.reload()
-    done(page, "B")
-    assert state_of(page) == state
-    assert state.b is not None
-    expect(both).to_be_visible()
     expect(figures(page).locator(_CARDS)).to_have_count(16)
 
 
@@ -249,25 +201,105 @@ def test_the_plot_of_both_turns_gray_if_one_cannot_be_computed(page, address):
     field.press("Enter")
     both = card(page, "A and B: Convergence")
     expect(both).to_have_css("opacity", "0.35")
+    field.fill("jittered")
+    field.press("Enter")
+    done(page)
+    expect(both).to_have_css("opacity", "1")
+
+
+def test_a_second_set_up_goes(page, address):
+    """In test_board.py::test_a_second_set_up_has_random_points, it comes."""
+    open_state(page, address, _PAIR)
+    done(page, "B")
+    controls(page).get_by_role("checkbox", name="Compare with").uncheck()
+    page.wait_for_url(lambda url: "b.sampler" not in url)
+    expect(figures(page).locator(_CARDS)).to_have_count(9)
+    expect(card(page, "A: Convergence")).to_be_visible()
+
+
+def test_all_widgets_have_names(page, address):
+    open_state(page, address, _SMALL)
+    expect(controls(page).get_by_role("slider", name="Points n, A", exact=True)).to_be_visible()
+    name = "Compare with a second set-up, B"
+    expect(controls(page).get_by_role("checkbox", name=name, exact=True)).to_be_visible()
+    lines = page.locator("body").aria_snapshot().splitlines()
+    for role in ("slider", "checkbox", "combobox", "textbox", "button", "figure", "progressbar"):
+        own = [line.strip() for line in lines if line.strip().startswith(f"- {role}")]
+        assert all('"' in line for line in own), own
+
+
+def test_copied_python_gives_the_displayed_figures(page, address):
+    open_state(page, address, _SMALL)
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
+        exec(compile(program(page), "copied", "exec"), {})  # noqa: S102
+    found = dict(line.split() for line in printed.getvalue().splitlines())
+    cells = head(page).get_by_role("row", name="A jittered").get_by_role("cell").all_inner_texts()
+    assert cells[2] == number(float(found["measured_variance"]))
+    shown = float(cells[4].split()[0].replace("−", "-"))
+    assert shown == pytest.approx(float(found["rate"]), abs=5e-3)
+
+
+def test_an_invalid_entry_leaves_gray_figures_and_no_numbers(page, address):
+    open_state(page, address, _SMALL)
+    height = page.evaluate("document.documentElement.scrollHeight")
+    field = controls(page).get_by_label("Sampler spec, A", exact=True)
+    field.fill("no-such")
+    field.press("Enter")
+    expect(head(page).get_by_role("alert")).to_contain_text(
+        "A: There is no sampler called 'no-such'"
+    )
+    expect(field).to_have_value("no-such")
+    figure = card(page, "A: Convergence")
+    expect(figure).to_have_css("opacity", "0.35")
+    assert page.evaluate("document.documentElement.scrollHeight") == pytest.approx(height, abs=80)
+    row = head(page).get_by_role("row", name="A no-such")
+    assert row.get_by_role("cell").all_inner_texts()[2:] == ["–", "–", "–"]
+    assert program(page).startswith("# There is no")
+    field.fill("jittered")
+    field.press("Enter")
+    done(page)
+    expect(figure).to_have_css("opacity", "1")
 
 
 def test_a_narrow_page_does_not_scroll_sideways(page, address):
+    any_state(page, address)
     page.set_viewport_size({"width": 390, "height": 800})
-    open_state(page, address, _DENSITY)
-    width = page.evaluate("document.documentElement.scrollWidth")
+    page.wait_for_timeout(500)  # Figures follow the width of the page in later frames
+    page.wait_for_function("document.documentElement.scrollWidth <= 390", timeout=10_000)
     page.set_viewport_size({"width": 1300, "height": 900})
-    assert width <= 390
+
+
+def test_the_theme_is_the_browsers_unless_it_is_chosen(page, address):
+    any_state(page, address)
+    for theme in THEMES:  # the server sends the choice; loading the page again takes seconds
+        with urllib.request.urlopen(f"{address}?{_SMALL}&theme={theme}") as answer:
+            assert f'<html lang="en" data-theme="{theme}">' in answer.read().decode()
+    colors = {}
+    for theme in THEMES:
+        page.evaluate("theme => { document.documentElement.dataset.theme = theme; }", theme)
+        for preferred in ("light", "dark"):
+            page.emulate_media(color_scheme=preferred)
+            color = page.evaluate("getComputedStyle(document.body).backgroundColor")
+            colors[theme, preferred] = color
+    page.emulate_media(color_scheme="light")
+    page.evaluate("document.documentElement.dataset.theme = 'auto'")
+    light, dark = "rgb(255, 255, 255)", "rgb(27, 30, 35)"
+    assert colors == {
+        ("auto", "light"): light, ("auto", "dark"): dark,
+        ("light", "light"): light, ("light", "dark"): light,
+        ("dark", "light"): dark, ("dark", "dark"): dark,
+    }  # fmt: skip
 
 
 def test_the_integrand_is_next_to_its_density(page, address):
-    open_state(page, address, _DENSITY)
+    open_state(page, address, _SMALL)
     figure = figures(page).locator("[role=group][aria-label^='A: Integrand f']")
     expect(figure.get_by_text("f/p from")).to_be_visible()
     assert figure.locator("canvas").count() >= 3
 
 
 def test_a_slider_by_keyboard(page, address):
-    open_state(page, address, _DENSITY)
+    open_state(page, address, _SMALL)
     controls(page).get_by_role("slider", name="Strata shift, A").press("ArrowRight")
     wait_for(page, "strata_shift", "0.05")
     controls(page).get_by_role("slider", name="Density slope, A").press("ArrowRight")
@@ -284,18 +316,6 @@ def test_another_sampler_and_a_randomization(page, address):
     wait_for(page, "sampler", "sobol | owen")
     done(page)
     expect(figures(page).get_by_role("figure", name="plot of variance against n")).to_be_visible()
-
-
-def test_a_formula(page, address):
-    any_state(page, address)
-    field = controls(page).get_by_label("Formula, A", exact=True)
-    field.fill("__import__('os')")
-    field.press("Enter")
-    expect(head(page).get_by_role("alert")).to_contain_text("no function '__import__'")
-    field.fill("exp(-x/2)*(y < 0.5)")
-    field.press("Enter")
-    wait_for(page, "integrand", "formula(expression='exp(-x/2)*(y < 0.5)')")
-    done(page)
 
 
 @pytest.mark.render
@@ -323,8 +343,21 @@ def test_a_pixel_of_the_scene(page, address):
     done(page)
 
 
-def test_a_broken_picture_gets_a_sentence(page, address, tmp_path):
+def test_a_formula(page, address):
     any_state(page, address)
+    field = controls(page).get_by_label("Formula, A", exact=True)
+    field.fill("__import__('os')")
+    field.press("Enter")
+    expect(head(page).get_by_role("alert")).to_contain_text("no function '__import__'")
+    field.fill("exp(-x/2)*(y < 0.5)")
+    field.press("Enter")
+    wait_for(page, "integrand", "formula(expression='exp(-x/2)*(y < 0.5)')")
+    done(page)
+
+
+def test_a_broken_picture_gets_a_sentence(page, address, tmp_path):
+    if not page.url.startswith(address):
+        any_state(page, address)
     file = tmp_path / "broken.png"
     file.write_bytes(b"\x89PNG\r\n\x1a\nnothing")
     controls(page).locator("input[type=file]").set_input_files(file)
@@ -339,41 +372,16 @@ def test_odd_addresses_get_a_sentence(page, address):
     expect(head(page).get_by_role("alert")).to_contain_text("The defaults are shown.")
 
 
-def test_a_tab_that_closes_leaves_no_traceback(page, address, terminal):
-    other = page.context.browser.new_page()
-    other.goto(f"{address}?n=1024&realizations=1024&half_width=32")
-    head(other).get_by_text("% done.").wait_for()
+@pytest.mark.slow  # test_server.py::test_the_first_document_has_the_top_figure… is quick
+def test_the_default_page_opens_again_and_in_another_tab(page, address):
+    """The first page is made in advance; a reload and another tab get pages of their own."""
+    other = page.context.new_page()
+    for tab, load in ((page, "goto"), (page, "reload"), (other, "goto")):
+        getattr(tab, load)(*([address] if load == "goto" else []))
+        both = card(tab, "A and B: Convergence")
+        expect(both.locator("canvas").first).to_be_visible(timeout=_PATIENCE)
+        expect(controls(tab).get_by_label("Sampler, A").first).to_be_visible(timeout=_PATIENCE)
     other.close()
-    # The next job ends after the abandoned one, so a traceback would be printed by then
-    any_state(page, address)
-    field = controls(page).get_by_label("Sampler spec, A", exact=True)
-    field.fill("n-rooks")
-    field.press("Enter")
-    wait_for(page, "sampler", "n-rooks")
-    done(page)
-    assert "Traceback" not in terminal.read_text()
-
-
-def test_the_theme_is_the_browsers_unless_it_is_chosen(page, address):
-    any_state(page, address)
-    for theme in THEMES:  # the server sends the choice; loading the page again takes seconds
-        with urllib.request.urlopen(f"{address}?{_SMALL}&theme={theme}") as answer:
-            assert f'<html lang="en" data-theme="{theme}">' in answer.read().decode()
-    colors = {}
-    for theme in THEMES:
-        page.evaluate("theme => { document.documentElement.dataset.theme = theme; }", theme)
-        for preferred in ("light", "dark"):
-            page.emulate_media(color_scheme=preferred)
-            color = page.evaluate("getComputedStyle(document.body).backgroundColor")
-            colors[theme, preferred] = color
-    page.emulate_media(color_scheme="light")
-    page.evaluate("document.documentElement.dataset.theme = 'auto'")
-    light, dark = "rgb(255, 255, 255)", "rgb(27, 30, 35)"
-    assert colors == {
-        ("auto", "light"): light, ("auto", "dark"): dark,
-        ("light", "light"): light, ("light", "dark"): light,
-        ("dark", "light"): dark, ("dark", "dark"): dark,
-    }  # fmt: skip
 
 
 @pytest.mark.parametrize(

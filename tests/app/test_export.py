@@ -14,20 +14,21 @@ from mcspectra.app.uploads import keep_upload
 from mcspectra.core.fits import is_resolved
 from mcspectra.studies import open_results, read_study, run_study
 
-SMALL = {"n": 16, "half_width": 6, "realizations": 8}
+ALL_COUNTS = {"n": 16, "half_width": 6, "realizations": 8}
+SMALL = ALL_COUNTS | {"counts": (4, 16, 64)}
 SETUPS = [
-    ExplorerSetup(**SMALL),
+    ExplorerSetup(**ALL_COUNTS),  # The others have few counts, whose predictions are quick
     ExplorerSetup(
         dims=1, sampler="jittered | shift", density="linear(slope=0.5)", strata_shift=0.25, **SMALL
     ),
-    ExplorerSetup(integrand="disk", smoothing=0.125, basis="cosine", seed=5, **SMALL),
+    ExplorerSetup(
+        dims=1, integrand="step(at=0.3)", smoothing=0.125, basis="cosine", seed=5, **SMALL
+    ),
     ExplorerSetup(
         dims=1, mirror="integrand", density="power(exponent=1)", integrand="polynomial", **SMALL
     ),
     ExplorerSetup(sampler="sobol | owen", frequency_step=0.25, **SMALL),
-    ExplorerSetup(
-        bands="dyadic", engine="direct", counts=(4, 16, 64), fit_last="auto", eps=1e-6, **SMALL
-    ),
+    ExplorerSetup(bands="dyadic", engine="direct", fit_last="auto", eps=1e-6, **SMALL),
     ExplorerSetup(integrand="technique-sum(integrands=['gaussian', 'disk'])", **SMALL),
     ExplorerSetup(integrand="environment(values=[[[1, 2, 3], [0, 5, 1]]])", channel="1", **SMALL),
 ]

@@ -1,5 +1,7 @@
 """Figures of a set-up: new results change only data, and texts contain the measured values."""
 
+from dataclasses import replace
+
 import pytest
 from bokeh.document import Document
 
@@ -9,14 +11,13 @@ from mcspectra.app.state import ExplorerSetup
 from mcspectra.plots.backend_bokeh import Drawn, draw
 from mcspectra.plots.text import number
 
+SMALL = ExplorerSetup(n=16, half_width=4, counts=(4, 16, 64))
 SETUPS = {
-    "two dims": ExplorerSetup(n=16, half_width=4),
-    "one dim": ExplorerSetup(n=16, half_width=8, dims=1, sampler="jittered | shift"),
-    "weights": ExplorerSetup(n=16, half_width=4, density="linear(slope=1.0)"),
-    "real frequencies": ExplorerSetup(n=16, half_width=4, frequency_step=0.25),
-    "techniques": ExplorerSetup(
-        n=16, half_width=4, integrand="technique-sum(integrands=['gaussian', 'disk'])"
-    ),
+    "two dims": SMALL,
+    "one dim": replace(SMALL, half_width=8, dims=1, sampler="jittered | shift"),
+    "weights": replace(SMALL, density="linear(slope=1.0)"),
+    "real frequencies": replace(SMALL, frequency_step=0.25),
+    "techniques": replace(SMALL, integrand="technique-sum(integrands=['gaussian', 'disk'])"),
 }
 
 

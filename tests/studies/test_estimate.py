@@ -115,17 +115,20 @@ name = "whole"
 scene = "penumbra(width=20, height=15)"
 integrator = "path(max_depth=2)"
 chains = 0
+realizations = 20
 [[maps]]
 name = "crop"
 scene = "penumbra(width=20, height=15)"
 integrator = "path(max_depth=2)"
 chains = 0
+realizations = 20
 crop = [0, 0, 20, 15]
 [[maps]]
 name = "subset"
 scene = "penumbra(width=20, height=15)"
 integrator = "path(max_depth=2)"
 chains = 0
+realizations = 20
 pixels = "30%"
 """
 
