@@ -39,8 +39,7 @@ def _worst(family, dims, sampler, n, sides):
     ("family", "dims"),
     [
         *(("slab", 1), ("bell", 1), ("box", 1), ("slab", 4), ("hidden-step", 2)),
-        *(("ridge", 2), ("oblique-step", 2), ("product", 3)),
-        pytest.param("oblique-step", 3, marks=pytest.mark.slow),
+        *(("ridge", 2), ("oblique-step", 3), ("product", 3)),
     ],
 )
 def test_random_points(family, dims):
@@ -49,11 +48,7 @@ def test_random_points(family, dims):
 
 
 @pytest.mark.parametrize(
-    ("family", "dims"),
-    [
-        *(("slab", 1), ("box", 1), ("slab", 2), ("ridge", 2), ("oblique-step", 2)),
-        pytest.param("oblique-step", 3, marks=pytest.mark.slow),
-    ],
+    ("family", "dims"), [("slab", 1), ("box", 1), ("slab", 2), ("ridge", 2), ("oblique-step", 3)]
 )
 def test_jittered_points(family, dims):
     side = {1: 16, 2: 4, 3: 2}[dims]
