@@ -142,12 +142,16 @@ def pytest_xdist_auto_num_workers():
     return (os.cpu_count() or 1) + 1
 
 
-# Files whose tests share a browser, a cluster or compiled kernels, which take seconds to start
+# Files and folders whose tests share a browser, a cluster, or results that take seconds.
+# Dr.Jit compiles a kernel anew if other scenes are in memory. With all tests of a file in one
+# worker, the scenes are the same in each run, so that the kernels are in Dr.Jit's cache.
 TOGETHER = {
+    "tests/prediction",
+    "tests/rendering",
+    "tests/report",
     "tests/app/test_browser.py",
     "tests/cli/test_map.py",
     "tests/cli/test_pixel.py",
-    "tests/report/test_browser.py",
     "tests/studies/test_cluster.py",
     "tests/studies/test_cluster_studies.py",
     "tests/studies/test_path.py",
@@ -156,13 +160,13 @@ TOGETHER = {
 
 
 def pytest_xdist_make_scheduler(config, log):
-    """Run all tests of a file of `TOGETHER` in one worker, and these files first."""
+    """Run all tests of a file in one worker if `TOGETHER` has it or its folder; start with them."""
     from xdist.scheduler import LoadScopeScheduling
 
     class Scheduling(LoadScopeScheduling):
         def _split_scope(self, nodeid):
             file = nodeid.partition("::")[0]
-            return file if file in TOGETHER else nodeid
+            return file if TOGETHER & {file, file.rpartition("/")[0]} else nodeid
 
     return Scheduling(config, log)
 

@@ -27,8 +27,11 @@ PREDICTIONS = list(NAMES)[1:7]
 
 
 @pytest.fixture(autouse=True)
-def small(use_settings, few_offsets, few_probes):
-    """Draw fewer sets and use coarser tables, so that sampled methods have wider intervals."""
+def small(use_settings, few_products, few_offsets, few_probes):
+    """Draw fewer sets and use coarser tables, so that sampled methods have wider intervals.
+
+    Sums of products are small as well: tests of the fit are in test_subsets.
+    """
     use_settings(
         table=TableSettings(cells={1: 2**12, 2: 2**7, 3: 2**5}, points=2**18),
         extrapolated=ExtrapolationSettings(sets=500, near_sets=250, near_points=2**14),
@@ -339,7 +342,6 @@ def test_what_methods_apply_to_and_cost_is_known_without_evaluations(dims):
             assert found.need(subject).cost >= 1e6
 
 
-@pytest.mark.usefixtures("few_products", "few_offsets")
 def test_auto_takes_the_first_that_is_narrow_enough_else_the_narrowest():
     """In four dims products miss a ball, so offsets of the lattice are also tried."""
     ball = mcs.Integrand.from_function(

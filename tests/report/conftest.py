@@ -5,6 +5,7 @@ import math
 from collections import defaultdict
 from contextlib import contextmanager
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import msgspec
@@ -19,7 +20,7 @@ import mcspectra as mcs
 from mcspectra.core.analysis import ANALYSES
 from mcspectra.core.records import pack
 from mcspectra.core.results import dataset
-from mcspectra.plots import backend_matplotlib
+from mcspectra.plots import backend_bokeh, backend_matplotlib
 from mcspectra.report.bench_page import write_bench
 from mcspectra.report.sampler_cards import QUICK, measure_card
 from mcspectra.studies.files import Slugs, decode_study, plain_study, study_of
@@ -304,6 +305,20 @@ def no_pdf():
         yield
 
 
+@contextmanager
+def blank_figures():
+    """Write figures without contents, for tests of the page around them."""
+    # A PDF without bytes would count as not drawn
+    white = np.full((2, 2, 3), 255, np.uint8), b" "
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(backend_matplotlib, "draw", lambda plot, **_: None)
+        patch.setattr(backend_matplotlib, "rasterize", lambda figure, **_: white)
+        patch.setattr(backend_matplotlib, "has_few_colors", lambda figure: True)
+        patch.setattr(backend_bokeh, "draw", lambda plot: SimpleNamespace(model=None))
+        patch.setattr(backend_bokeh, "packed", lambda model: "blank")
+        yield
+
+
 @pytest.fixture(scope="session")
 def bench_page(once, tmp_path_factory):
     """Write the page of a bench of two samplers with their cards; return its path."""
@@ -314,7 +329,8 @@ def bench_page(once, tmp_path_factory):
         cards = [measure_card(spec, effort=effort) for spec in bench["sampler"].values]
         folder = tmp_path_factory.mktemp("bench") / "out"
         # Two integrands: a figure of all eight takes most of the time
-        return write_bench(bench.isel(integrand=slice(2)), str(folder), cards)
+        with no_layout():
+            return write_bench(bench.isel(integrand=slice(2)), str(folder), cards)
 
     return once("bench-page", written)
 

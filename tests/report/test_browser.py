@@ -30,7 +30,10 @@ def _folder(make, once, tmp_path_factory):
 
 def _written(make, tmp_path_factory):
     root = tmp_path_factory.mktemp("browser")
-    cells = {("1-D", s): make["analyses"](s, 1) for s in ("random", "jittered")}
+    cells = {}
+    for sampler in ("random", "jittered"):
+        terms = make["terms"](sampler, matrix=True)
+        cells["1-D", sampler] = {"convergence": make["curve"](sampler), "terms": terms}
     cells["2-D", "random"] = {"terms": make["terms"]("random", dims=2, half_width=6)}
     cells[EVIL, EVIL] = {"convergence": make["curve"]("random", rate=-1.2)}
     write_report(make["study"](root / "a", cells))

@@ -8,14 +8,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-from tests.report.conftest import no_pdf
+from tests.report.conftest import blank_figures
 from tests.report.parsed import Parsed
 
 import mcspectra as mcs
 from mcspectra.core.errors import StoreError
-from mcspectra.plots import backend_bokeh, backend_matplotlib
 from mcspectra.plots.text import number
 from mcspectra.report import study as module
 from mcspectra.report import write_report
@@ -30,11 +28,11 @@ Make = dict[str, Callable[..., Any]]
 
 @pytest.fixture(scope="module")
 def folder(once, request):
-    """Write the report of a small study; `test_page_at_another_path` writes PDF files as well."""
+    """Write the report of a small study; `test_page_at_another_path` draws figures as well."""
 
     def written():
         study = Path(request.getfixturevalue("study_folder"))
-        with no_pdf():
+        with blank_figures():
             write_report(study)
         return study
 
@@ -48,14 +46,10 @@ def page(folder):
 
 
 @pytest.fixture
-def blank(monkeypatch):
+def blank():
     """Replace the contents of figure files by nothing."""
-    monkeypatch.setattr(backend_matplotlib, "draw", lambda plot, **_: None)
-    # A PDF without bytes would count as not drawn
-    white = np.full((2, 2, 3), 255, np.uint8)
-    monkeypatch.setattr(backend_matplotlib, "rasterize", lambda figure, **_: (white, b" "))
-    monkeypatch.setattr(backend_matplotlib, "has_few_colors", lambda figure: True)
-    monkeypatch.setattr(backend_bokeh, "packed", lambda model: "")
+    with blank_figures():
+        yield
 
 
 def test_sections(page):
@@ -98,6 +92,9 @@ def test_page_at_another_path(make, tmp_path):
     assert len(files) == 2 + 2  # points, f with points
     for file in files:
         assert file.read_bytes().startswith(b"%PDF" if file.suffix == ".pdf" else b"\x89PNG")
+    images = Parsed(page.read_text(encoding="utf-8")).all("img")
+    assert len(images) == 2 + 2  # small pictures and figures
+    assert all(int(str(attributes["width"])) > 100 for attributes in images)
     assert not (study / "report.html").exists()
     with pytest.raises(StoreError, match="cannot be written"):
         write_report(study, tmp_path / "nowhere" / "x.html")
@@ -110,7 +107,7 @@ def test_figures_have_descriptions_and_sizes(page):
     assert len(images) == row + 11 + 4
     for attributes in images:
         assert len(str(attributes["alt"])) > 30
-        assert int(str(attributes["width"])) > 100
+        assert attributes["width"] == attributes["height"] == "2"  # The size of the blank image
     assert page.tags.count(("figcaption", {})) == len(images)
 
 

@@ -1,12 +1,14 @@
 """Reports of the terms of several samplers at once."""
 
 import matplotlib.pyplot as plt
+import pytest
 
 import mcspectra as mcs
 from mcspectra.plots.kinds import describe, kinds_of
 from mcspectra.report.result_files import write_result, write_result_file
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_plots_pages_and_sentences_have_every_sampler(tmp_path):
     f = mcs.integrand("gaussian", dims=1)
     samplers = ["jittered", "random"]
