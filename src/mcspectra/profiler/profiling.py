@@ -1331,8 +1331,7 @@ def _improved(
         sure = math.exp(-CONFIDENCE_Z * math.hypot(ours_se, other_se))
         # If tails are not resolved, small sets underestimate the variance
         doubt = math.exp(_SETTINGS.tail_errors * error) if grows else 1.0
-        known = after * math.exp(error) < _bound(base, points_at_budget)
-        better = ours < other * sure and after * doubt < at_best and known
+        better = ours < other * sure and after * doubt < at_best
         own = replace(offer, change=f"{offer.change}, and sample with {NETS}")
         measured = (after, error)
         found.append(
