@@ -187,6 +187,8 @@ _GAINED = {
     "axis-parallel-jump",
 }
 _JUMPS = {"interior-jump", "axis-parallel-jump"}
+# Limit of exponents: the exponential of a larger number overflows
+_LARGEST = 700.0
 # Exponents e of theoretical rates for some causes of noise.
 # In theory, variances fall as n^(−1 − e/d) with strata, and as n^(−1 − e) with nets
 _EXPONENTS = {"interior-jump": 1.0, "axis-parallel-jump": 1.0, "none": 2.0}
@@ -998,6 +1000,12 @@ def _in_all(steps: int) -> float:
     return float(2.0 - 2.0 ** (1 - steps))
 
 
+def _least(*, few: bool) -> float:
+    """Return the points of all sets of a lattice if the largest count is `few_points`."""
+    sets, steps = _sets_and_steps(lattice=True, few=few)
+    return sets * _SETTINGS.few_points * _in_all(steps)
+
+
 def _replicates(points: Sequence[Array], estimates: Array) -> Replicates:
     """Compute means over each of R point sets (R, n, d), and return them with the estimates."""
     x = np.concatenate([np.asarray(p) for p in points], axis=1)
@@ -1063,15 +1071,16 @@ def _measured_rivals(
     for place, (name, rival) in enumerate(rivals.items()):
         setup, lattice = rival.setup, name != _PAIRS
         share = (left - calls) * weights[name] // sum(list(weights.values())[place:])
-        sets, steps = _sets_and_steps(lattice=lattice, few=name in steep)
-        if lattice and share < sets * _SETTINGS.few_points * setup.cost * _in_all(steps):
+        # If the evaluations are few, fewer sets have enough points
+        few = name in steep or (lattice and share < _least(few=False) * setup.cost)
+        if lattice and share < _least(few=few) * setup.cost:
             not_tried.append(f"{name}: only {share} evaluations remain for it")
             continue
         own = stream.child(97 - place)
         # Skip samplers that do not support this number of dims or points
         with contextlib.suppress(McspectraError):
             curve, _, cost = _measured(
-                setup.estimator, setup.sampler, share, own, lattice=lattice, few=name in steep
+                setup.estimator, setup.sampler, share, own, lattice=lattice, few=few
             )
             calls += cost
             if name in steep:
@@ -1157,7 +1166,8 @@ def _results(
 
     def with_ends(variance: tuple[float, float]) -> tuple[float, tuple[float, float]]:
         """Return the RMSE and its 95 % interval, from a variance and its relative error."""
-        rmse, away = math.sqrt(variance[0]), math.exp(0.5 * CONFIDENCE_Z * variance[1])
+        rmse = math.sqrt(variance[0])
+        away = math.exp(min(0.5 * CONFIDENCE_Z * variance[1], _LARGEST))
         return rmse, (rmse / away, rmse * away)
 
     rmse, ends = (math.inf, (math.inf, math.inf)) if infinite else with_ends(at_budget)
@@ -1181,7 +1191,7 @@ def _results(
             value, error = noise, max(error, math.log(noise / value))
         rmse, ends = with_ends((value, error))
         gain = math.inf if infinite or not value > 0.0 else at_budget[0] / value
-        half = math.exp(z * math.hypot(error, at_budget[1]))
+        half = math.exp(min(z * math.hypot(error, at_budget[1]), _LARGEST))
         gain_ci = (gain / half, gain * half)
         if each.steepens:
             ends, gain_ci = (0.0, ends[1]), (gain_ci[0], math.inf)
