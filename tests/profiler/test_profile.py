@@ -971,8 +971,11 @@ def test_lattices_are_measured_only_with_enough_points_to_show_a_rate(budget):
 
 
 def test_a_vague_variance_does_not_overflow():
-    found = mcs.profile(lambda x: (x.sum(axis=-1) < 0.8) * 1.0, dims=3, budget=512)
-    assert all(result.gain_ci[1] > 0.0 for result in found.answer.results)
+    for sampler in ("random", "halton | shift"):
+        found = mcs.profile(
+            lambda x: (x.sum(axis=-1) < 0.8) * 1.0, dims=3, sampler=sampler, budget=512
+        )
+        assert all(result.gain_ci[1] > 0.0 for result in found.answer.results)
 
 
 def test_a_limit_above_the_rmse_of_random_points_is_not_shown():

@@ -1162,7 +1162,9 @@ def _results(
         """Return how many evaluations the given set-up needs to divide its variance by `gain`."""
         if not (slope < 0.0 and math.isfinite(gain)):
             return math.inf
-        return float(cost * points * gain ** (-1.0 / slope))
+        if gain <= 0.0:
+            return 0.0
+        return cost * points * math.exp(min(-math.log(gain) / slope, _LARGEST))
 
     def with_ends(variance: tuple[float, float]) -> tuple[float, tuple[float, float]]:
         """Return the RMSE and its 95 % interval, from a variance and its relative error."""
