@@ -169,6 +169,8 @@ class ProfileSettings:
     # A substitution that makes g periodic is tried if n^(1/d) is at least `resolving_points`.
     # With fewer points, folded lattices have less variance (`benchmarks periodized`).
     resolving_points: int = 10
+    # Largest logarithm of a ratio. The exponential of a number above 709 overflows.
+    most_log: float = 700.0
     # Number of points that are drawn from a density to test whether they lie in the unit cube.
     tested_points: int = 64
 
@@ -187,8 +189,6 @@ _GAINED = {
     "axis-parallel-jump",
 }
 _JUMPS = {"interior-jump", "axis-parallel-jump"}
-# Limit of exponents: the exponential of a larger number overflows
-_LARGEST = 700.0
 # Exponents e of theoretical rates for some causes of noise.
 # In theory, variances fall as n^(−1 − e/d) with strata, and as n^(−1 − e) with nets
 _EXPONENTS = {"interior-jump": 1.0, "axis-parallel-jump": 1.0, "none": 2.0}
@@ -1164,12 +1164,12 @@ def _results(
             return math.inf
         if gain <= 0.0:
             return 0.0
-        return cost * points * math.exp(min(-math.log(gain) / slope, _LARGEST))
+        return cost * points * math.exp(min(-math.log(gain) / slope, _SETTINGS.most_log))
 
     def with_ends(variance: tuple[float, float]) -> tuple[float, tuple[float, float]]:
         """Return the RMSE and its 95 % interval, from a variance and its relative error."""
         rmse = math.sqrt(variance[0])
-        away = math.exp(min(0.5 * CONFIDENCE_Z * variance[1], _LARGEST))
+        away = math.exp(min(0.5 * CONFIDENCE_Z * variance[1], _SETTINGS.most_log))
         return rmse, (rmse / away, rmse * away)
 
     rmse, ends = (math.inf, (math.inf, math.inf)) if infinite else with_ends(at_budget)
@@ -1193,7 +1193,7 @@ def _results(
             value, error = noise, max(error, math.log(noise / value))
         rmse, ends = with_ends((value, error))
         gain = math.inf if infinite or not value > 0.0 else at_budget[0] / value
-        half = math.exp(min(z * math.hypot(error, at_budget[1]), _LARGEST))
+        half = math.exp(min(z * math.hypot(error, at_budget[1]), _SETTINGS.most_log))
         gain_ci = (gain / half, gain * half)
         if each.steepens:
             ends, gain_ci = (0.0, ends[1]), (gain_ci[0], math.inf)
