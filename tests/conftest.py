@@ -137,9 +137,17 @@ def browser():
         found.close()
 
 
-def pytest_xdist_auto_num_workers():
-    """Use one worker more than cores, because tests wait for processes a seventh of the time."""
-    return (os.cpu_count() or 1) + 1
+# Packages whose tests wait for processes a large part of the time
+WAITING = ("tests", "tests/cli", "tests/studies")
+
+
+def pytest_xdist_auto_num_workers(config):
+    """Use one worker for each core, and one more if the tests wait for processes.
+
+    Each worker imports the package, and makes the fixtures of its modules anew.
+    """
+    paths = [os.path.relpath(path.partition("::")[0]) for path in config.args]
+    return (os.cpu_count() or 1) + any(path in WAITING for path in paths)
 
 
 # Files and folders whose tests share a browser, a cluster, or results that take seconds.
