@@ -11,6 +11,7 @@ from tests.plots.drawing import written_by_bokeh
 import mcspectra as mcs
 from mcspectra import rendering
 from mcspectra.cli.main import main
+from mcspectra.core import trust
 from mcspectra.core.errors import (
     ConfigError,
     CountError,
@@ -20,6 +21,7 @@ from mcspectra.core.errors import (
     ParameterError,
 )
 from mcspectra.core.streams import Stream
+from mcspectra.core.trust import process_trust
 from mcspectra.plots.kinds import describe, kinds_of
 from mcspectra.plots.screens import SCREENS, mask_names
 from mcspectra.rendering import FunctionScreen, ScreenBlock, as_screen_sampler, screen_spectrum
@@ -280,8 +282,10 @@ def program(tmp_path_factory):
     file = tmp_path_factory.mktemp("screen") / "mine"
     file.write_text(BLOCK_PROGRAM, encoding="utf-8")
     file.chmod(file.stat().st_mode | stat.S_IEXEC)
+    before = process_trust()
     mcs.samplers.allow_code(str(file))
-    return file
+    yield file
+    trust._process = before
 
 
 class TestCommand:

@@ -322,6 +322,12 @@ class Profile:
         width = max([20, *(len(name) for name, *_ in rows)])
         for name, rmse, rate in rows:
             found.append(f"  {name:<{width}} {rmse:>10}   {rate}")
+        shown = {name for name, *_ in rows}
+        found += [
+            f"not known  {name}: the evaluations are too few for its rate"
+            for name in self.samplers
+            if name not in shown
+        ]
         found += [f"not tried  {reason}" for reason in self.not_tried]
         return "\n".join(found)
 
@@ -346,13 +352,11 @@ class Profile:
             )
             if math.isnan(curve.rate):
                 rate = "no error seen" if curve.vanishes <= self.points else "none"
+            if limits.get(name, 0.0) >= largest:
+                continue  # a limit above the RMSE of random points says nothing
             rmse = self._rmse(curve)
             shown = "not known" if math.isnan(rmse) else f"{rmse:.3g}"
-            if name in limits:
-                # A limit above the RMSE of random points says nothing
-                told = limits[name] < largest
-                shown = f"< {limits[name]:.2g}" if told else "not known"
-                rate = rate if told else "not known"
+            shown = f"< {limits[name]:.2g}" if name in limits else shown
             rows.append((name, shown, rate.replace("-", "−")))
         return rows
 
