@@ -12,6 +12,7 @@ import mcspectra as mcs
 from mcspectra.cli.main import main
 from mcspectra.core.errors import DomainError, InfiniteVarianceWarning, ParameterError
 from mcspectra.estimators.tails import border_growth, tied_error
+from mcspectra.measure.integration import _Estimated, _with_profile
 
 E = np.e - 1.0
 
@@ -524,3 +525,19 @@ def test_equal_estimates_of_a_function_without_jumps_are_exact():
     assert tied_error(np.ones((8, 64))) == 0.0
     steps = np.repeat([[0.0, 1.0]], 8, axis=0).repeat(32, axis=1)
     assert tied_error(steps) == pytest.approx(np.log(20) / steps.size)
+
+
+def test_an_estimate_without_an_interval_is_kept_within_that_of_the_profile():
+    """The tail of twelve replicates is not resolved. Earlier versions returned the other mean."""
+
+    def peak(x):
+        return (1.0 / (0.25 + (x - 0.4) ** 2)).prod(axis=-1)
+
+    found = mcs.profile(peak, dims=2, budget=1024, rng=18)
+    low, high = found.interval
+    near = 0.6 * low + 0.4 * high
+    for value, kept in ((near, near), (high + 1.0, found.integral)):
+        made = _Estimated(value, (-math.inf, math.inf), "few", None, False, np.ones(4))
+        result = _with_profile(value, made.interval, made.note, found, made, None)
+        assert result[:2] == (kept, (low, high))
+        assert "that of the profile" in result[2]
