@@ -353,7 +353,7 @@ class Profile:
             if math.isnan(curve.rate):
                 rate = "no error seen" if curve.vanishes <= self.points else "none"
             if limits.get(name, 0.0) >= largest:
-                continue  # a limit above the RMSE of random points says nothing
+                continue  # random points have a smaller RMSE than this limit
             rmse = self._rmse(curve)
             shown = "not known" if math.isnan(rmse) else f"{rmse:.3g}"
             shown = f"< {limits[name]:.2g}" if name in limits else shown

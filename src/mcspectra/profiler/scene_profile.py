@@ -94,7 +94,7 @@ class SceneSettings:
     # With 32 renders, the variance of a pixel has a relative error of 25 %.
     most_renders: int = 32
     least_renders: int = 8
-    # Maximum number of renders if fewer than `pixels` pixels are measured, such as those of a crop.
+    # Maximum number of renders if fewer than `pixels` pixels are measured, for example in a crop.
     # With 1024 renders, the variance of a pixel has a relative error of 4 %.
     renders_of_few: int = 1024
     # Number of pixels, and number of renders, in the test that measures the speed.
@@ -323,9 +323,10 @@ def _spread(logs: Array, noise: float) -> float:
 
 
 def _in_order(found: Iterable[Needed]) -> tuple[Needed, ...]:
-    """Return the numbers of samples, none of which is less than that of a smaller share of pixels.
+    """Return the numbers of samples in ascending order of the shares of pixels.
 
-    The shares have their own renders, so that a number may be less than the one before by chance.
+    More pixels never need fewer samples. Each share has its own renders, so that by chance its
+    number may be smaller than the number before. Then it gets the number before.
     """
     made = list[Needed]()
     for each in found:
