@@ -906,7 +906,8 @@ class _Work:
             order = np.argsort(logs[last], kind="stable")
             rank = round(share * (len(order) - 1))
             start = max(0, min(rank - settings.near // 2, len(order) - settings.near))
-            near = seen[order[start : start + settings.near]]
+            picks = order[start : start + settings.near]
+            near = seen[picks]
             film = self.rendered.film
             renders = settings.near_renders * max(1, settings.near // len(near))
             each = (1 + 2 * film.margin) ** 2 * len(near) * renders
@@ -916,12 +917,14 @@ class _Work:
             if count <= n and wanted > n:
                 break  # more samples would take too much time, so extrapolate
             found = self._values(plugin, count, pixels[near], renders, side=1)
-            there = self._logs(found, mean[near])
-            own = float(np.median(there))
+            # Each pixel is compared with itself: if half of these pixels are far noisier than the
+            # others, the median of their errors would be a matter of chance
+            change = self._logs(found, mean[near]) - logs[last][picks]
+            own = quantile(last)[0] + float(np.median(change))
             # At the last number of samples, the errors of these pixels were near the quantile.
             # The error of the quantile is added to the scatter of the errors in the new renders
             noise = _noise_of_log(renders)
-            scatter = 1.2533 * _spread(there, noise) / math.sqrt(len(near))
+            scatter = 1.2533 * _spread(change, noise) / math.sqrt(len(near))
             if count != n and rate is None:
                 # The slope between these two numbers of samples is noisy if they are close,
                 # so it is averaged with the slope before, weighted by the errors of both
