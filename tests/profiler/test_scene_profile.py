@@ -101,6 +101,16 @@ def test_one_pixel_has_a_standard_error_too():
     assert abs(log) < 3.0 * error
 
 
+def test_a_sampler_with_one_number_of_samples_has_the_usual_slope():
+    """A sampler with twice the least variance is not measured at more samples."""
+    work = _Work(Rendered(np.full((32, 64), 0.5), -1.0), Stream.from_rng(0), 30.0, 0.0)
+    tiles, _ = chosen_tiles(Rendered.film, 64, Stream.from_rng(0))
+    values = {16: work.rendered.estimates("", 16, tiles, 1, 16, work._stream())}
+    low, high = work._needed("", values, np.ones(len(tiles)), tiles, 0.5, 0.1).spp_ci
+    assert low < 25.0 < high
+    assert work._quantities(values, np.ones(len(tiles)), np.ones(len(tiles), bool))[1] < -1.0
+
+
 def test_samples_for_more_pixels_are_never_fewer():
     half, most = Needed(0.5, 185.0, (141.0, 243.0)), Needed(0.95, 176.0, (135.0, 260.0))
     assert _in_order([half, most]) == (half, Needed(0.95, 185.0, (141.0, 260.0)))

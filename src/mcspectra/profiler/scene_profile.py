@@ -850,6 +850,8 @@ class _Work:
         """
         logs = {n: self._narrowed(v[:, seen], mean[seen]) for n, v in values.items()}
         first, last = min(logs), max(logs)
+        if first == last:
+            return logs[last], _SETTINGS.usual
         slope = float(np.median(logs[last] - logs[first])) / math.log(last / first)
         return logs[last], min(max(slope, _SETTINGS.steepest), _SETTINGS.slowest)
 
@@ -884,7 +886,9 @@ class _Work:
             return min(max(slope, settings.steepest), settings.slowest)
 
         (level, error), (before, before_error) = quantile(last), quantile(first)
-        if rate is None:
+        if rate is None and first == last:  # Measured at one number of samples only
+            slope, slope_error = settings.usual, settings.usual_error
+        elif rate is None:
             slope = bounded((level - before) / math.log(last / first))
             slope_error = max(math.hypot(error, before_error) / math.log(last / first), 0.1)
             # If few pixels hardly show the slope, the usual slope of renders counts more
@@ -965,8 +969,8 @@ class _Work:
         found = measurement._chains(pixels[picks])[..., : len(picks)] / mean[picks]
         (whole, _), shares, _ = path_shares(found, [np.eye(len(requests), dtype=bool)])
         known = np.isfinite(shares[0]).all(axis=0) & np.isfinite(whole)
-        if not known.any():
-            return ()
+        if not (whole[known] > 0.0).any():
+            return ()  # no traced path of these pixels found light
         parts, total = shares[0][:, known] * whole[known], whole[known]
         share = parts.sum(axis=1) / total.sum()
         off = parts - share[:, None] * total
