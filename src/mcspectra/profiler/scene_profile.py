@@ -929,6 +929,11 @@ class _Work:
             # The error of the quantile is added to the scatter of the errors in the new renders
             noise = _noise_of_log(renders)
             scatter = 1.2533 * _spread(change, noise) / math.sqrt(len(near))
+            # If the new renders contradict the extrapolated error, the interval includes both
+            away = own - level - slope * math.log(count / n)
+            known = math.hypot(error, scatter, slope_error * math.log(count / n))
+            if abs(away) > CONFIDENCE_Z * known:
+                scatter = math.hypot(scatter, away / CONFIDENCE_Z)
             if count != n and rate is None:
                 # The slope between these two numbers of samples is noisy if they are close,
                 # so it is averaged with the slope before, weighted by the errors of both
