@@ -100,6 +100,14 @@ def own_trust():
     external._own.update(own)
 
 
+@pytest.fixture(autouse=True)
+def own_figures():
+    """Close the figures that a test left open in pyplot."""
+    yield
+    if "matplotlib.pyplot" in sys.modules:
+        sys.modules["matplotlib.pyplot"].close("all")
+
+
 @pytest.fixture(scope="module")
 def coarse_pixels():
     """Let integrals of pixels take 2^14 evaluations instead of 2^21, for tests of other things."""

@@ -20,15 +20,12 @@ def _no_window():
 
 
 def test_every_block_runs():
-    import matplotlib.pyplot as plt
-
     names = {"mcs": mcs}
     for block in CODE:
         exec(block, names)  # noqa: S102
     assert names["axes"].get_title() == "a title of your own"
     assert names["left"].get_ylabel() == "variance"
     assert names["right"].get_ylabel() == "predicted / measured"
-    plt.close("all")
 
 
 @pytest.mark.parametrize("line", CODE[0].strip().splitlines())

@@ -34,13 +34,6 @@ RESULTS = {
 PANELS = {"warp": 2}
 
 
-@pytest.fixture(autouse=True)
-def _close():
-    """Close the figures of `plot`, which pyplot keeps open."""
-    yield
-    plt.close("all")
-
-
 @pytest.fixture(scope="module", params=RESULTS)
 def result(request):
     return request.param, RESULTS[request.param]()
