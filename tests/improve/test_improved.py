@@ -313,7 +313,7 @@ def test_remedies_recommend_cubic_stratification_and_count_its_centers():
     assert "In 7 dims there are too many cubes" in seven.attrs["not_tried"]
 
 
-@pytest.mark.parametrize("order", [2, 4])
+@pytest.mark.parametrize("order", [2, 3, 4])
 def test_periodized_integrands_keep_the_integral_and_have_their_rate(order):
     integral = math.expm1(1.0) ** 2
     f = mcs.Integrand.from_function(lambda x: np.exp(x.sum(-1)), dims=2, integral=integral)
@@ -334,20 +334,47 @@ def test_periodized_integrands_keep_the_integral_and_have_their_rate(order):
 
 def test_periodized_integrands_are_finite_where_g_grows():
     f = mcs.Integrand.from_function(lambda x: x[..., 0] ** -0.6, dims=1, integral=2.5)
-    (made,) = candidates_of(
+    made = candidates_of(
         Setup(mcs.Estimator(f), mcs.sampler("random", dims=1)),
         ["periodized"],
         Budget(1024, 100, Stream.from_rng(0)),
     )
-    assert made.finite_below == 0.875
-    assert made.setup.sampler.spec == "rank1-lattice | shift"
-    # g − c ∝ t^(4 (1 − 0.6) − 1) = t^0.6 toward 0, and the integral of g is that of f
-    u, changed = np.array([[1e-8], [1e-6]]), made.setup.estimator.integrand
-    low, high = changed(u) - changed.about
-    assert high / low == pytest.approx(100.0**0.6, rel=1e-5)
-    points = made.setup.sampler.draw(4096, realizations=8, rng=0)
-    found = made.setup.estimator.primary_values(0, points).mean(axis=1)
-    assert found == pytest.approx(2.5, rel=1e-4)
+    for each, order, error in zip(made, (3, 6), (1e-4, 1e-8), strict=True):
+        assert each.name == f"periodized to order {order}"
+        assert each.finite_below == 1.0 - 0.5 / order
+        assert each.setup.sampler.spec == "rank1-lattice | shift"
+        # g − c ∝ t^(k (1 − 0.6) − 1) toward 0, and the integral of g is that of f
+        u, changed = np.array([[1e-6], [1e-4]]), each.setup.estimator.integrand
+        low, high = changed(u) - changed.about
+        assert high / low == pytest.approx(100.0 ** (0.4 * order - 1.0), rel=1e-3)
+        points = each.setup.sampler.draw(4096, realizations=8, rng=0)
+        found = each.setup.estimator.primary_values(0, points).mean(axis=1)
+        assert found == pytest.approx(2.5, rel=error)
+
+
+@pytest.mark.parametrize(("grows", "order"), [(False, 3), (True, 6)])
+def test_the_order_of_the_substitution_depends_on_growth(grows, order):
+    for dims, wanted in ((3, order), (4, 3)):  # with high orders, 4-D needs too many points
+        given = Setup(
+            mcs.Estimator(mcs.integrand("gaussian", dims=dims)),
+            mcs.sampler("sobol | owen", dims=dims),
+        )
+        budget = Budget(1024, 100, Stream.from_rng(0), grows=grows)
+        (made,) = candidates_of(given, ["periodized"], budget)
+        assert (made.name, made.setup.estimator.integrand.order) == ("periodized", wanted)
+
+
+def test_periodic_functions_stay_periodic():
+    f = mcs.Integrand.from_function(lambda x: np.cos(2.0 * np.pi * x[..., 0]), dims=1, integral=0.0)
+    variances = [
+        Periodized.of(mcs.Estimator(f), order)(
+            mcs.sampler("rank1-lattice | shift", dims=1).draw(64, realizations=8, rng=0)
+        ).mean(axis=-1).var()
+        for order in (3, 4)
+    ]  # fmt: skip
+    # The Fourier coefficients fall faster than any power of n for odd orders only
+    assert variances[0] < 1e-30
+    assert variances[1] > 1e-20
 
 
 def test_five_dims_are_not_made_periodic():

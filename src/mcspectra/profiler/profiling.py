@@ -63,7 +63,7 @@ from mcspectra.explain.probing import grain
 from mcspectra.explain.samples import CURVE_SETTINGS, NETS, Curve, Sets, curve_of, scalar
 from mcspectra.improve.answers import Answer, Candidate, CandidateResult, simultaneous_z
 from mcspectra.improve.candidates import CANDIDATE_SETTINGS, LATTICE, Budget, candidates_of
-from mcspectra.improve.improved import CHANGES, Evaluations
+from mcspectra.improve.improved import CHANGES, Evaluations, Periodized
 from mcspectra.integrands import Calls, FunctionIntegrand, Integrand
 from mcspectra.measure.chains import chain_error
 from mcspectra.measure.setup import Setup, affordable_count
@@ -171,6 +171,8 @@ class ProfileSettings:
     resolving_points: int = 10
     # Largest logarithm of a ratio. The exponential of a number above 709 overflows.
     most_log: float = 700.0
+    # Largest rounding error of an estimate in ulps, as in `rounding_floor`.
+    rounding_ulps: float = 16.0
     # Number of points that are drawn from a density to test whether they lie in the unit cube.
     tested_points: int = 64
 
@@ -922,7 +924,7 @@ def _rivals(evidence: Evidence, causes: Sequence[Cause], points: int) -> dict[st
     if inside and one and points >= _SETTINGS.resolving_points**dims:
         nets, sets = Setup(estimator, as_sampler(NETS, dims)), evidence.sets
         seen = Evaluations.of(sets.points[0].reshape(-1, dims), sets.values[0].ravel())
-        search = Budget(points, CAUSE_SETTINGS.nets, Stream.from_rng(0), seen=seen)
+        search = Budget(points, CAUSE_SETTINGS.nets, Stream.from_rng(0), seen=seen, grows=grows)
         for made in candidates_of(nets, ["periodized"], search):
             if isinstance(made, Candidate) and made.finite_below > _growth(causes):
                 found[made.name] = made
@@ -1090,7 +1092,9 @@ def _measured_rivals(
             if name in steep:
                 # Few counts hardly show the rate. Assume a 95 % interval of the rate that reaches
                 # from a quarter of the theoretical rate to the whole theoretical rate
-                limit = -2.0 * CANDIDATE_SETTINGS.order * (1.0 - _growth(causes))
+                f = getattr(setup.estimator, "integrand", None)
+                order = f.order if isinstance(f, Periodized) else CANDIDATE_SETTINGS.order
+                limit = -2.0 * order * (1.0 - _growth(causes))
                 error = -0.1875 * limit
                 curve = curve.towards(0.625 * limit, error)
                 rate, rate_se = max(curve.rate, limit), min(curve.rate_se, error)
@@ -1193,9 +1197,12 @@ def _results(
     ]
     for each in found:
         (value, error), candidate = each.variance, each.candidate
-        if 0.0 < value < noise:
+        if rounded := 0.0 < value < noise:
             value, error = noise, max(error, math.log(noise / value))
         rmse, ends = with_ends((value, error))
+        if rounded or value == 0.0:
+            # Estimates are rounded: `noise` stands for one ulp, and errors reach some ulps
+            ends = (0.0, max(ends[1], _SETTINGS.rounding_ulps * math.sqrt(noise)))
         gain = math.inf if infinite or not value > 0.0 else at_budget[0] / value
         half = math.exp(min(z * math.hypot(error, at_budget[1]), _SETTINGS.most_log))
         gain_ci = (gain / half, gain * half)
