@@ -23,7 +23,7 @@ All other samplers are padded by default.
 The command ``python -m benchmarks scenes`` measures the effect of joint sets on five scenes.
 
 In vectorized variants, lane i is sample i mod n of pixel ⌊i / n⌋.
-Kernels compute randomized nets (`kernel_nets`), also joint sets up to `_MOST_WORDS` dims.
+Kernels compute randomized nets (`kernel_sets`), also joint sets up to `_MOST_WORDS` dims.
 Sets of other samplers are stored as float32 tables in Dr.Jit's memory.
 The class `Rounds` assigns the sets of these tables to requests for random numbers.
 In scalar variants, Mitsuba seeds the sampler for each pixel. Then the sets of the pixel are drawn.
@@ -35,7 +35,6 @@ import functools
 import importlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from math import gcd
 from typing import Any, final
 
 import numpy as np
@@ -47,12 +46,14 @@ from mcspectra.core.jit import kernel
 from mcspectra.core.parallel import available_workers, map_in_order
 from mcspectra.core.streams import Stream, mix_bits
 from mcspectra.rendering.backend import LARGEST_SAMPLE, LOCK, import_mitsuba, load_mitsuba
-from mcspectra.rendering.kernel_nets import (
+from mcspectra.rendering.kernel_sets import (
     JointPoints,
     JointSets,
-    Net,
     Pads,
+    Rounds,
+    Rule,
     net_of,
+    rule_of,
     shifted_net_of,
 )
 from mcspectra.samplers import Sampler, as_sampler
@@ -67,7 +68,6 @@ __all__ = [
     "LaneState",
     "PaddedSets",
     "PixelState",
-    "Rounds",
     "default_spec",
     "joint_dims_of",
     "joint_sampler",
@@ -394,27 +394,29 @@ def seed_lanes(
 
     lane = drjit.arange(module.UInt32, wavefront_size)
     width = drjit.opaque(module.UInt32, per_pass)
-    nets, rounds = sets.nets, Rounds.of(pixels, _REQUESTS, 2 * sets.count)
-    pads: _TablePads | Pads = (
-        _TablePads(module, sets, stream, rounds)
-        if nets is None
-        else Pads(module, nets, sets.count, stream, shifted=sets.shifted)
-    )
     pixel = lane // width
     index = lane - pixel * width
-    joint: _DeviceSets | JointPoints | None = None
-    if sets.joint_net is not None:
-        made = JointSets(module, sets.joint_net, sets.count, stream, shifted=sets.shifted)
-        joint = made.at(pixel, index)
+    rules, joint_rule = sets.rules, sets.joint_rule
+    pads: _TablePads | Pads
+    if rules is None:
+        rounds = Rounds.of(pixels, _REQUESTS, 2 * sets.count)
+        pads = _TablePads(module, sets, stream, rounds)
+    else:
+        rounds = Rounds.of(pixels, _REQUESTS, 2)
+        pads = Pads(module, rules, sets.count, stream, rounds)
+    joint: _DeviceSets | JointSets | None = None
+    if joint_rule is not None:
+        joint = JointSets(module, joint_rule, sets.count, stream, pixels)
     elif sets.joint:
-        joint = _DeviceSets(module, sets.joints(stream, 0, min(pixels, rounds.size)))
+        size = Rounds.of(pixels, _REQUESTS, 2 * sets.count).size
+        joint = _DeviceSets(module, sets.joints(stream, 0, min(pixels, size)))
     return LaneState(
         module=module,
         count=sets.count,
         per_pass=per_pass,
         done=0,
-        pads=pads,
-        joint=joint,
+        pads=pads.at(pixel, index),
+        joint=None if joint is None else joint.at(pixel, index),
         pixel=pixel,
         index=index,
         **{name: drjit.opaque(module.UInt32, 0) for name in _TAKEN},
@@ -459,6 +461,10 @@ class _TablePads:
 
         self._stride = drjit.opaque(module.UInt32, rounds.stride)
         self._sets = {k: _DeviceSets(module, sets.pads(k, stream, 0, rounds.size)) for k in (1, 2)}
+
+    def at(self, _: Any, __: Any) -> _TablePads:
+        """Return this object, which holds the sets of all pixels and requests."""
+        return self
 
     def following(self, offset: Any) -> Any:
         """Return the offset of the next request."""
@@ -508,6 +514,7 @@ class LaneState:
         zero = self.module.UInt32(0)
         self.done += self.per_pass
         self.index = self.index + self.per_pass
+        self.pads = self.pads.at(self.pixel, self.index)
         if self.joint is not None:
             self.joint = self.joint.at(self.pixel, self.index)
         self.coordinate, self.single_offset, self.pair_offset = zero, zero, zero
@@ -550,10 +557,7 @@ class LaneState:
 MOST_SAMPLES = 2**16
 """Maximum samples per pixel. With more samples, the largest table would hold too few sets."""
 
-_MOST_NUMBERS = 2**27  # maximum number of values in one table (512 MiB)
-_FEWEST_SETS = 509  # minimum number of sets in a table, a prime; later requests reuse them
 _BLOCK_NUMBERS = 2**19  # numbers drawn at once (4 MiB of float64)
-_GOLDEN = (5**0.5 - 1) / 2
 
 
 @kernel
@@ -565,31 +569,6 @@ def _shuffle(points: Array, keys: Array, largest: Any, out: Array) -> None:
             for k in range(points.shape[2]):
                 out[r, i, k] = out[r, j, k]
                 out[r, j, k] = min(np.float32(points[r, i, k]), largest)
-
-
-@final
-@dataclass(frozen=True)
-class Rounds:
-    """Assigns sets to requests: the number of the set is (pixel + request · stride) mod size.
-
-    The stride is relatively prime to the size.
-    The first `size` requests of a pixel therefore use different sets.
-    """
-
-    size: int
-    stride: int
-
-    @staticmethod
-    def of(pixels: int, requests: int, numbers_each: int) -> Rounds:
-        """Choose the number of sets and the stride for the first `requests` requests of a pixel.
-
-        The memory of the table limits the number of sets.
-        """
-        size = max(_FEWEST_SETS, pixels * requests + 1)
-        size = min(size, _MOST_NUMBERS // numbers_each)
-        golden = int(size * _GOLDEN)
-        strides = (s for s in (pixels, *range(golden, size)) if s < size and gcd(s, size) == 1)
-        return Rounds(size, next(strides, 1))
 
 
 @final
@@ -623,25 +602,17 @@ class PaddedSets:
             single = pair
         settle(self, _samplers=(single, pair, joint))
 
-    @property
-    def nets(self) -> tuple[Net, Net] | None:
-        """The nets in one and two dims, or None if kernels cannot compute the sampler's sets."""
-        single, pair = (net_of(s) or shifted_net_of(s) for s in self._samplers[:2])
-        if single is None or pair is None or self.count & (self.count - 1):
-            return None
-        return single, pair
+    @functools.cached_property
+    def rules(self) -> tuple[Rule, Rule] | None:
+        """Rules for sets in one and two dims, or None if kernels cannot compute the sets."""
+        single, pair = (rule_of(s, self.count) for s in self._samplers[:2] if s is not None)
+        return None if single is None or pair is None else (single, pair)
 
-    @property
-    def joint_net(self) -> Net | None:
-        """The net of the joint sets, or None if kernels cannot compute the sampler's sets."""
-        small = self.nets is not None and (self.joint or 0) <= _MOST_WORDS
+    @functools.cached_property
+    def joint_rule(self) -> Rule | None:
+        """Rule for joint sets, or None if kernels cannot compute the sets."""
         joint = self._samplers[2]
-        return net_of(joint) or shifted_net_of(joint) if small else None
-
-    @property
-    def shifted(self) -> bool:
-        """Whether the sets are shifted with jitter instead of scrambled."""
-        return shifted_net_of(self._samplers[1]) is not None
+        return None if joint is None or joint.dims > _MOST_WORDS else rule_of(joint, self.count)
 
     def pads(self, dims: int, stream: Stream, first: int, sets: int) -> Array:
         """Return shuffled sets in 1 or 2 dims, starting with set `first`: (sets, count, dims)."""
