@@ -29,7 +29,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import gcd
 from typing import Any, Literal, Protocol, TypeAlias, final, runtime_checkable
 
@@ -57,9 +57,9 @@ __all__ = [
     "shifted_net_of",
 ]
 
-# The table of permutations has at least this many numbers, which take 256 KiB.
+# The table of permutations has at least this many numbers, which take 32 KiB.
 # The table is larger if 16 permutations, the smallest number allowed, do not fit
-_ORDER_NUMBERS = 2**16
+_ORDER_NUMBERS = 2**13
 _FEWEST_ORDERS = 16
 _MOST_NUMBERS = 2**27  # maximum number of values in one table (512 MiB)
 _FEWEST_SETS = 509  # minimum number of sets in a table, a prime; later requests reuse them
@@ -178,7 +178,9 @@ def _rule_of_law(law: Law) -> Rule | None:
 def _shared_by_pixels(sampler: Sampler, n: int) -> Rule | None:
     """Return the rule of a sampler that ends in decorrelate: all sets are one set, moved."""
     *before, step = sampler.randomizations
-    inner = replace(sampler, steps=tuple(before)) if before else sampler.plain  # type: ignore[call-arg]
+    inner = sampler.plain
+    if before:
+        inner = Randomized(base=inner, steps=tuple(before))
     if not isinstance(step, Decorrelate) or step.advance:
         return None
     if step.mode != "shift" and not set(inner.digit_bases) <= {2}:
@@ -186,7 +188,7 @@ def _shared_by_pixels(sampler: Sampler, n: int) -> Rule | None:
     label = FIRST_STEP + inner.plain.scrambles + len(before)
 
     def shared(stream: Stream) -> Array:
-        return inner.draw_stream(n, stream, 0, 1)[0]
+        return np.asarray(inner.draw_stream(n, stream, 0, 1)[0])
 
     def offsets(stream: Stream, first: int, count: int) -> Array:
         return step.offsets(stream.child(label), first, count, inner.dims)
@@ -338,11 +340,11 @@ class _Sets:
         self._module, self._rule, self._count, self._rounds = module, rule, count, rounds
         self._tables: list[Any] = []
         self._offsets: list[Any] = []
-        self.one_cell = rule.shared is None and rule.cells == (1,) * rule.dims
-        if rule.shared is None and not self.one_cell:
-            assert rule.cells is not None
-            grid = np.indices(rule.cells).reshape(rule.dims, -1)
-            corners = (((k << 32) + s - 1) // s for k, s in zip(grid, rule.cells, strict=True))
+        cells = rule.cells or ()
+        self.one_cell = rule.shared is None and cells == (1,) * rule.dims
+        if rule.shared is None and any(s & (s - 1) for s in cells):
+            grid = np.indices(cells).reshape(rule.dims, -1)
+            corners = (((k << 32) + s - 1) // s for k, s in zip(grid, cells, strict=True))
             self._tables = [module.UInt32(c.astype(np.uint32)) for c in corners]
         elif rule.shared is not None and not isinstance(rule.shared, Net):
             self._tables = _columns(module, rule.shared(stream))
@@ -359,9 +361,10 @@ class _Sets:
         if rule.offsets is not None:
             return [[drjit.gather(module.UInt32, table, number)] for table in self._offsets]
         if rule.move == "owen":
-            # The hash of a number depends only on as many bits of the keys as it has digits
-            draw = lambda: (bits.take(_DIGITS), (bits.take(_DIGITS - 1) << 1) | 1)
-            return [[draw() for _ in range(self._rounds)] for _ in range(dims)]
+            # The first digits of a hash depend only on as many bits of the summand and the factor
+            count = self._rounds * dims
+            rounds = [(bits.take(_DIGITS), (bits.take(_DIGITS - 1) << 1) | 1) for _ in range(count)]
+            return [rounds[j::dims] for j in range(dims)]
         cells = rule.cells or (1 << _DIGITS,) * dims
         digits = [s.bit_length() - 1 for s in cells]
         return [[bits.take(m) << (32 - m) if m else module.UInt32(0)] for m in digits]
@@ -370,20 +373,15 @@ class _Sets:
         """Return the first `dims` coordinates of the points at the given places of moved sets."""
         import drjit
 
-        rule, module = self._rule, self._module
-        is_net = isinstance(rule.shared, Net)
-        if isinstance(rule.shared, Net):
-            words = net_words(module, rule.shared, self._count, place)
-        else:
-            words = [drjit.gather(module.UInt32, table, place) for table in self._tables]
-        found = []
-        for j in range(dims):
-            x = module.UInt32(0) if self.one_cell else words[j]
-            if is_net != (rule.move == "owen"):
-                x = drjit.brev(x)
+        rule, module, found = self._rule, self._module, []
+        reversed_digits = isinstance(rule.shared, Net)
+        for j, x in enumerate(self._shared(place)[:dims]):
             if rule.move == "owen":
-                x = drjit.brev(_hashed(x, *moves[j]))
-            elif rule.move == "shift":
+                word = x if reversed_digits else drjit.brev(x)
+                x = drjit.brev(_hashed(word, *moves[j]))
+            elif reversed_digits:
+                x = drjit.brev(x)
+            if rule.move == "shift":
                 x = x + moves[j][0]
             elif rule.move == "digital-shift":
                 x = x ^ moves[j][0]
@@ -391,6 +389,25 @@ class _Sets:
                 x = _in_cell(module, x, rule.cells[j], own)
             found.append(_unit(module, x))
         return found
+
+    def _shared(self, place: Any) -> list[Any]:
+        """Return the shared numbers of a place; the digits of nets are in reversed order."""
+        import drjit
+
+        rule, module = self._rule, self._module
+        if isinstance(rule.shared, Net):
+            return net_words(module, rule.shared, self._count, place)
+        if self._tables:
+            return [drjit.gather(module.UInt32, table, place) for table in self._tables]
+        # The digits of a place are those of the cell's number along each axis, in row-major order
+        assert rule.cells is not None
+        corners, above = [], 0
+        rest = place << (32 - self._count.bit_length() + 1) if self._count > 1 else place
+        for cells in rule.cells:
+            digits = cells.bit_length() - 1
+            corners.append((rest << above) & (2**32 - 2 ** (32 - digits)))
+            above += digits
+        return corners
 
 
 def _columns(module: Any, points: Array) -> list[Any]:
@@ -444,6 +461,11 @@ class _Lanes:
     The keys of lanes are mixed before the loop over the bounces of a path.
     The key of a set depends on the pixel. The key of a point also depends on its index.
     """
+
+    _pixel: Any
+    _index: Any
+    _set_key: Any
+    _point_key: Any
 
     def __init__(self, module: Any, stream: Stream) -> None:
         import drjit

@@ -419,7 +419,7 @@ def seed_lanes(
         joint=None if joint is None else joint.at(pixel, index),
         pixel=pixel,
         index=index,
-        **{name: drjit.opaque(module.UInt32, 0) for name in _TAKEN},
+        **{name: module.UInt32(0) for name in _TAKEN},
     )
 
 
@@ -548,6 +548,10 @@ class LaneState:
             return self.pads.draw(dims, self.pixel, offset, self.index, active), following
         start, self.coordinate = self.coordinate, self.coordinate + dims
         inside = start + dims <= self.joint.dims
+        if (
+            inside.state == drjit.VarState.Literal and inside[0]
+        ):  # Do not trace pads whose numbers are not used
+            return self.joint.draw(dims, self.pixel, start, self.index, active), offset
         joint = self.joint.draw(dims, self.pixel, start, self.index, inside & active)
         pads = self.pads.draw(dims, self.pixel, offset, self.index, ~inside & active)
         values = [drjit.select(inside, a, b) for a, b in zip(joint, pads, strict=True)]
@@ -605,7 +609,7 @@ class PaddedSets:
     @functools.cached_property
     def rules(self) -> tuple[Rule, Rule] | None:
         """Rules for sets in one and two dims, or None if kernels cannot compute the sets."""
-        single, pair = (rule_of(s, self.count) for s in self._samplers[:2] if s is not None)
+        single, pair = (rule_of(sampler, self.count) for sampler in self._samplers[:2])
         return None if single is None or pair is None else (single, pair)
 
     @functools.cached_property
