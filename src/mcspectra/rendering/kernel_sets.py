@@ -36,6 +36,7 @@ from typing import Any, Literal, Protocol, TypeAlias, final, runtime_checkable
 import numpy as np
 
 from mcspectra.core.checks import Array
+from mcspectra.core.parallel import available_workers, map_in_order
 from mcspectra.core.streams import Stream
 from mcspectra.samplers import Sampler
 from mcspectra.samplers.base import FIRST_STEP, Randomized
@@ -64,6 +65,7 @@ _FEWEST_ORDERS = 16
 _MOST_NUMBERS = 2**27  # maximum number of values in one table (512 MiB)
 _FEWEST_SETS = 509  # minimum number of sets in a table, a prime; later requests reuse them
 _GOLDEN = (5**0.5 - 1) / 2
+_BLOCK_SETS = 2**14  # number of sets whose shifts are drawn at once, by one of several threads
 _DIGITS = 24  # binary digits of the numbers in float32
 _M1, _M2, _M3 = 0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB
 
@@ -349,7 +351,9 @@ class _Sets:
         elif rule.shared is not None and not isinstance(rule.shared, Net):
             self._tables = _columns(module, rule.shared(stream))
         if rule.offsets is not None:
-            self._offsets = _columns(module, rule.offsets(stream, 0, size))
+            block = functools.partial(_offsets, rule.offsets, stream, size)
+            parts = map_in_order(block, range(0, size, _BLOCK_SETS), available_workers())
+            self._offsets = _columns(module, np.concatenate(list(parts)))
 
     def moves(self, bits: _Bits, number: Any) -> list[list[Any]]:
         """Return the random numbers that move each coordinate of a set."""
@@ -408,6 +412,13 @@ class _Sets:
             corners.append((rest << above) & (2**32 - 2 ** (32 - digits)))
             above += digits
         return corners
+
+
+def _offsets(
+    draw: Callable[[Stream, int, int], Array], stream: Stream, size: int, first: int
+) -> Array:
+    """Return the shifts of a block of sets."""
+    return draw(stream, first, min(_BLOCK_SETS, size - first))
 
 
 def _columns(module: Any, points: Array) -> list[Any]:
@@ -496,6 +507,8 @@ class Pads(_Lanes):
     If a mask moves the sets, `Rounds` assigns the sets of the mask to requests.
     """
 
+    _first: Any
+
     def __init__(
         self, module: Any, rules: Sequence[Rule], count: int, stream: Stream, rounds: Rounds
     ) -> None:
@@ -513,6 +526,13 @@ class Pads(_Lanes):
         if any(rule.offsets is not None for rule in rules):
             self._rounds = [drjit.opaque(module.UInt32, k) for k in (rounds.size, rounds.stride)]
 
+    def at(self, pixel: Any, index: Any) -> Pads:
+        """Return these sets for lanes with other pixels or indices."""
+        lanes: Pads = super().at(pixel, index)
+        if lanes._rounds is not None:
+            lanes._first = pixel % lanes._rounds[0]
+        return lanes
+
     def following(self, request: Any) -> Any:
         """Return the number of the next request; with masks, the offset of its set."""
         return request + 1 if self._rounds is None else self._in_round(request + self._rounds[1])
@@ -526,7 +546,7 @@ class Pads(_Lanes):
         own = _Bits(module, (self._point_key, self._keys[1]), address)
         number = None
         if self._rounds is not None:
-            number = self._in_round(self._pixel % self._rounds[0] + request)
+            number = self._in_round(self._first + request)
         moves = sets.moves(bits, number)
         place = module.UInt32(0) if sets.one_cell else self._place(bits)
         return sets.points(place, moves, own, dims)
