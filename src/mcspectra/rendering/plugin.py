@@ -23,7 +23,7 @@ All other samplers are padded by default.
 The command ``python -m benchmarks scenes`` measures the effect of joint sets on five scenes.
 
 In vectorized variants, lane i is sample i mod n of pixel ⌊i / n⌋.
-Kernels compute randomized nets (`kernel_sets`), also joint sets up to `_MOST_WORDS` dims.
+Kernels compute the sets of many samplers (`kernel_sets`), also joint sets up to `_MOST_WORDS` dims.
 Sets of other samplers are stored as float32 tables in Dr.Jit's memory.
 The class `Rounds` assigns the sets of these tables to requests for random numbers.
 In scalar variants, Mitsuba seeds the sampler for each pixel. Then the sets of the pixel are drawn.
