@@ -34,6 +34,7 @@ from __future__ import annotations
 import functools
 import importlib
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import Any, final
 
@@ -482,6 +483,39 @@ class _TablePads:
         return drjit.select(number >= size, number - size, number)
 
 
+class _Used:
+    """A number of coordinates that all lanes have used at least, known when kernels are recorded.
+
+    Inside a recorded loop, the number of used coordinates is known only at run time.
+    It is then at least the last known number before the loop, because it never decreases.
+    This class is not a dataclass: Dr.Jit would carry its array through loops.
+    """
+
+    def __init__(self) -> None:
+        self._known, self._bound = 0, 0
+        self._last: Any = None
+
+    def least(self, coordinate: Any) -> int:
+        """Return a lower bound of a variable, the number of coordinates used."""
+        known = self._is_known(coordinate)
+        same = self._last is not None and coordinate.index == self._last.index
+        return self._bound if same and not known else self._known
+
+    def add(self, coordinate: Any, bound: int) -> None:
+        """Store a lower bound of the variable after a request."""
+        self._is_known(coordinate)
+        # A copy of the variable keeps its index from being used for another variable
+        self._last, self._bound = type(coordinate)(coordinate), bound
+
+    def _is_known(self, coordinate: Any) -> bool:
+        import drjit
+
+        known: bool = coordinate.state == drjit.VarState.Literal
+        if known:
+            self._known = int(coordinate[0])
+        return known
+
+
 @dataclass
 class LaneState:
     """State of a wavefront. It is a dataclass, so that Dr.Jit carries its arrays through loops.
@@ -502,12 +536,14 @@ class LaneState:
     coordinate: Any
     single_offset: Any
     pair_offset: Any
+    used: _Used = field(default_factory=_Used)
 
     def copy(self) -> LaneState:
         """Return an independent copy of the state."""
         kind = self.module.UInt32
         names = ("pixel", "index", *_TAKEN)
-        return replace(self, **{name: kind(getattr(self, name)) for name in names})
+        arrays = {name: kind(getattr(self, name)) for name in names}
+        return replace(self, used=copy(self.used), **arrays)
 
     def advance(self) -> None:
         """Advance to the samples of the next pass."""
@@ -547,11 +583,14 @@ class LaneState:
         if self.joint is None:
             return self.pads.draw(dims, self.pixel, offset, self.index, active), following
         start, self.coordinate = self.coordinate, self.coordinate + dims
-        inside = start + dims <= self.joint.dims
-        if (
-            inside.state == drjit.VarState.Literal and inside[0]
-        ):  # Do not trace pads whose numbers are not used
+        # Do not record numbers that no lane uses
+        least = self.used.least(start)
+        self.used.add(self.coordinate, least + dims)
+        if least + dims > self.joint.dims:
+            return self.pads.draw(dims, self.pixel, offset, self.index, active), following
+        if start.state == drjit.VarState.Literal:
             return self.joint.draw(dims, self.pixel, start, self.index, active), offset
+        inside = start + dims <= self.joint.dims
         joint = self.joint.draw(dims, self.pixel, start, self.index, inside & active)
         pads = self.pads.draw(dims, self.pixel, offset, self.index, ~inside & active)
         values = [drjit.select(inside, a, b) for a, b in zip(joint, pads, strict=True)]
