@@ -1,12 +1,23 @@
 """Sets computed in kernels: the samplers' own points, and sets in random orders."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy import stats
 
 from mcspectra.core.streams import Stream
 from mcspectra.rendering import Wavefront, load_mitsuba, render
-from mcspectra.rendering.kernel_sets import NetPoints, Pads, Rounds, net_of, rule_of, scramble_key
+from mcspectra.rendering.kernel_sets import (
+    NetPoints,
+    Pads,
+    Rounds,
+    _in_cell,
+    _unit,
+    net_of,
+    rule_of,
+    scramble_key,
+)
 from mcspectra.rendering.plugin import PaddedSets, joint_sampler, register_samplers
 from mcspectra.samplers import as_sampler
 
@@ -356,3 +367,20 @@ def test_samplers_without_a_rule_use_tables():
         "sobol | decorrelate | shuffle",
     ):
         assert rule_of(as_sampler(spec, 2), 16) is None, spec
+
+
+@pytest.mark.parametrize("cells", [1, 2, 3, 7, 256, 1000, 65535])
+@pytest.mark.parametrize("bits", [0, 2**32 - 1])
+def test_the_ends_of_cells_are_inside_after_rounding(cells, bits):
+    """The smallest and the largest random numbers give points of the cell."""
+    mitsuba = load_mitsuba()
+    own = SimpleNamespace(take=lambda _: mitsuba.UInt32(bits))
+    cell = np.arange(cells)
+    corners = mitsuba.UInt32((((cell << 32) + cells - 1) // cells).astype(np.uint32))
+    found = _unit(mitsuba, _in_cell(mitsuba, corners, cells, own)).numpy().astype(float)
+    if found.size == 1:  # with a single cell, the number does not depend on the corner
+        found = np.repeat(found, cells)
+    np.testing.assert_array_equal(np.floor(found * cells), cell)
+    # The cells leave no gaps of more than two steps of the rounding
+    ends = (cell + (bits > 0)) / cells
+    assert np.abs(found - ends).max() <= 2.0**-23
