@@ -22,7 +22,6 @@ SPECS = (
     "jittered",
     "sobol | owen",
     "sobol | owen | decorrelate(mode='digital-shift')",
-    "sobol | owen | decorrelate(mode='shift')",
     "sobol | decorrelate(mask='blue-noise')",
     "latin-hypercube",
 )
