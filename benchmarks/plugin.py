@@ -1,9 +1,9 @@
 """Throughput of stock integrators with our samplers compared with the stock sampler.
 
 Each printed line compares two samplers, which render in turn during the same run.
-The points of ``sobol | owen`` are computed in the kernel.
-Other samplers draw new tables of points for every image.
-The cheapest sampler has a single point set, which is displaced anew in each pixel.
+Kernels compute the points of all these samplers (`mcspectra.rendering.kernel_sets`).
+For a mask, the shifts of all pixels are drawn anew for every image.
+Tables of new point sets are drawn for other samplers, such as ``latin-hypercube``.
 """
 
 from __future__ import annotations
@@ -17,7 +17,14 @@ from benchmarks.timing import compare
 from mcspectra.rendering import load_mitsuba, load_scene, register_samplers
 
 WIDTH, HEIGHT, SPP = 192, 128, 16
-SPECS = ("random", "jittered", "sobol | owen", "sobol | owen | decorrelate(mode='digital-shift')")
+SPECS = (
+    "random",
+    "jittered",
+    "sobol | owen",
+    "sobol | owen | decorrelate(mode='digital-shift')",
+    "sobol | decorrelate(mask='blue-noise')",
+    "latin-hypercube",
+)
 
 
 def main() -> None:

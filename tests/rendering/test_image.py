@@ -17,7 +17,7 @@ from mcspectra.rendering.wavefront import Wavefront
 pytestmark = pytest.mark.render
 
 VEACH = "veach(width=24, height=16)"
-SOBOL = "sobol | owen"  # computed in kernels: see test_kernel_nets
+SOBOL = "sobol | owen"  # computed in kernels: see test_kernel_sets
 DRAWN = "sobol | digital-shift"
 
 

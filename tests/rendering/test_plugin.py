@@ -13,7 +13,8 @@ from mcspectra.core.errors import CountError, FileFormatError, MissingDependency
 from mcspectra.core.streams import Stream
 from mcspectra.rendering import load_mitsuba, load_scene, register_samplers, render_file
 from mcspectra.rendering.backend import LARGEST_SAMPLE, import_mitsuba, threads_for_files
-from mcspectra.rendering.plugin import PLUGIN_VARIANTS, PaddedSets, Rounds
+from mcspectra.rendering.kernel_sets import Rounds
+from mcspectra.rendering.plugin import PLUGIN_VARIANTS, PaddedSets
 from mcspectra.rendering.scenes import film_size
 
 pytestmark = pytest.mark.render
@@ -181,18 +182,53 @@ def test_clones_continue_equally_and_forks_need_a_seed():
 
 
 @pytest.mark.parametrize("dims", [1, 2])
-def test_passes_share_a_pixels_set(dims):
-    source = sampler(sample_count=16)
+@pytest.mark.parametrize(
+    "spec", ["sobol | owen", "jittered", "sobol | decorrelate(mode='digital-shift')"]
+)
+def test_passes_share_a_pixels_set(spec, dims):
+    source = sampler(sample_count=16, spec=spec)
     source.set_samples_per_wavefront(4)
     source.seed(1, 4 * 5)
     passes = []
     for _ in range(4):
         passes.append(numbers(source, dims).reshape(5, 4, dims))
+        twin = source.clone()
+        np.testing.assert_array_equal(numbers(source, 1, 2), numbers(twin, 1, 2))
         source.advance()
-    cells = np.concatenate(passes, axis=1)[..., 0]
-    assert (np.sort(np.floor(cells * 16), axis=1) == np.arange(16)).all()
+    points = np.concatenate(passes, axis=1)
+    cells = np.floor(points * (16 if dims == 1 else 4)) @ [4, 1][-dims:]
+    assert (np.sort(cells, axis=1) == np.arange(16)).all()
     with pytest.raises(ParameterError, match="All 16 samples of each pixel have been used"):
         source.next_1d()
+
+
+@pytest.mark.parametrize("n", [9, 16, 25])
+def test_passes_of_jittered_points_take_any_count(n):
+    source = sampler(sample_count=n, spec="jittered")
+    source.set_samples_per_wavefront(1)
+    source.seed(1, 40)
+    points = []
+    for _ in range(n):
+        points.append(numbers(source, 2))
+        source.advance()
+    side = round(n**0.5)
+    cells = np.floor(np.stack(points, axis=1) * side) @ [side, 1]
+    assert (np.sort(cells, axis=1) == np.arange(n)).all()
+
+
+@pytest.mark.parametrize(
+    "spec",
+    ["random", "jittered", "sobol | owen", "sobol | decorrelate(mask='blue-noise')"],
+)
+def test_recorded_loops_use_the_numbers_of_loops_that_are_run(files, spec):
+    import drjit
+
+    few = {"definitions": {"spec": spec, "integrator": "path"}, "seed": 3}
+    recorded = render_file(files["ours"], **few)
+    with drjit.scoped_set_flag(drjit.JitFlag.SymbolicLoops, False):
+        run = render_file(files["ours"], **few)
+    # The kernels may round the light of a path differently
+    np.testing.assert_allclose(run, recorded, rtol=1e-4)
 
 
 def test_scalar_sets_of_a_pixel_are_the_samplers():

@@ -3,7 +3,7 @@
 Every pixel has its own point set: realization y·width + x of the sampler.
 Each of the independent images has its own random stream.
 A crop therefore has the same bits as the same part of the whole image.
-Kernels compute binary nets with ``owen`` scrambling themselves, by its hash (`kernel_nets`).
+Kernels compute binary nets with ``owen`` scrambling themselves, by its hash (`kernel_sets`).
 A sampler that ends in ``decorrelate(…)`` draws one set and moves it at each pixel.
 Renderers also move one set at each pixel, which is cheaper than a separate set for each pixel.
 """
@@ -24,7 +24,7 @@ from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers, map_in_
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators.moments import Moments
-from mcspectra.rendering.kernel_nets import NetPoints, net_of, scramble_key
+from mcspectra.rendering.kernel_sets import NetPoints, net_of, scramble_key
 from mcspectra.rendering.scene_checks import (
     camera_rays,
     check_environment,

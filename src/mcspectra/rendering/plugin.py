@@ -23,7 +23,7 @@ All other samplers are padded by default.
 The command ``python -m benchmarks scenes`` measures the effect of joint sets on five scenes.
 
 In vectorized variants, lane i is sample i mod n of pixel ⌊i / n⌋.
-Kernels compute randomized nets (`kernel_nets`), also joint sets up to `_MOST_WORDS` dims.
+Kernels compute the sets of many samplers (`kernel_sets`), also joint sets up to `_MOST_WORDS` dims.
 Sets of other samplers are stored as float32 tables in Dr.Jit's memory.
 The class `Rounds` assigns the sets of these tables to requests for random numbers.
 In scalar variants, Mitsuba seeds the sampler for each pixel. Then the sets of the pixel are drawn.
@@ -34,8 +34,8 @@ from __future__ import annotations
 import functools
 import importlib
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
-from math import gcd
 from typing import Any, final
 
 import numpy as np
@@ -47,12 +47,14 @@ from mcspectra.core.jit import kernel
 from mcspectra.core.parallel import available_workers, map_in_order
 from mcspectra.core.streams import Stream, mix_bits
 from mcspectra.rendering.backend import LARGEST_SAMPLE, LOCK, import_mitsuba, load_mitsuba
-from mcspectra.rendering.kernel_nets import (
+from mcspectra.rendering.kernel_sets import (
     JointPoints,
     JointSets,
-    Net,
     Pads,
+    Rounds,
+    Rule,
     net_of,
+    rule_of,
     shifted_net_of,
 )
 from mcspectra.samplers import Sampler, as_sampler
@@ -67,7 +69,6 @@ __all__ = [
     "LaneState",
     "PaddedSets",
     "PixelState",
-    "Rounds",
     "default_spec",
     "joint_dims_of",
     "joint_sampler",
@@ -394,30 +395,32 @@ def seed_lanes(
 
     lane = drjit.arange(module.UInt32, wavefront_size)
     width = drjit.opaque(module.UInt32, per_pass)
-    nets, rounds = sets.nets, Rounds.of(pixels, _REQUESTS, 2 * sets.count)
-    pads: _TablePads | Pads = (
-        _TablePads(module, sets, stream, rounds)
-        if nets is None
-        else Pads(module, nets, sets.count, stream, shifted=sets.shifted)
-    )
     pixel = lane // width
     index = lane - pixel * width
-    joint: _DeviceSets | JointPoints | None = None
-    if sets.joint_net is not None:
-        made = JointSets(module, sets.joint_net, sets.count, stream, shifted=sets.shifted)
-        joint = made.at(pixel, index)
+    rules, joint_rule = sets.rules, sets.joint_rule
+    pads: _TablePads | Pads
+    if rules is None:
+        rounds = Rounds.of(pixels, _REQUESTS, 2 * sets.count)
+        pads = _TablePads(module, sets, stream, rounds)
+    else:
+        rounds = Rounds.of(pixels, _REQUESTS, 2)
+        pads = Pads(module, rules, sets.count, stream, rounds)
+    joint: _DeviceSets | JointSets | None = None
+    if joint_rule is not None:
+        joint = JointSets(module, joint_rule, sets.count, stream, pixels)
     elif sets.joint:
-        joint = _DeviceSets(module, sets.joints(stream, 0, min(pixels, rounds.size)))
+        size = Rounds.of(pixels, _REQUESTS, 2 * sets.count).size
+        joint = _DeviceSets(module, sets.joints(stream, 0, min(pixels, size)))
     return LaneState(
         module=module,
         count=sets.count,
         per_pass=per_pass,
         done=0,
-        pads=pads,
-        joint=joint,
+        pads=pads.at(pixel, index),
+        joint=None if joint is None else joint.at(pixel, index),
         pixel=pixel,
         index=index,
-        **{name: drjit.opaque(module.UInt32, 0) for name in _TAKEN},
+        **{name: module.UInt32(0) for name in _TAKEN},
     )
 
 
@@ -460,6 +463,10 @@ class _TablePads:
         self._stride = drjit.opaque(module.UInt32, rounds.stride)
         self._sets = {k: _DeviceSets(module, sets.pads(k, stream, 0, rounds.size)) for k in (1, 2)}
 
+    def at(self, _: Any, __: Any) -> _TablePads:
+        """Return this object, which holds the sets of all pixels and requests."""
+        return self
+
     def following(self, offset: Any) -> Any:
         """Return the offset of the next request."""
         return self._wrapped(offset + self._stride)
@@ -474,6 +481,39 @@ class _TablePads:
 
         size = self._sets[1].size
         return drjit.select(number >= size, number - size, number)
+
+
+class _Used:
+    """A number of coordinates that all lanes have used at least, known when kernels are recorded.
+
+    Inside a recorded loop, the number of used coordinates is known only at run time.
+    It is then at least the last known number before the loop, because it never decreases.
+    This class is not a dataclass: Dr.Jit would carry its array through loops.
+    """
+
+    def __init__(self) -> None:
+        self._known, self._bound = 0, 0
+        self._last: Any = None
+
+    def least(self, coordinate: Any) -> int:
+        """Return a lower bound of a variable, the number of coordinates used."""
+        known = self._is_known(coordinate)
+        same = self._last is not None and coordinate.index == self._last.index
+        return self._bound if same and not known else self._known
+
+    def add(self, coordinate: Any, bound: int) -> None:
+        """Store a lower bound of the variable after a request."""
+        self._is_known(coordinate)
+        # A copy of the variable keeps its index from being used for another variable
+        self._last, self._bound = type(coordinate)(coordinate), bound
+
+    def _is_known(self, coordinate: Any) -> bool:
+        import drjit
+
+        known: bool = coordinate.state == drjit.VarState.Literal
+        if known:
+            self._known = int(coordinate[0])
+        return known
 
 
 @dataclass
@@ -496,18 +536,21 @@ class LaneState:
     coordinate: Any
     single_offset: Any
     pair_offset: Any
+    used: _Used = field(default_factory=_Used)
 
     def copy(self) -> LaneState:
         """Return an independent copy of the state."""
         kind = self.module.UInt32
         names = ("pixel", "index", *_TAKEN)
-        return replace(self, **{name: kind(getattr(self, name)) for name in names})
+        arrays = {name: kind(getattr(self, name)) for name in names}
+        return replace(self, used=copy(self.used), **arrays)
 
     def advance(self) -> None:
         """Advance to the samples of the next pass."""
         zero = self.module.UInt32(0)
         self.done += self.per_pass
         self.index = self.index + self.per_pass
+        self.pads = self.pads.at(self.pixel, self.index)
         if self.joint is not None:
             self.joint = self.joint.at(self.pixel, self.index)
         self.coordinate, self.single_offset, self.pair_offset = zero, zero, zero
@@ -540,6 +583,13 @@ class LaneState:
         if self.joint is None:
             return self.pads.draw(dims, self.pixel, offset, self.index, active), following
         start, self.coordinate = self.coordinate, self.coordinate + dims
+        # Do not record numbers that no lane uses
+        least = self.used.least(start)
+        self.used.add(self.coordinate, least + dims)
+        if least + dims > self.joint.dims:
+            return self.pads.draw(dims, self.pixel, offset, self.index, active), following
+        if start.state == drjit.VarState.Literal:
+            return self.joint.draw(dims, self.pixel, start, self.index, active), offset
         inside = start + dims <= self.joint.dims
         joint = self.joint.draw(dims, self.pixel, start, self.index, inside & active)
         pads = self.pads.draw(dims, self.pixel, offset, self.index, ~inside & active)
@@ -550,10 +600,7 @@ class LaneState:
 MOST_SAMPLES = 2**16
 """Maximum samples per pixel. With more samples, the largest table would hold too few sets."""
 
-_MOST_NUMBERS = 2**27  # maximum number of values in one table (512 MiB)
-_FEWEST_SETS = 509  # minimum number of sets in a table, a prime; later requests reuse them
 _BLOCK_NUMBERS = 2**19  # numbers drawn at once (4 MiB of float64)
-_GOLDEN = (5**0.5 - 1) / 2
 
 
 @kernel
@@ -565,31 +612,6 @@ def _shuffle(points: Array, keys: Array, largest: Any, out: Array) -> None:
             for k in range(points.shape[2]):
                 out[r, i, k] = out[r, j, k]
                 out[r, j, k] = min(np.float32(points[r, i, k]), largest)
-
-
-@final
-@dataclass(frozen=True)
-class Rounds:
-    """Assigns sets to requests: the number of the set is (pixel + request · stride) mod size.
-
-    The stride is relatively prime to the size.
-    The first `size` requests of a pixel therefore use different sets.
-    """
-
-    size: int
-    stride: int
-
-    @staticmethod
-    def of(pixels: int, requests: int, numbers_each: int) -> Rounds:
-        """Choose the number of sets and the stride for the first `requests` requests of a pixel.
-
-        The memory of the table limits the number of sets.
-        """
-        size = max(_FEWEST_SETS, pixels * requests + 1)
-        size = min(size, _MOST_NUMBERS // numbers_each)
-        golden = int(size * _GOLDEN)
-        strides = (s for s in (pixels, *range(golden, size)) if s < size and gcd(s, size) == 1)
-        return Rounds(size, next(strides, 1))
 
 
 @final
@@ -623,25 +645,17 @@ class PaddedSets:
             single = pair
         settle(self, _samplers=(single, pair, joint))
 
-    @property
-    def nets(self) -> tuple[Net, Net] | None:
-        """The nets in one and two dims, or None if kernels cannot compute the sampler's sets."""
-        single, pair = (net_of(s) or shifted_net_of(s) for s in self._samplers[:2])
-        if single is None or pair is None or self.count & (self.count - 1):
-            return None
-        return single, pair
+    @functools.cached_property
+    def rules(self) -> tuple[Rule, Rule] | None:
+        """Rules for sets in one and two dims, or None if kernels cannot compute the sets."""
+        single, pair = (rule_of(sampler, self.count) for sampler in self._samplers[:2])
+        return None if single is None or pair is None else (single, pair)
 
-    @property
-    def joint_net(self) -> Net | None:
-        """The net of the joint sets, or None if kernels cannot compute the sampler's sets."""
-        small = self.nets is not None and (self.joint or 0) <= _MOST_WORDS
+    @functools.cached_property
+    def joint_rule(self) -> Rule | None:
+        """Rule for joint sets, or None if kernels cannot compute the sets."""
         joint = self._samplers[2]
-        return net_of(joint) or shifted_net_of(joint) if small else None
-
-    @property
-    def shifted(self) -> bool:
-        """Whether the sets are shifted with jitter instead of scrambled."""
-        return shifted_net_of(self._samplers[1]) is not None
+        return None if joint is None or joint.dims > _MOST_WORDS else rule_of(joint, self.count)
 
     def pads(self, dims: int, stream: Stream, first: int, sets: int) -> Array:
         """Return shuffled sets in 1 or 2 dims, starting with set `first`: (sets, count, dims)."""

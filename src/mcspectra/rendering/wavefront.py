@@ -25,7 +25,7 @@ from mcspectra.core.checks import Array, as_choice, as_real_array
 from mcspectra.core.display import shown
 from mcspectra.core.errors import DomainError, ParameterError
 from mcspectra.rendering.backend import LARGEST_SAMPLE, LOCK, load_mitsuba
-from mcspectra.rendering.kernel_nets import NetPoints
+from mcspectra.rendering.kernel_sets import NetPoints
 from mcspectra.rendering.scene_checks import check_media
 from mcspectra.rendering.scenes import (
     Scene,

@@ -527,13 +527,12 @@ class Decorrelate(Randomization):
         width, places = self.width, places.reshape(3, dims)
         ranks = _mask(width, self.frames if self.mask == "spatiotemporal" else 1)
         frame = pixels // width**2
-        columns = pixels[:, None] % width + (places[0] * width).astype(np.int64)
-        rows = pixels[:, None] // width % width + (places[1] * width).astype(np.int64)
+        starts = (places * np.array([[width], [width], [len(ranks)]])).astype(np.int64)
+        steps = np.zeros((frame[-1] - frame[0] + 1 if count else 0, 2), np.int64)
         if self.time == "move":
-            steps = (_steps_of(frame, 2) * width).astype(np.int64)
-            columns, rows = columns + steps[:, :1], rows + steps[:, 1:]
-        frames = frame[:, None] + (places[2] * len(ranks)).astype(np.int64)
-        found = ranks[frames % len(ranks), rows % width, columns % width]
+            steps = (_steps_of(np.arange(frame[0], frame[-1] + 1), 2) * width).astype(np.int64)
+        found = np.empty((count, dims))
+        _fill_ranks(first, ranks, starts, steps, found)
         inside = stream.uniforms(first, count, dims)
         shifts = np.minimum((found + inside) / ranks.size, BELOW_ONE)
         if self.time == "golden":
@@ -565,6 +564,21 @@ def _steps_of(frame: Array, dims: int) -> Array:
 
     steps = frame.astype(np.uint64)[:, None] * golden_steps(dims)  # modulo 2^64
     return np.asarray((steps >> np.uint64(11)) * 2.0**-53)
+
+
+@kernel
+def _fill_ranks(first: int, ranks: Array, starts: Array, steps: Array, out: Array) -> None:
+    # Rank of each pixel in each dim. The mask `ranks` (T, w, w) of dim j starts at column
+    # starts[0, j], row starts[1, j] and frame starts[2, j]; frame t moves it by steps[t − first]
+    frames, width, _ = ranks.shape
+    area = width * width
+    for p in range(out.shape[0]):
+        frame, place = (first + p) // area, (first + p) % area
+        row, column = place // width, place % width
+        step = steps[frame - first // area]
+        for j in range(out.shape[1]):
+            y, x = row + starts[1, j] + step[1], column + starts[0, j] + step[0]
+            out[p, j] = ranks[(frame + starts[2, j]) % frames, y % width, x % width]
 
 
 @lru_cache(maxsize=4)

@@ -1,4 +1,6 @@
-"""Scrambled nets computed in kernels: the samplers' own points, and sets in random orders."""
+"""Sets computed in kernels: the samplers' own points, and sets in random orders."""
+
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -6,8 +8,17 @@ from scipy import stats
 
 from mcspectra.core.streams import Stream
 from mcspectra.rendering import Wavefront, load_mitsuba, render
-from mcspectra.rendering.kernel_nets import NetPoints, Pads, net_of, scramble_key
-from mcspectra.rendering.plugin import joint_sampler, register_samplers
+from mcspectra.rendering.kernel_sets import (
+    NetPoints,
+    Pads,
+    Rounds,
+    _in_cell,
+    _unit,
+    net_of,
+    rule_of,
+    scramble_key,
+)
+from mcspectra.rendering.plugin import PaddedSets, joint_sampler, register_samplers
 from mcspectra.samplers import as_sampler
 
 pytestmark = pytest.mark.render
@@ -89,23 +100,31 @@ def test_images_have_the_samplers_points_in_each_pixel(film):
     assert np.array_equal(nested["image"], hashed["image"])
 
 
-@pytest.fixture(scope="module")
-def pads():
-    """Sets of 16 points for requests of 20,000 pixels: two pairs and a single number."""
+def kernel_sets(spec, n, sets, *requests):
+    """Sets that kernels compute for the requests (dims, number) of pixels: (sets, n, dims) each."""
     mitsuba = load_mitsuba()
     import drjit
 
-    single, pair = (net_of(as_sampler("sobol | owen", dims)) for dims in (1, 2))
-    assert single is not None
-    assert pair is not None
-    source = Pads(mitsuba, (single, pair), 16, Stream(9))
-    lane = drjit.arange(mitsuba.UInt32, 16 * SETS)
+    rules = tuple(rule_of(as_sampler(spec, dims), n) for dims in (1, 2))
+    assert None not in rules
+    lane = drjit.arange(mitsuba.UInt32, n * sets)
+    pixel, index = lane // n, lane % n
+    source = Pads(mitsuba, rules, n, Stream(9), Rounds.of(sets, 4, 2)).at(pixel, index)
 
     def drawn(dims, request):
-        number = drjit.full(mitsuba.UInt32, request, 16 * SETS)
-        return arrays(source.draw(dims, lane // 16, number, lane % 16), SETS, 16)
+        number = drjit.full(mitsuba.UInt32, 0, n * sets)
+        for _ in range(request):
+            number = source.following(number)
+        return arrays(source.draw(dims, pixel, number, index), sets, n)
 
-    return {"first": drawn(2, 0), "second": drawn(2, 1), "single": drawn(1, 0)}
+    return [drawn(*request) for request in requests]
+
+
+@pytest.fixture(scope="module")
+def pads():
+    """Sets of 16 points for requests of 20,000 pixels: two pairs and a single number."""
+    made = kernel_sets("sobol | owen", 16, SETS, (2, 0), (2, 1), (1, 0))
+    return dict(zip(("first", "second", "single"), made, strict=True))
 
 
 def test_pads_are_balanced_in_every_elementary_interval(pads):
@@ -209,3 +228,159 @@ def test_shifted_joint_sets_have_the_variance_of_their_sampler():
 
     # Each variance has a relative error of about sqrt(2 / sets) = 3 %
     assert variance(drawn) == pytest.approx(variance(own), rel=0.2)
+
+
+MASK = "sobol | decorrelate(mask='blue-noise')"
+WHITE = "sobol | owen | decorrelate(mode='digital-shift')"
+KERNELS = [
+    ("random", 7),
+    ("jittered", 9),
+    ("jittered", 16),
+    ("sobol | owen", 12),
+    ("sobol | digital-shift(jitter=True)", 12),
+    ("rank1-lattice | shift", 13),
+    ("uniform-jitter", 9),
+    ("sobol | owen | decorrelate(mode='shift')", 8),
+    ("sobol | decorrelate(mode='owen')", 8),
+    (WHITE, 12),
+    (MASK, 8),
+]
+"""Samplers that kernels compute, with counts that are powers of two and others."""
+
+
+@pytest.mark.filterwarnings("ignore::mcspectra.core.errors.NotPowerOfTwoWarning")
+@pytest.mark.parametrize(("spec", "n"), KERNELS)
+def test_points_of_kernels_are_uniform_and_requests_independent(spec, n):
+    """Every point is uniform, points of two requests or pixels are uncorrelated."""
+    sets = 4096
+    first, second, single = kernel_sets(spec, n, sets, (2, 0), (2, 1), (1, 0))
+    drawn = np.concatenate([first, second, single], axis=-1)
+    assert drawn.min() >= 0.0
+    assert drawn.max() < 1.0
+    columns = drawn.reshape(sets, -1).T
+    p = min(stats.kstest(column, "uniform").pvalue for column in columns)
+    assert -np.expm1(len(columns) * np.log1p(-p)) > LEVEL
+    # Points i of two requests, or of neighboring pixels. The coordinates of a set have the variance
+    # 1/12. Sums of n products in a random order have the variance n/144, or n²/(n − 1)/144
+    # if the means of the sets do not vary
+    most = 5.0 * n * (sets / max(1, n - 1)) ** 0.5
+    z = drawn - 0.5
+    requests = [[0, 1], [2, 3], [4]]
+    for a in range(3):
+        for b in range(a):
+            found = 12.0 * np.einsum("rij,rik->jk", z[..., requests[a]], z[..., requests[b]])
+            assert np.abs(found).max() < most
+    if spec != MASK:  # a mask makes neighbors different on purpose
+        found = 12.0 * np.einsum("rij,rij->j", z[1:], z[:-1])
+        assert np.abs(found).max() < most
+
+
+@pytest.mark.parametrize("n", [1, 9, 16, 25])
+def test_jittered_sets_have_one_point_in_each_cell(n):
+    side = round(n**0.5)
+    pair, single = kernel_sets("jittered", n, 2000, (2, 0), (1, 0))
+    cells = np.floor(pair * side) @ [side, 1]
+    assert (np.sort(cells, axis=1) == np.arange(n)).all()
+    assert (np.sort(np.floor(single[..., 0] * n), axis=1) == np.arange(n)).all()
+    # Points are uniform within their cells, and orders are uniform: the first point in each cell
+    shares = (pair * side) % 1.0
+    assert stats.kstest(shares.ravel()[:2000], "uniform").pvalue > LEVEL
+    if n > 1:
+        assert stats.chisquare(np.bincount(cells[:, 0].astype(int), minlength=n)).pvalue > LEVEL
+
+
+@pytest.mark.parametrize(
+    "spec",
+    [
+        MASK,
+        "sobol | owen | decorrelate(mask='r2')",
+        "sobol | decorrelate(mode='digital-shift', mask='blue-noise', width=16)",
+        "rank1-lattice | decorrelate(mask='spatiotemporal', width=8, frames=4)",
+    ],
+)
+def test_masks_move_the_same_sets_as_the_tables_of_the_host(spec):
+    """A mask has the same shifts in each pixel and request; only the orders are different."""
+    sets, n = 300, 8
+    host, rounds = PaddedSets(spec=spec, count=n), Rounds.of(sets, 4, 2)
+    requests = [(2, 0), (2, 3), (1, 1)]
+    for (dims, request), found in zip(requests, kernel_sets(spec, n, sets, *requests), strict=True):
+        table = host.pads(dims, Stream(9), 0, rounds.size).astype(float)
+        numbers = (np.arange(sets) + request * rounds.stride) % rounds.size
+        # Both are rounded to 24 bits: sort by the first coordinate, on the torus
+        for own, other in zip(found, table[numbers], strict=True):
+            apart = np.abs(own[:, None] - other[None])
+            near = np.minimum(apart, 1.0 - apart).max(axis=-1) < 2.0**-22
+            assert (near.sum(axis=0) == 1).all()
+            assert (near.sum(axis=1) == 1).all()
+
+
+@pytest.mark.parametrize("mode", ["shift", "digital-shift"])
+def test_displaced_sets_are_one_set_moved_by_a_vector(mode):
+    spec, n = f"sobol | owen | decorrelate(mode='{mode}')", 16
+    pair, other = kernel_sets(spec, n, 200, (2, 0), (2, 1))
+    whole = (np.concatenate([pair, other]) * 2.0**24).astype(np.int64)
+    base = {tuple(point) for point in whole[0]}
+    vectors = set()
+    for points in whole:
+        # Some point of the set goes to the first point of the base
+        target = next(iter(base))
+        if mode == "shift":
+            moved = [(points + (target - p)) % 2**24 for p in points]
+        else:
+            moved = [points ^ (np.array(target) ^ p) for p in points]
+        equal = [k for k, m in enumerate(moved) if {tuple(point) for point in m} == base]
+        assert len(equal) == 1
+        vectors.add(tuple(points[equal[0]]))
+    assert len(vectors) == 400
+
+
+@pytest.mark.filterwarnings("ignore::mcspectra.core.errors.NotPowerOfTwoWarning")
+@pytest.mark.parametrize(("spec", "n"), [k for k in KERNELS if k[0] != "random"])
+def test_variances_agree_with_the_points_of_the_host(spec, n):
+    """Variances of one pair, and of two pairs together, agree within their errors."""
+    sets = 4000
+    host, rounds = PaddedSets(spec=spec, count=n), Rounds.of(sets, 4, 2)
+    first, second = kernel_sets(spec, n, sets, (2, 0), (2, 1))
+    table = host.pads(2, Stream(9 if "decorrelate" in spec else 8), 0, rounds.size)
+    numbers = [(np.arange(sets) + k * rounds.stride) % rounds.size for k in (0, 1)]
+
+    def bump(x):
+        return np.exp(-((x - [0.37, 0.61]) ** 2).sum(-1) / 0.1)
+
+    def errors(values):
+        estimates = values.mean(axis=1)
+        deviations = (estimates - estimates.mean()) ** 2
+        return deviations.mean(), deviations.std() / sets**0.5
+
+    for values in (lambda a, _: bump(a), lambda a, b: bump(a) * bump(b)):
+        ours = errors(values(first, second))
+        known = errors(values(*(table[k].astype(float) for k in numbers)))
+        assert abs(ours[0] - known[0]) < 4.5 * np.hypot(ours[1], known[1])
+
+
+def test_samplers_without_a_rule_use_tables():
+    for spec in (
+        "latin-hypercube",
+        "sobol | owen | decorrelate(advance=True)",
+        "halton | owen",
+        "jittered | mirror",
+        "sobol | decorrelate | shuffle",
+    ):
+        assert rule_of(as_sampler(spec, 2), 16) is None, spec
+
+
+@pytest.mark.parametrize("cells", [1, 2, 3, 7, 256, 1000, 65535])
+@pytest.mark.parametrize("bits", [0, 2**32 - 1])
+def test_the_ends_of_cells_are_inside_after_rounding(cells, bits):
+    """The smallest and the largest random numbers give points of the cell."""
+    mitsuba = load_mitsuba()
+    own = SimpleNamespace(take=lambda _: mitsuba.UInt32(bits))
+    cell = np.arange(cells)
+    corners = mitsuba.UInt32((((cell << 32) + cells - 1) // cells).astype(np.uint32))
+    found = _unit(mitsuba, _in_cell(mitsuba, corners, cells, own)).numpy().astype(float)
+    if found.size == 1:  # with a single cell, the number does not depend on the corner
+        found = np.repeat(found, cells)
+    np.testing.assert_array_equal(np.floor(found * cells), cell)
+    # The cells leave no gaps of more than two steps of the rounding
+    ends = (cell + (bits > 0)) / cells
+    assert np.abs(found - ends).max() <= 2.0**-23
