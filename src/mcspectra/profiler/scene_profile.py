@@ -108,6 +108,11 @@ class SceneSettings:
     # Each of these pixels is rendered `near_renders` times
     near: int = 32
     near_renders: int = 16
+    # Least share of the sum of squared deviations that one render has in a pixel with rare paths.
+    # Such a variance is doubled by one render. For few renders the share is larger, so that
+    # a pixel of normal values is taken for a pixel with rare paths with probability `outlier`
+    dominant: float = 0.5
+    outlier: float = 1e-3
     # Minimum number of these pixels on each side of the quantile, if there are that many pixels.
     # The error of the median of 16 pixels is a third of the scatter over pixels
     least_near: int = 8
@@ -331,6 +336,26 @@ def _scale(deviations: Array) -> float:
     The median absolute deviation of normal values is 0.6745 standard deviations.
     """
     return float(np.median(np.abs(deviations))) / 0.6745
+
+
+def _rare(values: Array, mean: Array) -> Array:
+    """Return a mask of the pixels whose variance is due to rare paths, from renders (R, P).
+
+    The variance of such a pixel is unknown: with more renders it may be far larger.
+    In a pixel with rare paths, one render has most of the sum of squared deviations.
+    Or no render has a rare path: all renders are equal, but other samplers have another mean.
+    """
+    from scipy.special import stdtrit
+
+    off = (values - values.mean(axis=0)) ** 2
+    total, count = off.sum(axis=0), len(values)
+    # Grubbs' limit of the share of one of `count` normal values
+    t2 = float(stdtrit(count - 2, _SETTINGS.outlier / (2.0 * count))) ** 2
+    limit = max(_SETTINGS.dominant, (count - 1) / count * t2 / (count - 2 + t2))
+    eps = 4.0 * np.finfo(np.float32).eps
+    equal = total <= count * (eps * mean) ** 2
+    apart = np.abs(values.mean(axis=0) - mean) > eps * mean
+    return np.asarray(np.where(equal, apart, off.max(axis=0) > limit * total))
 
 
 def _in_order(found: Iterable[Needed]) -> tuple[Needed, ...]:
@@ -899,6 +924,16 @@ class _Work:
             noise = 1.2533 * _noise_of_log(len(values[n])) / math.sqrt(len(seen))
             return float(ends[1]), max(float(ends[2] - ends[0]) / (2.0 * CONFIDENCE_Z), noise)
 
+        # Variances of pixels with rare paths may be larger. In the worst case, all of these pixels
+        # are above the quantile, and the upper end of the interval has a larger rank
+        hidden = _rare(values[last][:, seen], mean[seen]) & (logs[last] < quantile(last)[0])
+        highest = share + half + float(hidden.mean())
+        higher = math.inf
+        if not hidden.any():
+            higher = 0.0
+        elif highest < 1.0:
+            higher = float(np.subtract(*np.quantile(logs[last], [highest, share + half])))
+
         def bounded(slope: float) -> float:
             return min(max(slope, settings.steepest), settings.slowest)
 
@@ -965,7 +1000,8 @@ class _Work:
             wanted = n * math.exp((goal - level) / slope)
         away = math.hypot(error, slope_error * abs(math.log(wanted / n))) / abs(slope)
         factor = math.exp(min(CONFIDENCE_Z * away, 700.0))
-        return Needed(share, wanted, (wanted / factor, wanted * factor))
+        most = wanted * math.exp(min(CONFIDENCE_Z * away - higher / slope, 700.0))
+        return Needed(share, wanted, (wanted / factor, most))
 
     def _causes(self, pixels: Array, mean: Array) -> tuple[VarianceShare, ...]:
         """Return the shares of the variance by decision of random paths, over all pixels."""
