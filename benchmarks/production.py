@@ -81,16 +81,15 @@ def adaptive(width=32, height=24, renders=24):
 
 
 # Commands whose times are estimated, with sizes for which each takes 5 to 60 s on 2 cores
-LARGE = ("--width", "1920", "--height", "1080")
+LARGE, SCENE = ("--width", "1920", "--height", "1080"), "penumbra(width=1920, height=1080)"
+DEPTH = ("--integrator", "path(max_depth=4)")
 COMMANDS = (
     ("map", "veach", "--integrator", "path(max_depth=6)", "--crop", "100,100,60,40"),
-    ("map", "penumbra(width=1920, height=1080)", "--integrator", "path(max_depth=4)")
-    + ("--pixels", "1%", "--counts", "4,16", "--realizations", "8"),
+    ("map", SCENE, *DEPTH, "--pixels", "1%", "--counts", "4,16", "--realizations", "2"),
     ("map", "veach", "--crop", "100,100,60,40", "--realizations", "16"),
-    ("render", "penumbra", *LARGE, "--integrator", "path(max_depth=4)", "--spp", "16"),
+    ("render", "penumbra", *LARGE, *DEPTH, "--spp", "16"),
     ("render", "penumbra", *LARGE, "--spp", "8"),
-    ("profile", "penumbra(width=1920, height=1080)", "--integrator", "path(max_depth=4)")
-    + ("--seconds", "15"),
+    ("profile", SCENE, *DEPTH, "--seconds", "15"),
 )
 
 
