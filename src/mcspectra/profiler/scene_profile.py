@@ -1000,7 +1000,8 @@ class _Work:
             wanted = n * math.exp((goal - level) / slope)
         away = math.hypot(error, slope_error * abs(math.log(wanted / n))) / abs(slope)
         factor = math.exp(min(CONFIDENCE_Z * away, 700.0))
-        most = wanted * math.exp(min(CONFIDENCE_Z * away - higher / slope, 700.0))
+        most = wanted * factor
+        most *= math.exp(-higher / slope) if higher < math.inf else math.inf
         return Needed(share, wanted, (wanted / factor, most))
 
     def _causes(self, pixels: Array, mean: Array) -> tuple[VarianceShare, ...]:
