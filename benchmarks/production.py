@@ -4,23 +4,24 @@ Without a flag, a crop of 240 × 135 pixels is mapped (paths of depth 6, n = 4, 
 The same samples are rendered by ``mi.render`` with the stock sampler, in turn with the map.
 ``--adaptive`` compares adaptive images with images that have equally many samples in all pixels.
 A variance map gives the samples per pixel of an adaptive image; all images have the same cost.
-``--dry-run`` compares estimated times of maps and images with measured ones.
+``--dry-run`` compares estimated times of maps, images and profiles with measured ones.
 """
 
+import json
 import math
+import shlex
+import subprocess
+import sys
+import tempfile
 import time
 
 import numpy as np
 from tests.rendering.small_scenes import SCENES
 
 from benchmarks.timing import compare
-from mcspectra.core.analysis import Subject
 from mcspectra.core.images import REC709
-from mcspectra.core.streams import Stream
 from mcspectra.rendering import load_mitsuba, variance_map
 from mcspectra.rendering.adaptive import render_adaptive, samples_per_pixel
-from mcspectra.rendering.maps import Map
-from mcspectra.samplers import as_sampler
 
 CROP, COUNTS, REALIZATIONS, ROUNDS = (240, 135), (4, 16, 64), 4, 5
 SHARES = (0.5, 0.95, 0.99)  # quantiles at which the relative errors of pixels are compared
@@ -79,25 +80,42 @@ def adaptive(width=32, height=24, renders=24):
         )
 
 
+# Commands whose times are estimated, with sizes for which each takes 5 to 60 s on 2 cores
+LARGE, SCENE = ("--width", "1920", "--height", "1080"), "penumbra(width=1920, height=1080)"
+DEPTH = ("--integrator", "path(max_depth=4)")
+COMMANDS = (
+    ("map", "veach", "--integrator", "path(max_depth=6)", "--crop", "100,100,60,40"),
+    ("map", SCENE, *DEPTH, "--pixels", "1%", "--counts", "4,16", "--realizations", "2"),
+    ("map", "veach", "--crop", "100,100,60,40", "--realizations", "16"),
+    ("render", "penumbra", *LARGE, *DEPTH, "--spp", "16"),
+    ("render", "penumbra", *LARGE, "--spp", "8"),
+    ("profile", SCENE, *DEPTH, "--seconds", "15"),
+)
+
+
+def seconds_of(command, *more):
+    """Run a command in a new process. Return its wall time and its printed JSON."""
+    words = (sys.executable, "-m", "mcspectra", *command, "--json", *more)
+    start = time.perf_counter()
+    made = subprocess.run(words, check=True, capture_output=True, text=True)
+    return time.perf_counter() - start, json.loads(made.stdout)
+
+
 def estimated():
-    """Print estimated and measured seconds of maps."""
-    for scene, options in (
-        ("veach", {"crop": (100, 100, 60, 40)}),
-        ("penumbra(width=96, height=72)", {"integrator": "path(max_depth=4)", "counts": (4, 16)}),
-        (
-            "penumbra(width=96, height=72)",
-            {"integrator": "path(max_depth=4)", "crop": (20, 9, 40, 40)},
-        ),
-    ):
-        analysis = Map(scene=scene, realizations=16, **options)
-        sampler = as_sampler(analysis.default_sampler, 2)
-        cost = analysis.cost(Subject(None, sampler), Stream.from_rng(0))
-        start = time.perf_counter()
-        variance_map(scene, realizations=16, **options)
-        seconds = time.perf_counter() - start
+    """Print estimated and measured seconds of commands, each in a process of its own.
+
+    The first dry run stores compiled kernels on disk, and its estimate is not printed.
+    The second dry run and the measured run then both load these kernels.
+    """
+    for command in COMMANDS:
+        seconds_of(command, "--dry-run")
+        cost = seconds_of(command, "--dry-run")[1]["seconds"]
+        with tempfile.TemporaryDirectory() as folder:
+            place = {"map": f"{folder}/map", "render": f"{folder}/image.exr"}.get(command[0])
+            seconds, _ = seconds_of(command, *(("-o", place) if place else ()))
         print(
-            f"{scene} {options}: estimated {cost.seconds:.1f} s, measured {seconds:.1f} s, ratio "
-            f"{cost.seconds / seconds:.2f}",
+            f"{shlex.join(command)}: estimated {cost:.1f} s, measured {seconds:.1f} s, "
+            f"ratio {cost / seconds:.2f}",
             flush=True,
         )
 

@@ -1,6 +1,7 @@
 """`mcspectra.profile` of a scene: sampler, samples per pixel, causes and worst pixels."""
 
 import json
+import math
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from mcspectra.cli.main import main
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.profiler import profile_scene
-from mcspectra.profiler.scene_profile import Needed, _in_order, _spp, _Work, sampler_name
+from mcspectra.profiler.scene_profile import Needed, _in_order, _rare, _spp, _Work, sampler_name
 from mcspectra.rendering import load_mitsuba
 from mcspectra.rendering.paths import Tracer
 from mcspectra.rendering.plugin import register_samplers
@@ -99,6 +100,65 @@ def test_one_pixel_has_a_standard_error_too():
     log, error = _Work._ratio(*near)
     assert 0.0 < error < 0.4
     assert abs(log) < 3.0 * error
+
+
+class Dark(Rendered):
+    """Every 16th pixel is dark: only one sample of 500 finds light, which is 500 times brighter."""
+
+    def estimates(self, plugin, n, tiles, side, realizations, stream):
+        values = super().estimates(plugin, n, tiles, side, realizations, stream)
+        found = stream.generator(1).binomial(n, 1 / 500, values.shape) * 500.0 / n
+        return np.where(tiles[:, 0] % 16 == 0, found, values)
+
+
+def test_dark_pixels_without_variance_do_not_hide_the_spread_of_the_others():
+    """A dark pixel may have no variance in half of the renders.
+
+    Earlier versions then took all errors for equal, and printed the number of some other pixels.
+    """
+    spread = np.exp(np.random.default_rng(1).normal(0.0, 0.6, (32, 64)))
+    truth = np.where(np.arange(64) % 16 == 0, math.sqrt(499.0), spread)
+    for seed in range(12):
+        work = _Work(Dark(spread, -1.0), Stream.from_rng(seed), 30.0, 0.0)
+        tiles, _ = chosen_tiles(Rendered.film, 128, Stream.from_rng(seed))
+        values = {n: work.rendered.estimates("", n, tiles, 1, 20, work._stream()) for n in (16, 64)}
+        needed = work._needed("", values, np.ones(len(tiles)), tiles, 0.5, 0.05, -1.0)
+        errors = truth[tiles[:, 1], tiles[:, 0]]
+        true = (np.median(errors) / 0.05) ** 2
+        # 20 renders: errors of 32 % of a variance, and a median of 128 pixels with a scatter of 1.2
+        # has an error of 1.25 * 0.32 / sqrt(128) = 4 %; that of new renders is 12 %
+        assert 1 / 1.5 < needed.spp / true < 1.5
+        raw, known = work._logs(values[64], np.ones(len(tiles))), errors < 20.0
+        narrowed = work._narrowed(values[64], np.ones(len(tiles)))
+        assert 0.7 * np.std(raw[known]) < np.std(narrowed[known]) <= np.std(raw[known])
+
+
+def test_rare_paths_are_noticed():
+    """Among 2000 pixels of normal values, about 2 are taken for pixels with rare paths."""
+    rng = np.random.default_rng(0)
+    for renders in (8, 64):
+        values = 1.0 + 0.1 * rng.standard_normal((renders, 2000))
+        assert _rare(values, np.ones(2000)).sum() <= 9  # a Poisson number of mean 2: p = 5e-5
+        one = np.where(np.arange(renders)[:, None] == 3, 1.0, 0.0) + 1e-3 * values
+        assert _rare(one, one.mean(axis=0)).all()
+    constant = np.ones((8, 3))
+    assert not _rare(constant, np.ones(3)).any()
+    assert _rare(constant, np.array([1.0, 2.0, 1.5])).tolist() == [False, True, True]
+
+
+def test_rare_paths_open_the_interval_upward():
+    spread = np.exp(np.random.default_rng(1).normal(0.0, 0.6, (32, 64)))
+    tiles, _ = chosen_tiles(Rendered.film, 128, Stream.from_rng(0))
+    ends = {}
+    for kind in (Rendered, Dark):
+        work = _Work(kind(spread, -1.0), Stream.from_rng(0), 30.0, 0.0)
+        values = {n: work.rendered.estimates("", n, tiles, 1, 20, work._stream()) for n in (16, 64)}
+        for share in (0.5, 0.95):
+            found = work._needed("", values, np.ones(len(tiles)), tiles, share, 0.1, -1.0)
+            ends[kind, share] = found.spp_ci[1] / found.spp
+    assert 1.0 < ends[Rendered, 0.5] < 2.0
+    assert ends[Rendered, 0.95] < 3.0
+    assert ends[Dark, 0.5] < 3.0
 
 
 def test_a_sampler_with_one_number_of_samples_has_the_usual_slope():

@@ -108,6 +108,14 @@ class SceneSettings:
     # Each of these pixels is rendered `near_renders` times
     near: int = 32
     near_renders: int = 16
+    # Least share of the sum of squared deviations that one render has in a pixel with rare paths.
+    # Such a variance is doubled by one render. For few renders the share is larger, so that
+    # a pixel of normal values is taken for a pixel with rare paths with probability `outlier`
+    dominant: float = 0.5
+    outlier: float = 1e-3
+    # Minimum number of these pixels on each side of the quantile, if there are that many pixels.
+    # The error of the median of 16 pixels is a third of the scatter over pixels
+    least_near: int = 8
     # Fraction of the time for pixels near a quantile. It is the average fraction in five scenes
     nearby: float = 0.2
     # Seconds to compile the two kernels of a sampler, as a part of the estimated time
@@ -320,6 +328,34 @@ def _spread(logs: Array, noise: float) -> float:
     One pixel has no standard deviation, and that of few pixels may be small by chance.
     """
     return max(float(np.std(logs, ddof=1)) if len(logs) > 1 else 0.0, noise)
+
+
+def _scale(deviations: Array) -> float:
+    """Return a standard deviation that few outliers do not change, from deviations from a center.
+
+    The median absolute deviation of normal values is 0.6745 standard deviations.
+    """
+    return float(np.median(np.abs(deviations))) / 0.6745
+
+
+def _rare(values: Array, mean: Array) -> Array:
+    """Return a mask of the pixels whose variance is due to rare paths, from renders (R, P).
+
+    The variance of such a pixel is unknown: with more renders it may be far larger.
+    In a pixel with rare paths, one render has most of the sum of squared deviations.
+    Or no render has a rare path: all renders are equal, but other samplers have another mean.
+    """
+    from scipy.special import stdtrit
+
+    off = (values - values.mean(axis=0)) ** 2
+    total, count = off.sum(axis=0), len(values)
+    # Grubbs' limit of the share of one of `count` normal values
+    t2 = float(stdtrit(count - 2, _SETTINGS.outlier / (2.0 * count))) ** 2
+    limit = max(_SETTINGS.dominant, (count - 1) / count * t2 / (count - 2 + t2))
+    eps = 4.0 * np.finfo(np.float32).eps
+    equal = total <= count * (eps * mean) ** 2
+    apart = np.abs(values.mean(axis=0) - mean) > eps * mean
+    return np.asarray(np.where(equal, apart, off.max(axis=0) > limit * total))
 
 
 def _in_order(found: Iterable[Needed]) -> tuple[Needed, ...]:
@@ -832,14 +868,19 @@ class _Work:
 
         Noise of the measured errors makes the spread of their logarithms over the pixels too large.
         Moving the logarithms toward their median removes the part of the spread that is only noise.
+        Both spreads are medians: a dark pixel with rare paths may have no variance in half of the
+        renders, and such a pixel says nothing about the noise of other pixels.
         """
         logs = self._logs(values, mean)
-        halves = [self._logs(values[k::2], mean) for k in (0, 1)]
-        noise = float(np.var(halves[0] - halves[1])) / 4.0
-        total = float(np.var(logs))
+        both = [values[k::2] for k in (0, 1)]
+        known = np.all([half.max(axis=0) > half.min(axis=0) for half in both], axis=0)
+        if not known.any():
+            return logs
+        apart = np.subtract(*(self._logs(half[:, known], mean[known]) for half in both))
         center = float(np.median(logs))
-        keep = math.sqrt(max(1.0 - noise / total, 0.0)) if total > 0.0 else 1.0
-        return center + keep * (logs - center)
+        noise, total = _scale(apart) / 2.0, _scale(logs[known] - np.median(logs[known]))
+        keep = math.sqrt(max(1.0 - (noise / total) ** 2, 0.0)) if total > 0.0 else 1.0
+        return np.asarray(center + keep * (logs - center))
 
     def _quantities(
         self, values: Mapping[int, Array], mean: Array, seen: Array
@@ -871,6 +912,7 @@ class _Work:
         """
         settings, goal = _SETTINGS, 2.0 * math.log(target)
         seen = np.flatnonzero(mean > 0.0)
+        raw = {n: self._logs(v[:, seen], mean[seen]) for n, v in values.items()}
         logs = {n: self._narrowed(v[:, seen], mean[seen]) for n, v in values.items()}
         first, last = min(logs), max(logs)
         half = CONFIDENCE_Z * math.sqrt(share * (1.0 - share) / len(seen))
@@ -881,6 +923,16 @@ class _Work:
             # With few pixels, the noise of each measured variance is the larger error
             noise = 1.2533 * _noise_of_log(len(values[n])) / math.sqrt(len(seen))
             return float(ends[1]), max(float(ends[2] - ends[0]) / (2.0 * CONFIDENCE_Z), noise)
+
+        # Variances of pixels with rare paths may be larger. In the worst case, all of these pixels
+        # are above the quantile, and the upper end of the interval has a larger rank
+        hidden = _rare(values[last][:, seen], mean[seen]) & (logs[last] < quantile(last)[0])
+        highest = share + half + float(hidden.mean())
+        higher = math.inf
+        if not hidden.any():
+            higher = 0.0
+        elif highest < 1.0:
+            higher = float(np.subtract(*np.quantile(logs[last], [highest, share + half])))
 
         def bounded(slope: float) -> float:
             return min(max(slope, settings.steepest), settings.slowest)
@@ -907,10 +959,13 @@ class _Work:
         for _ in range(2):
             if 0.5 * n <= wanted <= 2.0 * n or wanted < 0.5 * first or n >= settings.most_samples:
                 break
-            order = np.argsort(logs[last], kind="stable")
+            # The renders at the first number of samples choose the pixels. The renders at the last
+            # number of samples are then not too small or too large because of the choice
+            order = np.argsort(raw[first], kind="stable")
             rank = round(share * (len(order) - 1))
-            start = max(0, min(rank - settings.near // 2, len(order) - settings.near))
-            picks = order[start : start + settings.near]
+            # The quantile is in the middle of the chosen pixels
+            aside = max(min(settings.near // 2, rank, len(order) - 1 - rank), settings.least_near)
+            picks = order[max(rank - aside, 0) : rank + aside]
             near = seen[picks]
             film = self.rendered.film
             renders = settings.near_renders * max(1, settings.near // len(near))
@@ -923,12 +978,12 @@ class _Work:
             found = self._values(plugin, count, pixels[near], renders, side=1)
             # Each pixel is compared with itself: if half of these pixels are far noisier than the
             # others, the median of their errors would be a matter of chance
-            change = self._logs(found, mean[near]) - logs[last][picks]
+            change = self._logs(found, mean[near]) - raw[last][picks]
             own = quantile(last)[0] + float(np.median(change))
-            # At the last number of samples, the errors of these pixels were near the quantile.
-            # The error of the quantile is added to the scatter of the errors in the new renders
-            noise = _noise_of_log(renders)
-            scatter = 1.2533 * _spread(change, noise) / math.sqrt(len(near))
+            # The error of the quantile is added to the error of the median change
+            noise = math.hypot(_noise_of_log(renders), _noise_of_log(len(values[last])))
+            spread = max(_scale(change - np.median(change)), noise)
+            scatter = 1.2533 * spread / math.sqrt(len(near))
             # If the new renders contradict the extrapolated error, the interval includes both
             away = own - level - slope * math.log(count / n)
             known = math.hypot(error, scatter, slope_error * math.log(count / n))
@@ -945,7 +1000,9 @@ class _Work:
             wanted = n * math.exp((goal - level) / slope)
         away = math.hypot(error, slope_error * abs(math.log(wanted / n))) / abs(slope)
         factor = math.exp(min(CONFIDENCE_Z * away, 700.0))
-        return Needed(share, wanted, (wanted / factor, wanted * factor))
+        most = wanted * factor
+        most *= math.exp(-higher / slope) if higher < math.inf else math.inf
+        return Needed(share, wanted, (wanted / factor, most))
 
     def _causes(self, pixels: Array, mean: Array) -> tuple[VarianceShare, ...]:
         """Return the shares of the variance by decision of random paths, over all pixels."""
