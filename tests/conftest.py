@@ -175,15 +175,21 @@ TOGETHER = {
 }
 
 
+def _scope(nodeid):
+    """Return the file of a test if `TOGETHER` has it or its folder, and else the test itself."""
+    file = nodeid.partition("::")[0]
+    return file if TOGETHER & {file, file.rpartition("/")[0]} else nodeid
+
+
 def pytest_xdist_make_scheduler(config, log):
-    """Run all tests of a file in one worker if `TOGETHER` has it or its folder; start with them."""
+    """Run all tests of a scope in one worker, in the order of `pytest_collection_modifyitems`."""
     from xdist.scheduler import LoadScopeScheduling
 
     class Scheduling(LoadScopeScheduling):
         def _split_scope(self, nodeid):
-            file = nodeid.partition("::")[0]
-            return file if TOGETHER & {file, file.rpartition("/")[0]} else nodeid
+            return _scope(nodeid)
 
+    config.option.loadscopereorder = False
     return Scheduling(config, log)
 
 
@@ -208,8 +214,25 @@ def _waits(item):
 
 
 def pytest_collection_modifyitems(items):
-    """Run tests that wait first, so that other workers compute meanwhile; give slow tests time."""
-    items.sort(key=lambda item: not _waits(item))
+    """Start with long scopes and with tests that wait for other processes; give slow tests time.
+
+    A browser's tests take seconds each, and the other scopes are the longer the more tests they
+    have. Long scopes at the end would leave the other workers without work.
+    """
+    scopes = [_scope(item.nodeid) for item in items]
+    sizes = Counter(scopes)
+    in_browser = {
+        scope
+        for scope, item in zip(scopes, items, strict=True)
+        if sizes[scope] > 1 and item.get_closest_marker("browser")
+    }
+    items.sort(
+        key=lambda item: (
+            (scope := _scope(item.nodeid)) not in in_browser,
+            -sizes[scope],
+            not _waits(item),
+        )
+    )
     for item in items:
         if item.get_closest_marker("endurance"):
             item.add_marker(pytest.mark.timeout(3000))
