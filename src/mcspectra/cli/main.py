@@ -17,6 +17,7 @@ import json
 import os
 import sys
 import threading
+import time
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -145,6 +146,7 @@ class _Parser(argparse.ArgumentParser):
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit code."""
+    begun = time.perf_counter()
     given = list(sys.argv[1:] if arguments is None else arguments)
     # Threads compute realizations and cells in parallel. BLAS threads would compete with them
     os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -153,7 +155,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
     try:
-        return _dispatch(given)
+        return _dispatch(given, begun)
     except SystemExit as stop:  # argparse stops after --help (0) or bad usage (2)
         return int(stop.code or 0)
     except KeyboardInterrupt as stop:
@@ -192,8 +194,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return code
 
 
-def _dispatch(given: list[str]) -> int:
-    """Find the verb, parse its options, run it, and print its output."""
+def _dispatch(given: list[str], begun: float) -> int:
+    """Find the verb, parse its options, run it, and print its output.
+
+    The time `begun` is the start of the command. Estimates of its time include its imports.
+    """
     # If options were given before the verb, move them to the place after the verb
     first = 0
     while first < len(given) and (name := given[first].partition("=")[0]) in _BEFORE:
@@ -244,6 +249,7 @@ def _dispatch(given: list[str]) -> int:
     options, unknown = parser.parse_known_args(given[1:])
     if unknown:
         parser.error(f"unrecognized arguments: {printable(' '.join(unknown), QUOTED)}")
+    options.begun = begun
 
     # For every verb, --allow-code and --allow-path name the code and the folders that specs may use
     folders = getattr(options, "allow_path", ())

@@ -248,7 +248,6 @@ def _render_cost(
     from mcspectra.rendering.plugin import default_spec
     from mcspectra.rendering.scenes import as_scene, film_size, render_file, sensor_of
 
-    begin = time.perf_counter()
     request = as_scene(scene)
     size = film_size(request)
     whole, spp = options.integrator is not None, options.spp
@@ -266,7 +265,7 @@ def _render_cost(
             # The reference and MIS use samples of both techniques; other images use one technique
             spp, each = 2 * (options.reference_spp or _REFERENCE_SPP) + 4 * (options.spp or 4), 1
         size = size if options.crop is None else (options.crop[2], options.crop[3])
-    loaded = time.perf_counter() - begin
+    loaded = time.perf_counter() - options.begun  # the time for imports is included
 
     def work(count: int) -> None:
         if whole:
@@ -742,7 +741,7 @@ def _map_cost(options: argparse.Namespace, parts: Any, subjects: Any) -> VerbOut
     from mcspectra.core.streams import Stream
     from mcspectra.report.map_page import page_seconds
 
-    seed = options.seed or 0
+    seed, imports = options.seed or 0, time.perf_counter() - options.begun
     costs = [
         part.cost(subject, Stream.from_rng(seed))
         for part, subject in zip(parts, subjects, strict=True)
@@ -766,7 +765,7 @@ def _map_cost(options: argparse.Namespace, parts: Any, subjects: Any) -> VerbOut
         what=first.what + others,
         samples=samples,
         samples_per_second=samples / sum(c.samples / c.samples_per_second for c in costs),
-        seconds=seconds + page_seconds(figures, first.size) + profile,
+        seconds=imports + seconds + page_seconds(figures, first.size) + profile,
         storage=sum(c.storage for c in costs) + _PAGE_BYTES,
     )
     return VerbOutput(found.text, found.to_dict())

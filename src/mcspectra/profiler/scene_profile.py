@@ -869,7 +869,7 @@ class _Work:
         Noise of the measured errors makes the spread of their logarithms over the pixels too large.
         Moving the logarithms toward their median removes the part of the spread that is only noise.
         Both spreads are medians: a dark pixel with rare paths may have no variance in half of the
-        renders, and such a pixel says nothing about the noise of other pixels.
+        renders, and a mean would then be far larger than the noise of other pixels.
         """
         logs = self._logs(values, mean)
         both = [values[k::2] for k in (0, 1)]
