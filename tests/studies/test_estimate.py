@@ -145,8 +145,9 @@ def test_maps_of_a_film_and_of_the_whole_crop_have_the_same_estimate(tmp_path):
     _, whole, crop, subset = estimate_study(_plan(tmp_path, MAPS), probe_seconds=12.0)
     assert whole.storage == crop.storage > 0
     assert whole.memory == crop.memory
-    # Both times are measured; other programs may slow one of them down
-    assert 1 / 4 < whole.seconds / crop.seconds < 4
+    # Both times are measured, and other programs may slow one of them down.
+    # The estimates of a version with this fault differed by a factor of 32
+    assert 1 / 8 < whole.seconds / crop.seconds < 8
     assert subset.storage < whole.storage
     # Maps use all processors, so that several workers take as long as one
     cells = [whole, crop, subset]
