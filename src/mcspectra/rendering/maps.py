@@ -100,6 +100,8 @@ _CHOICE, _TRIAL = 0x9C401, 0x7D1A1
 _TRIED = 4096  # maximum number of pixels that a trial measures
 # Seconds of the fits, and bytes in files and image layers, for each number in a result
 _PIXEL_SECONDS, _PIXEL_BYTES = 3e-7, 10
+# Seconds to interpolate a pixel of the image between measured pixels, for all numbers of a result
+_SPREAD_SECONDS = 1.2e-5
 _STATE_BYTES = 8  # bytes for each measured number that is kept for a resumption
 
 _DIRECT_COUNTS, _PATH_COUNTS = (4, 9, 16, 36, 64), (4, 16, 64)
@@ -329,6 +331,7 @@ class Map(Analysis, frozen=True, kw_only=True):
         numbers = len(measurement.strategies) * (2 * len(measurement.counts) + 8)
         numbers += 3 * sum(map(len, measurement.partitions)) + 6
         at = ", ".join(map(str, measurement.counts))
+        interpolation = 0.0 if self.pixels is None else _SPREAD_SECONDS * total
         return SceneCost(
             scene=scene_name(self.scene).strip("'\""),
             what=f"{self.realizations} realizations at n = {at} with {measurement.sampler.spec}",
@@ -336,7 +339,7 @@ class Map(Analysis, frozen=True, kw_only=True):
             pixels=count,
             samples=samples * count,
             samples_per_second=samples / max(paced.each, 1e-12),
-            seconds=loaded + paced.seconds + _PIXEL_SECONDS * total * numbers,
+            seconds=loaded + paced.seconds + interpolation + _PIXEL_SECONDS * total * numbers,
             storage=(_PIXEL_BYTES * total + _STATE_BYTES * count) * numbers,
         )
 
