@@ -28,7 +28,7 @@ from msgspec import Meta
 
 from mcspectra.core.analysis import Analysis, Need, Reduction, Subject, whole
 from mcspectra.core.checks import Array, as_integer, in_unit_cube
-from mcspectra.core.confidence import CONFIDENCE_Z
+from mcspectra.core.confidence import CONFIDENCE_Z, rounding_floor
 from mcspectra.core.display import between, escape_html
 from mcspectra.core.errors import (
     CountError,
@@ -171,8 +171,6 @@ class ProfileSettings:
     resolving_points: int = 10
     # Largest logarithm of a ratio. The exponential of a number above 709 overflows.
     most_log: float = 700.0
-    # Largest rounding error of an estimate in ulps, as in `rounding_floor`.
-    rounding_ulps: float = 16.0
     # Number of points that are drawn from a density to test whether they lie in the unit cube.
     tested_points: int = 64
 
@@ -1201,8 +1199,9 @@ def _results(
             value, error = noise, max(error, math.log(noise / value))
         rmse, ends = with_ends((value, error))
         if rounded or value == 0.0:
-            # Estimates are rounded: `noise` stands for one ulp, and errors reach some ulps
-            ends = (0.0, max(ends[1], _SETTINGS.rounding_ulps * math.sqrt(noise)))
+            # Estimates are rounded: `noise` is the square of one ulp, and errors reach some ulps
+            size = math.sqrt(noise) / np.finfo(float).eps
+            ends = (0.0, max(ends[1], math.sqrt(float(rounding_floor(np.array(size))))))
         gain = math.inf if infinite or not value > 0.0 else at_budget[0] / value
         half = math.exp(min(z * math.hypot(error, at_budget[1]), _SETTINGS.most_log))
         gain_ci = (gain / half, gain * half)
