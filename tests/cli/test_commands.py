@@ -388,7 +388,7 @@ def test_messages_shorten_long_values(run, tmp_path, monkeypatch):
     ],
 )
 def test_every_error_gives_an_exit_code_and_a_line(run, monkeypatch, raised, code, words):
-    def ended(arguments):
+    def ended(arguments, begun):
         raise raised
 
     monkeypatch.setattr("mcspectra.cli.main._dispatch", ended)
@@ -405,7 +405,7 @@ import atexit, sys, time
 from mcspectra.cli import main as module
 from mcspectra.studies.executors import Threads
 
-def ended(arguments):
+def ended(arguments, begun):
     Threads(1).submit(None, lambda: time.sleep(100))
     atexit.register(print, "Python has ended")
     raise KeyboardInterrupt("finished work is in out; --resume continues")
