@@ -1,6 +1,7 @@
 """Coverage of 95 % intervals: variances, captured parts, spectra, ANOVA shares and integrals.
 
 Run ``python -m benchmarks coverage``. With ``--frames`` it prints only the mean variance of frames.
+With ``--answers`` it prints only the intervals of `integrate`, `profile` and `convergence`.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from scipy.special import ndtri
+from scipy.special import ndtr, ndtri, xlogy
 
 import mcspectra as mcs
 from mcspectra.estimators.moments import Moments
@@ -58,8 +59,24 @@ INTEGRALS: dict[str, tuple[int, Callable[[np.ndarray], np.ndarray], float]] = {
     "disk": (2, lambda x: 1.0 * (((x - 0.5) ** 2).sum(axis=-1) < 0.09), 0.09 * np.pi),
 }
 SETS = ("random", "jittered", "sobol | owen")
-BUDGETS = (512, 4096, 32_768)
+BUDGETS = (512, 4096, 32_768, 1_048_576)
 _SEEDS = 600
+
+# Antiderivatives of f and of f² for the integrands of one dim
+ANTIDERIVATIVES: dict[str, tuple[Callable[[np.ndarray], np.ndarray], ...]] = {
+    "x": (lambda x: x**2 / 2, lambda x: x**3 / 3),
+    "exponential": (
+        lambda x: x + xlogy(1 - x, 1 - x),
+        lambda x: 2 * xlogy(1 - x, 1 - x) - xlogy(np.sqrt(1 - x), 1 - x) ** 2 + 2 * x,
+    ),
+    "lognormal(1)": (
+        lambda x: np.exp(0.5) * ndtr(ndtri(x) - 1),
+        lambda x: np.exp(2.0) * ndtr(ndtri(x) - 2),
+    ),
+    "x^-0.3": (lambda x: x**0.7 / 0.7, lambda x: x**0.4 / 0.4),
+}
+REALIZATIONS = (100, 1000)
+POINTS = (16, 64, 256)
 
 
 def _of_variances() -> Iterator[tuple[str, ...]]:
@@ -164,7 +181,7 @@ def _of_anova() -> Iterator[tuple[str, ...]]:
 
 
 def _of_integrals() -> Iterator[tuple[str, ...]]:
-    """Yield the coverage of `mcspectra.integrate`; infinite intervals are counted separately."""
+    """Yield the coverage of `mcspectra.integrate`."""
     for (name, (dims, f, integral)), sampler, budget in product(INTEGRALS.items(), SETS, BUDGETS):
         ends = np.array(
             [
@@ -172,12 +189,60 @@ def _of_integrals() -> Iterator[tuple[str, ...]]:
                 for seed in range(_SEEDS)
             ]
         )
-        ends = ends[np.isfinite(ends).all(axis=1)]
-        low, high = 100 * (integral < ends[:, 0]).mean(), 100 * (integral > ends[:, 1]).mean()
-        yield (
-            name, sampler, str(budget), f"{100 - low - high:.1f}", f"{high:.1f}", f"{low:.1f}",
-            f"{100 * (1 - len(ends) / _SEEDS):.1f}",
-        )  # fmt: skip
+        yield name, sampler, str(budget), *_covered(ends, integral)
+
+
+def _of_profiles() -> Iterator[tuple[str, ...]]:
+    """Yield the coverage of the integral's interval in profiles; they do not depend on the sampler.
+
+    A profile of one of these samplers estimates the integral from scrambled nets.
+    """
+    for (name, (dims, f, integral)), budget in product(INTEGRALS.items(), BUDGETS):
+        profiles = (mcs.profile(f, dims=dims, budget=budget, rng=k) for k in range(_SEEDS))
+        yield name, str(budget), *_covered([each.interval for each in profiles], integral)
+
+
+def _of_convergence() -> Iterator[tuple[str, ...]]:
+    """Yield the coverage of the variances of `mcspectra.convergence` at three counts.
+
+    In one dim, a scrambled Sobol' set of 2^k points has one point in each stratum.
+    Its variance is therefore the variance of jittered points, the mean of those in strata over n.
+    """
+    for (name, antiderivatives), sampler in product(ANTIDERIVATIVES.items(), SETS):
+        truth = [_variance(antiderivatives, n, strata=sampler != "random") for n in POINTS]
+        for count in REALIZATIONS:
+            f = INTEGRALS[name][1]
+            ends = np.array(
+                [
+                    mcs.convergence(f, sampler, POINTS, dims=1, realizations=count, rng=seed)[
+                        "variance_ci"
+                    ]
+                    for seed in range(_SEEDS)
+                ]
+            )
+            for k, n in enumerate(POINTS):
+                yield name, sampler, str(count), str(n), *_covered(ends[:, k], truth[k])
+
+
+def _variance(
+    antiderivatives: tuple[Callable[[np.ndarray], np.ndarray], ...], n: int, *, strata: bool
+) -> float:
+    """Return the exact variance of an estimate with n independent or n stratified points."""
+    edges = np.linspace(0.0, 1.0, n + 1) if strata else np.array([0.0, 1.0])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mean, square = (np.diff(each(edges)) * (len(edges) - 1) for each in antiderivatives)
+    return float((square - mean**2).mean() / n)
+
+
+def _covered(ends: Any, truth: float) -> tuple[str, ...]:
+    """Return percentages: covered, truth above and below the interval, and infinite intervals.
+
+    An interval without an upper end contains each value above its lower end.
+    """
+    ends = np.asarray(ends)
+    low, high = 100 * (truth < ends[:, 0]).mean(), 100 * (truth > ends[:, 1]).mean()
+    opened = 100 * np.isinf(ends).any(axis=1).mean()
+    return f"{100 - low - high:.1f}", f"{high:.1f}", f"{low:.1f}", f"{opened:.1f}"
 
 
 def _print(header: str, rows: Iterator[tuple[str, ...]]) -> None:
@@ -228,6 +293,9 @@ def _of_frames() -> Iterator[tuple[Any, ...]]:
 
 def main(*flags: str) -> None:
     """Print the coverage of each type of interval in percent."""
+    if "--answers" in flags:
+        _print_answers()
+        return
     columns = "frames | law | covered, pixels alone | covered | no upper end"
     _print(columns, _of_frames())
     if "--frames" in flags:
@@ -237,8 +305,15 @@ def main(*flags: str) -> None:
     _print("realizations | captured | covered | ends' ratio (median)", _of_captured())
     _print("realizations | interval | covered", _of_spectra())
     _print("pairs | interval | covered", _of_anova())
-    columns = "integrand | sampler | budget | covered | truth above | below"
-    _print(f"{columns} | infinite", _of_integrals())
+    _print_answers()
+
+
+def _print_answers() -> None:
+    """Print the coverage of the intervals of `integrate`, `profile` and `convergence`."""
+    found = "covered | truth above | below | infinite"
+    _print(f"convergence | sampler | realizations | n | {found}", _of_convergence())
+    _print(f"integrate | sampler | budget | {found}", _of_integrals())
+    _print(f"profile | budget | {found}", _of_profiles())
 
 
 if __name__ == "__main__":

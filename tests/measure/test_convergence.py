@@ -227,7 +227,8 @@ def test_heavy_tails_are_reported_at_small_counts(sampler):
     estimator = _function(lambda x: np.exp(2 * ndtri(x[..., 0])), integral=np.exp(2.0))
     for seed in range(4):
         d = mcs.convergence(estimator, sampler, [1, 4], realizations=1000, rng=seed)
-        assert "tails not resolved" in d.attrs["note"] or "what is rare" in d.attrs["note"]
+        words = ("tails not resolved", "what is rare", "grows about as")
+        assert any(word in d.attrs["note"] for word in words)
         bounded = np.isfinite(d["variance_ci"][:, 1].values)
         assert not bounded[0]
         assert not np.isfinite(d["rate_ci"]).any()
@@ -246,21 +247,34 @@ def test_a_divergent_kurtosis_leaves_no_upper_bound(pole):
     assert "∫g⁴ diverges because g grows as t^-0." in d.attrs["note"]
 
 
+@pytest.mark.parametrize("sampler", ["random", "jittered", "sobol | owen"])
 @pytest.mark.parametrize(
-    ("sampler", "bounded"), [("random", (0.15, 0.45)), ("jittered", (0.15, 0.3))]
+    "f", [lambda x: x[..., 0] ** -0.3, lambda x: x[..., 0] + (1.0 - x[..., 1]) ** -0.45]
 )
-def test_poles_of_a_users_function_are_detected_from_its_values(sampler, bounded):
-    """For f = x^-0.45, the values at all points detect the pole more often than estimates alone.
+def test_growth_of_a_users_function_is_detected_from_its_values(sampler, f):
+    """For t^-κ with κ ≥ ¼, ∫f⁴ diverges. The tails of 200 estimates alone often do not show it.
 
-    Estimates alone detect it in 37 % (random) and 80 % (jittered) of the runs at n = 64. The
-    limits are 3 σ above the expected shares of 50 runs.
+    With estimates and values without their places, 22 % of the intervals for x^-0.3 had an upper
+    end (`jittered`, n = 256), and 39 % of these were too low.
     """
-    f = mcs.Integrand.from_function(lambda x: x[..., 0] ** -0.45, dims=1)
-    found = [mcs.convergence(f, sampler, [16, 64], realizations=200, rng=k) for k in range(50)]
-    high = np.array([np.isfinite(d["variance_ci"][:, 1]) for d in found]).mean(axis=0)
-    assert (high <= bounded).all()
-    told = [d.attrs.get("note", "") for d in found]
-    assert sum("tails not resolved" in note for note in told) >= 42
+    for seed in range(10):
+        d = mcs.convergence(f, sampler, [16, 256], dims=2, realizations=100, rng=seed)
+        assert np.isinf(d["variance_ci"][:, 1]).all()
+        assert "grows about as t^-0." in d.attrs["note"]
+
+
+@pytest.mark.parametrize("sampler", ["jittered", "sobol | owen"])
+def test_rare_large_values_leave_no_upper_bound_of_stratified_estimates(sampler):
+    """Strata remove the variance of a lognormal except for its tail, which few estimates show.
+
+    Of 600 intervals from 100 estimates, 36 % had an upper end, and a fifth of these were too low.
+    """
+    f = mcs.Integrand.from_function(lambda x: np.exp(ndtri(x[..., 0])), dims=1)
+    found = [mcs.convergence(f, sampler, [256], realizations=100, rng=seed) for seed in range(30)]
+    bounded = np.array([np.isfinite(d["variance_ci"].values[0, 1]) for d in found])
+    assert bounded.sum() <= 3
+    for d, finite in zip(found, bounded, strict=True):
+        assert finite or "tails not resolved at n = 256" in d.attrs["note"]
 
 
 @pytest.mark.parametrize("law", ["lognormal", "exponential", "pole", "smooth"])

@@ -86,6 +86,7 @@ def blindness(
         ``tail_index`` is the tail index, and ``realizations`` the number of realizations.
         ``largest_share`` is the largest share of one square in the variance.
         ``resolved`` states whether the variance is resolved.
+        ``exponent`` is the exponent with which a user's function grows toward a face of the cube.
         ``floor`` is the rounding error of the variance.
 
     Returns
@@ -117,9 +118,11 @@ def blindness(
         unsampled = unsampled_note(e, int(counts[-1]) * realizations)
         if unsampled is not None:
             notes[f"{e.spec}: {unsampled}"] = None
-        # Find the largest exponent of poles of any technique, without calling user functions
+        # Find the largest exponent of poles of any technique, without calling user functions.
+        # The exponent of a user's function comes from its values at points
         techniques = range(len(e.counts) if not e.is_black_box else 0)
         peaks = np.max([growth(e.primary_integrand(t)) for t in techniques], axis=0, initial=0.0)
+        seen = measured["exponent"][i].max(axis=(0, 1))
         # n times the variance of random points, Σ_t (∫g_t² − (∫g_t)²)/counts[t].
         # The value is NaN without a closed form.
         # If the variance may be infinite, ∫g² is computed by quadrature
@@ -163,6 +166,9 @@ def blindness(
                  far[at] & source.unbiased, pull[at]),
                 ("∫g⁴ diverges because g grows as t^-{worst:.2g}: no estimates bound the variance",
                  everywhere & (peaks >= _SETTINGS.no_kurtosis), everywhere * peaks),
+                (("g grows about as t^-{worst:.2g} toward a face of the cube: no estimates bound "
+                 "the variance"),
+                 everywhere & (seen >= _SETTINGS.no_kurtosis), everywhere * seen),
                 ("tails not resolved{at}: a single estimate causes {worst:.3g} % of the variance",
                  heavy[at] & varies[at], 100 * of["largest_share"]),
                 (("tails not resolved{at}: few estimates cause the variance, tail index k̂ = "
@@ -195,7 +201,7 @@ def blindness_of(
     measured = {
         "realizations": np.full(bias.shape, moments.count),
         **{name: getattr(moments, name) for name in (
-            "variance", "relative_se", "largest_share", "resolved", "tail_index",
+            "variance", "relative_se", "largest_share", "resolved", "tail_index", "exponent",
         )},
         "bias": bias,
         "bias_se": np.hypot(moments.mean_se, error),

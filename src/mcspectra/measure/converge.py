@@ -56,7 +56,7 @@ from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator
 from mcspectra.estimators.importance import as_subject
 from mcspectra.estimators.moments import Moments
-from mcspectra.estimators.tails import tail_note
+from mcspectra.estimators.tails import growth_exponents, tail_note
 from mcspectra.measure.blindness import blindness, is_fixed
 from mcspectra.samplers import Sampler
 from mcspectra.samplers.law import independent_sets
@@ -109,7 +109,7 @@ STAGE_SETTINGS = StageSettings()
 """Default settings of searches for the number of realizations."""
 
 # Fields of `Moments` that describe the tail of the distribution of estimates
-_TAIL = ("largest_share", "resolved", "tail_index")
+_TAIL = ("largest_share", "resolved", "tail_index", "exponent")
 
 _DIMS = {
     "variance": ("n", "channel"),
@@ -451,6 +451,8 @@ def convergence(
         The tail index k̂ of the estimates may be too large for a reliable variance.
         Values of a user's function of one technique may follow a power law.
         Much of the variance may then lie beyond the largest value.
+        A user's function of one technique may also grow as t^−κ toward a face of the cube.
+        For κ ≥ ¼, ∫g⁴ diverges, and the error of a measured variance has no bound.
         In these cases the upper end of ``variance_ci`` and both ends of ``rate_ci`` are infinite.
 
         A sampler may have fewer stored sets than realizations, and reuse them under translations.
@@ -568,18 +570,25 @@ class MomentsCell:
 
         def estimates(block: Block) -> list[tuple[Array, Moments | None]]:
             points = self.estimators[0].draw(self.sampler, self.n, self.stream, *block)
-            return [of_estimator(e, points) for e in self.estimators]
+            return [of_estimator(e, points, block[0]) for e in self.estimators]
 
-        def of_estimator(e: AbstractEstimator, points: list[Array]) -> tuple[Array, Moments | None]:
+        def of_estimator(
+            e: AbstractEstimator, points: list[Array], start: int
+        ) -> tuple[Array, Moments | None]:
             """Return estimates (R, C), and moments of the values of a user's function.
 
             C is the number of channels, or 1 for an integrand without channels.
+            The first realizations show whether the function grows toward a face of the cube.
             """
             if len(points) > 1 or not e.is_black_box:
                 return e.estimate(points).reshape(len(points[0]), -1), None
             values = e.primary_values(0, points[0])
             alone = values.reshape(values.shape[0] * values.shape[1], -1)
-            return e.estimate_of([values]).reshape(len(values), -1), Moments.of_points(alone)
+            found = Moments.of_points(alone)
+            if start == 0:
+                growth = growth_exponents(points[0].reshape(len(alone), -1), alone)
+                found = replace(found, growth=growth)
+            return e.estimate_of([values]).reshape(len(values), -1), found
 
         def moments(index: int) -> list[Moments]:
             parts = zip(*map(estimates, slices(blocks[index], numbers)), strict=True)
