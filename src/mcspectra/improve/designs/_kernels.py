@@ -109,6 +109,9 @@ def flip_tree(table: Array, codes: Array, axes: int, bits: int) -> bool:
     return changed
 
 
+_LANES = 16  # Partial sums that the compiler computes at once
+
+
 @kernel
 def swap_cells(
     features: Array,
@@ -119,13 +122,17 @@ def swap_cells(
     free: bool,
     keys: Array,
     trials: int,
+    temperature: float,
 ) -> int:
     # Let two sets exchange a pair of cells if this lowers Σ |sums|², the error of all sets.
+    # An increase by 2x is accepted with probability exp(−x / temperature) [KirkpatrickEtAl1983].
     # If `free` is false, cells are exchanged only within a stratum: each set has one per stratum.
     # The features of the cells are float32 (N, r), and their sums over sets float32 (W, r).
+    # The number r is a multiple of 16.
     # The array owner (N,) holds the number of each cell's set; place (N,) holds its stratum
     cells, r = features.shape
     taken = 0
+    partial = np.empty(_LANES, np.float32)
     for t in range(trials):
         bits = mix_bits(keys[0], keys[1], t)
         a, b = np.int64(bits % np.uint64(cells)), np.int64(0)
@@ -146,11 +153,16 @@ def swap_cells(
         k, l = owner[a], owner[b]
         if k == l or not (free or place[a] == place[b]):
             continue
-        change = np.float32(0.0)
-        for i in range(r):
-            d = features[b, i] - features[a, i]
-            change += d * (sums[k, i] - sums[l, i] + d)
-        if change < 0.0:
+        partial[:] = 0.0
+        for start in range(0, r, _LANES):
+            for i in range(_LANES):
+                d = features[b, start + i] - features[a, start + i]
+                partial[i] += d * (sums[k, start + i] - sums[l, start + i] + d)
+        change, limit = partial.sum(), 0.0
+        if temperature > 0.0 and change > 0.0:
+            u = (np.float64(mix_bits(keys[1], keys[0], t) >> np.uint64(11)) + 0.5) * 2.0**-53
+            limit = -temperature * np.log(u)
+        if change < limit:
             taken += 1
             for i in range(r):
                 d = features[b, i] - features[a, i]

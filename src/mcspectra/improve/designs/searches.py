@@ -17,6 +17,7 @@ If sets together contain each cell of a grid exactly once, they need no shift.
 The mean of φ_t over the points of a set is taken for every feature φ_t, and squared.
 The variance is the sum of these squares over t, averaged over the sets.
 The search exchanges cells between sets to lower this variance.
+By simulated annealing [KirkpatrickEtAl1983]_, it also leaves local minima.
 Exchanges start from random sets, or from the cosets of a digital net if these are better.
 All points of a set have the same offset within their cells, except for reflections.
 Reflecting the offset in a cell changes the sign of a feature's slope in this cell.
@@ -72,6 +73,8 @@ class SearchSettings:
     # The variance ratio of strata designs is 0.037, 0.031 and 0.027 with 512, 1024, 2048 members.
     # The variance ratio of lattices is the same with 512, 1024 and 2048 members.
     members: int = 1024
+    # Number of batches of members from which the features of a class are computed (see `features`).
+    batches: int = 6
     # Maximum size of a table with the values of all members of the class at the points of a grid.
     # A table of this size takes 128 MB in single precision.
     table_values: int = 2**25
@@ -138,16 +141,17 @@ class SearchSettings:
     # The time of a search is proportional to the number of exchanges and of rounds.
     # With 2^19, 2^20, 2^21 exchanges, the variance ratio of strata designs is 0.035, 0.031, 0.028.
     trials: int = 2**20
-    # Maximum number of rounds of exchanges.
-    # The variance ratio of strata designs is 0.037, 0.031 and 0.028 for 12, 24 and 48 rounds.
-    rounds: int = 24
+    # Number of rounds of exchanges.
+    rounds: int = 48
     # Number of rounds after which the search continues with the best start only.
     # Designs of kind ``points`` for ``half-spaces`` have the variance ratio 0.735
     # with 2, 4 and 8 rounds before the search continues with the best start.
     first_rounds: int = 4
-    # The search ends after a round that lowers the variance by less than this fraction.
-    # With 0.0015 or 0.006 as this fraction, the variance ratio of strata designs is the same.
-    least_gain: float = 0.003
+    # Exchanges that increase the error are also accepted at first (annealing).
+    # The temperature begins with this fraction of the mean squared error of a set, and falls to 0.
+    warmth: float = 0.02
+    # Number of rounds at the end that accept only exchanges which lower the error.
+    cold_rounds: int = 4
     # Whether the search for sets of cells also starts from the cosets of a digital net.
     # With 64 points in 4-D, a search from cosets ends with less variance than from random sets
     # (tests/improve/test_design.py).
@@ -523,14 +527,26 @@ def _shared(
     sides, sets = shape * parts, int(parts.prod())
     cells = np.stack(np.unravel_index(np.arange(sides.prod()), sides), axis=-1)
 
-    # Compute features: linear combinations of the integrands with the largest variances
-    table = evaluated(values, (cells + 0.5) / sides, settings.block)
-    table -= table.mean(axis=1, keepdims=True)
-    sizes, turned = np.linalg.eigh((table @ table.T).astype(np.float64))
-    kept = np.argsort(-sizes)[: min(max(settings.features, n), 2 * settings.features)]
-    kept = kept[sizes[kept] > 1e-9 * sizes.max()]
-    features = np.ascontiguousarray((turned[:, kept].T.astype(np.float32) @ table).T)
-    del table
+    # Compute features: linear combinations of the integrands with the largest variances.
+    # Each batch of integrands is combined with the features of the batches before it
+    batches = settings.batches if objective.whole is None else 1
+    most = min(max(settings.features, n), 2 * settings.features)
+    table = np.empty((0, len(cells)), np.float32)
+    for batch in range(batches):
+        if batch:
+            values = objective.functions(members, stream.child(6).generator(batch))
+        added = evaluated(values, (cells + 0.5) / sides, settings.block) * batches**-0.5
+        added -= added.mean(axis=1, keepdims=True)
+        table = np.concatenate([table, added.astype(np.float32)])
+        sizes, turned = np.linalg.eigh((table @ table.T).astype(np.float64))
+        count = most if batch + 1 == batches else 2 * most
+        kept = np.argsort(-sizes)[:count]
+        kept = kept[sizes[kept] > 1e-9 * sizes.max()]
+        table = turned[:, kept].T.astype(np.float32) @ table
+        report("features of the class", (batch + 1) / batches)
+    features = np.ascontiguousarray(table.T)
+    del table, added
+    features = np.pad(features, ((0, 0), (0, -features.shape[1] % 16)))  # for `swap_cells`
 
     # Each set starts with one random cell of each stratum, or with a coset of a net
     place = np.ravel_multi_index(tuple((cells // parts).T), tuple(shape))
@@ -544,27 +560,32 @@ def _shared(
         begun += [] if cosets is None else [cosets]
     rounds, keys = settings.rounds, stream.child(2).keys(0, settings.rounds)
 
-    def exchanged(owner: Array, sums: Array, turn: int) -> float:
-        """Exchange cells for one round, and return the new variance."""
-        _kernels.swap_cells(features, owner, place, sums, sides, free, keys[turn], settings.trials)
+    def variance_of(sums: Array) -> float:
         return float((sums.astype(np.float64) ** 2).sum()) / (sets * n**2)
 
+    def exchanged(owner: Array, sums: Array, turn: int, warmth: float = 0.0) -> float:
+        """Exchange cells for one round, and return the new variance."""
+        temperature = warmth * n**2 * variance_of(sums)
+        _kernels.swap_cells(
+            features, owner, place, sums, sides, free, keys[turn], settings.trials, temperature
+        )
+        return variance_of(sums)
+
     # Continue with the start that has the least variance after some rounds
-    tried = []
+    tried, first = [], settings.first_rounds
     for owner in begun:
-        sums = np.zeros((sets, len(kept)), np.float32)
+        sums = np.zeros((sets, features.shape[1]), np.float32)
         np.add.at(sums, owner, features)
-        first = min(exchanged(owner, sums, turn) for turn in range(settings.first_rounds))
-        tried.append((first, owner, sums))
-    last, owner, sums = min(tried, key=lambda each: each[0])
-    for turn in range(settings.first_rounds, rounds):
-        variance = exchanged(owner, sums, turn)
-        finished = turn + 1 == rounds or variance > (1.0 - settings.least_gain) * last
-        done = 1.0 if finished else (turn + 1) / rounds
-        yield Design(variance, done, partial(_of_cells, features, owner.copy(), cells, sides))
-        if finished:
-            return
-        last = variance
+        variance = min(exchanged(owner, sums, turn) for turn in range(first))
+        tried.append((variance, owner, sums))
+    _, owner, sums = min(tried, key=lambda each: each[0])
+    # The temperature falls linearly, and is 0 in the last rounds
+    cooled = rounds - settings.cold_rounds
+    for turn in range(first, rounds):
+        warmth = settings.warmth * max(0.0, (cooled - turn) / max(1, cooled - first))
+        variance = exchanged(owner, sums, turn, warmth)
+        cells_of = partial(_of_cells, features, owner.copy(), cells, sides)
+        yield Design(variance, (turn + 1) / rounds, cells_of)
 
 
 def _cosets(
