@@ -166,6 +166,7 @@ TOGETHER = {
     "tests/rendering",
     "tests/report",
     "tests/app/test_browser.py",
+    "tests/app/test_browser_pair.py",
     "tests/cli/test_map.py",
     "tests/cli/test_pixel.py",
     "tests/studies/test_cluster.py",
