@@ -20,6 +20,20 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
+
+def _in_memory(folder="/dev/shm", room=2**31):
+    """Return whether a folder in memory can be written, has room, and may hold programs."""
+    if sys.platform != "linux" or not os.access(folder, os.W_OK):
+        return False
+    found = os.statvfs(folder)
+    return found.f_bavail * found.f_frsize > room and not found.f_flag & os.ST_NOEXEC
+
+
+# Temporary folders are in memory if possible. A disk may take 5 ms to remove a folder, which was
+# half of the time of tests that write stores: the tests of studies remove twenty thousand folders.
+if _in_memory():
+    os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", "/dev/shm")
+
 from mcspectra.core import trust
 from mcspectra.rendering import backend
 from mcspectra.samplers import external
@@ -158,27 +172,51 @@ def pytest_xdist_auto_num_workers(config):
     return (os.cpu_count() or 1) + any(path in WAITING for path in paths)
 
 
-# Files and folders whose tests share a browser, a cluster, or results that take seconds.
-# Dr.Jit compiles a kernel anew if other scenes are in memory. With all tests of a file in one
-# worker, the scenes are the same in each run, so that the kernels are in Dr.Jit's cache.
-TOGETHER = {
-    "tests/prediction",
-    "tests/rendering",
-    "tests/report",
-    "tests/app/test_browser.py",
+# Tests of a file share compiled kernels, results of fixtures, and a browser or a cluster, so they
+# run in one worker, which saves a tenth of the processor time. Dr.Jit also compiles a kernel anew
+# if other scenes are in memory. The tests of these files, and of files outside the folders of
+# packages, run in any worker: they wait for processes, or take most of the time of their folder.
+APART = {
+    "tests/profiler/test_profile.py",
+    "tests/studies/test_executors.py",
+    "tests/studies/test_faults.py",
+    "tests/studies/test_run.py",
+    "tests/studies/test_trials.py",
+}
+
+# Files whose tests take a second or more each
+LONG = {
     "tests/cli/test_map.py",
-    "tests/cli/test_pixel.py",
+    "tests/core/test_decoding.py",
+    "tests/core/test_ordered.py",
+    "tests/improve/test_learned.py",
+    "tests/improve/test_planning.py",
+    "tests/prediction/test_paired.py",
+    "tests/prediction/test_subsets.py",
+    "tests/rendering/test_paths.py",
+    "tests/report/test_bench_page.py",
+    "tests/reproduction/test_closed_forms.py",
+    "tests/reproduction/test_environment_channels.py",
+    "tests/reproduction/test_exhibits.py",
     "tests/studies/test_cluster.py",
     "tests/studies/test_cluster_studies.py",
+    "tests/studies/test_executors.py",
+    "tests/studies/test_faults.py",
     "tests/studies/test_path.py",
     "tests/studies/test_pixel.py",
+    "tests/studies/test_run.py",
+    "tests/studies/test_trials.py",
 }
 
 
+def _file(nodeid):
+    return nodeid.partition("::")[0]
+
+
 def _scope(nodeid):
-    """Return the file of a test if `TOGETHER` has it or its folder, and else the test itself."""
-    file = nodeid.partition("::")[0]
-    return file if TOGETHER & {file, file.rpartition("/")[0]} else nodeid
+    """Return the file of a test, or the test itself if its file is not kept together."""
+    file = _file(nodeid)
+    return nodeid if file in APART or file.rpartition("/")[0] == "tests" else file
 
 
 def pytest_xdist_make_scheduler(config, log):
@@ -216,8 +254,8 @@ def _waits(item):
 def pytest_collection_modifyitems(items):
     """Start with long scopes and with tests that wait for other processes; give slow tests time.
 
-    A browser's tests take seconds each, and the other scopes are the longer the more tests they
-    have. Long scopes at the end would leave the other workers without work.
+    A browser's tests take seconds each, as those of `LONG` do, and the other scopes are the longer
+    the more tests they have. Long scopes at the end would leave the other workers without work.
     """
     scopes = [_scope(item.nodeid) for item in items]
     sizes = Counter(scopes)
@@ -229,6 +267,7 @@ def pytest_collection_modifyitems(items):
     items.sort(
         key=lambda item: (
             (scope := _scope(item.nodeid)) not in in_browser,
+            _file(scope) not in LONG,
             -sizes[scope],
             not _waits(item),
         )

@@ -1,5 +1,6 @@
 """Boards without a page: figures appear, disappear and turn gray with their results."""
 
+from collections import OrderedDict
 from dataclasses import replace
 from queue import SimpleQueue
 
@@ -203,6 +204,7 @@ def test_a_new_page_has_the_top_figure_if_its_results_are_cached():
 
 def test_a_new_page_computes_nothing(monkeypatch):
     monkeypatch.setattr(compute_module, "_computed", lambda *_: pytest.fail("computed"))
+    monkeypatch.setattr(compute_module, "_RESULTS", OrderedDict())  # Without those of other tests
     for state in (
         ExplorerState(a=replace(SMALL, integrand="disk")),
         ExplorerState(a=replace(SMALL, seed=9), b=replace(SMALL, seed=9, sampler="random")),

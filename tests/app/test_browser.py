@@ -2,223 +2,36 @@
 
 import contextlib
 import io
-import os
-import subprocess
-import sys
 import urllib.error
 import urllib.request
-from importlib.resources import files
-from pathlib import Path
-from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 import pytest
 from PIL import Image
 from playwright.sync_api import expect
+from tests.app.visit import (
+    PATIENCE,
+    SMALL,
+    any_state,
+    card,
+    controls,
+    done,
+    figures,
+    head,
+    open_state,
+    program,
+    state_of,
+    wait_for,
+)
 
-from mcspectra.app.state import THEMES, ExplorerState
+from mcspectra.app.state import THEMES
 from mcspectra.plots.text import number
 
 pytestmark = pytest.mark.browser
-_PATIENCE = 90_000  # Milliseconds; a quiet machine needs less than one second
-_SMALL = "half_width=4&realizations=16&n=16&counts=4,16,64&density=linear(slope=0.5)"
-_CARDS = "[role=group][aria-label^='A: '], [role=group][aria-label^='B: ']"
-_PLACES = "(a, b) => [a, b].map(each => each.getBoundingClientRect().toJSON())"
-_PAIR = "&".join([_SMALL, *(f"b.{each}" for each in _SMALL.split("&")), "b.sampler=random"])
-
-
-@pytest.fixture(scope="module")
-def terminal(tmp_path_factory):
-    """Standard error of the explorer."""
-    return tmp_path_factory.mktemp("terminal") / "stderr"
-
-
-@pytest.fixture(scope="module")
-def address(tmp_path_factory, terminal):
-    """Address of a running explorer with its own cache."""
-    cache = str(tmp_path_factory.mktemp("cache"))
-    with terminal.open("wb") as stderr:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "tests.app.small", "app", "--no-browser"],
-            cwd=Path(__file__).parents[2],
-            stdout=subprocess.PIPE,
-            stderr=stderr,
-            text=True,
-            env={**os.environ, "MCSPECTRA_CACHE": cache, "OMP_NUM_THREADS": "1"},
-        )
-        assert process.stdout is not None
-        try:
-            yield process.stdout.readline().split(" at ")[1].split(";")[0]
-        finally:
-            process.terminate()
-            process.wait(30)
-            process.stdout.close()
-
-
-@pytest.fixture(scope="module")
-def seen():
-    """Requests to other machines and errors of the page, over all tests."""
-    return {"elsewhere": [], "errors": []}
-
-
-@pytest.fixture(scope="module")
-def context(browser, address, seen):
-    """Tabs with a common cache of the explorer's scripts, which a rule for requests would empty."""
-
-    def note(request):
-        if not request.url.startswith((address, "data:", "blob:")):
-            seen["elsewhere"].append(request.url)
-
-    made = browser.new_context(viewport={"width": 1300, "height": 900})
-    made.set_default_timeout(_PATIENCE)
-    expect.set_options(timeout=_PATIENCE)
-    made.on("request", note)
-    made.on("weberror", lambda error: seen["errors"].append(str(error.error)))
-    made.on(
-        "console",
-        lambda message: seen["errors"].append(message.text) if message.type == "error" else None,
-    )
-    yield made
-    made.close()
-
-
-@pytest.fixture(scope="module")
-def page(context):
-    """The tab of most tests."""
-    return context.new_page()
-
-
-# A search of the whole page visits ten thousand elements, so tests search the part that they mean
-
-
-def head(page):
-    """The messages and the table of results."""
-    return page.locator("main > div").first
-
-
-def figures(page):
-    """The figures of both set-ups."""
-    return page.locator("#figures")
-
-
-def card(page, name):
-    """A figure with its heading, by its label."""
-    return figures(page).locator(f"[role=group][aria-label='{name}']")
-
-
-def controls(page):
-    """The controls of both set-ups."""
-    return page.locator("aside")
-
-
-def program(page):
-    """The exported Python code."""
-    return page.locator("main > div").last.get_by_role("textbox", name="As Python").input_value()
-
-
-def open_state(page, address, query):
-    """Load a state, unless the page shows it already, and wait for its job to end."""
-    here = parse_qs(urlsplit(page.url).query) == parse_qs(query)
-    if not (here and head(page).get_by_text("A: Done.").is_visible()):
-        page.goto(f"{address}?{query}")
-    done(page)
-
-
-def any_state(page, address):
-    """Show any state on the page; loading a page costs seconds."""
-    if not (page.url.startswith(address) and head(page).get_by_text("A: Done.").is_visible()):
-        open_state(page, address, _SMALL)
-
-
-def done(page, side="A"):
-    """Wait for a side's job to end."""
-    expect(head(page).get_by_text(f"{side}: Done.")).to_be_visible()
-
-
-def wait_for(page, key, value):
-    """Wait until the address holds a value."""
-    page.wait_for_url(lambda url: parse_qs(urlsplit(url).query).get(key) == [value])
-
-
-def state_of(page):
-    """Return the state in the address."""
-    return ExplorerState.from_query(urlsplit(page.url).query)
-
-
-def test_the_default_page_opens_and_its_tab_closes_during_its_job(context, address):
-    """This test comes first: the page of the next test computes after the abandoned job."""
-    tab = context.new_page()
-    tab.goto(address)
-    expect(card(tab, "A and B: Convergence").locator("canvas").first).to_be_visible()
-    expect(controls(tab).get_by_label("Sampler, A").first).to_be_visible()
-    head(tab).get_by_text("% done.").first.wait_for()
-    tab.close()
-
-
-def test_the_address_restores_two_set_ups(page, address, terminal):
-    open_state(page, address, _PAIR)
-    done(page, "B")
-    assert "Traceback" not in terminal.read_text()  # of the job whose tab was closed
-    assert state_of(page) == ExplorerState.from_query(_PAIR)
-    for title in ("Points", "Power spectrum", "Terms of the variance"):
-        cards = [card(page, f"{side}: {title}") for side in "AB"]
-        for side, each in zip("AB", cards, strict=True):
-            expect(each.get_by_role("heading", name=f"{side}: {title}")).to_be_visible()
-        # The figures of A and B are side by side, with A on the left, after they were laid out
-        for _ in range(_PATIENCE // 100):
-            left, right = cards[0].evaluate(_PLACES, cards[1].element_handle())
-            if left["y"] == right["y"] and left["right"] <= right["x"]:
-                break
-            page.wait_for_timeout(100)
-        else:
-            pytest.fail(f"{title}: A is at {left}, B is at {right}")
-    # The curves of A and B are in one plot
-    both = card(page, "A and B: Convergence")
-    expect(both.get_by_role("heading", name="A and B: Convergence")).to_be_visible()
-    expect(figures(page).locator(_CARDS)).to_have_count(16)
-
-
-@pytest.mark.parametrize(
-    ("scheme", "rules"), [("light", ""), ("dark", ", runOnly: ['color-contrast']")]
-)
-def test_axe_finds_nothing_serious(page, address, scheme, rules):
-    """Only the contrast of colors depends on the scheme."""
-    page.emulate_media(color_scheme=scheme)
-    open_state(page, address, _PAIR)
-    done(page, "B")
-    page.evaluate((files("axe_playwright_python") / "axe.min.js").read_text("utf-8"))
-    run = f"axe.run(document, {{resultTypes: ['violations']{rules}}})"
-    found = page.evaluate(run)["violations"]
-    page.emulate_media(color_scheme="light")
-    assert [each["id"] for each in found if each["impact"] in ("serious", "critical")] == []
-
-
-def test_the_plot_of_both_turns_gray_if_one_cannot_be_computed(page, address):
-    open_state(page, address, _PAIR)
-    done(page, "B")
-    field = controls(page).get_by_label("Sampler spec, A", exact=True)
-    field.fill("no-such")
-    field.press("Enter")
-    both = card(page, "A and B: Convergence")
-    expect(both).to_have_css("opacity", "0.35")
-    field.fill("jittered")
-    field.press("Enter")
-    done(page)
-    expect(both).to_have_css("opacity", "1")
-
-
-def test_a_second_set_up_goes(page, address):
-    """In test_board.py::test_a_second_set_up_has_random_points, it comes."""
-    open_state(page, address, _PAIR)
-    done(page, "B")
-    controls(page).get_by_role("checkbox", name="Compare with").uncheck()
-    page.wait_for_url(lambda url: "b.sampler" not in url)
-    expect(figures(page).locator(_CARDS)).to_have_count(9)
-    expect(card(page, "A: Convergence")).to_be_visible()
 
 
 def test_all_widgets_have_names(page, address):
-    open_state(page, address, _SMALL)
+    open_state(page, address, SMALL)
     expect(controls(page).get_by_role("slider", name="Points n, A", exact=True)).to_be_visible()
     name = "Compare with a second set-up, B"
     expect(controls(page).get_by_role("checkbox", name=name, exact=True)).to_be_visible()
@@ -229,7 +42,7 @@ def test_all_widgets_have_names(page, address):
 
 
 def test_copied_python_gives_the_displayed_figures(page, address):
-    open_state(page, address, _SMALL)
+    open_state(page, address, SMALL)
     with contextlib.redirect_stdout(io.StringIO()) as printed:
         exec(compile(program(page), "copied", "exec"), {})  # noqa: S102
     found = dict(line.split() for line in printed.getvalue().splitlines())
@@ -240,7 +53,7 @@ def test_copied_python_gives_the_displayed_figures(page, address):
 
 
 def test_an_invalid_entry_leaves_gray_figures_and_no_numbers(page, address):
-    open_state(page, address, _SMALL)
+    open_state(page, address, SMALL)
     height = page.evaluate("document.documentElement.scrollHeight")
     field = controls(page).get_by_label("Sampler spec, A", exact=True)
     field.fill("no-such")
@@ -272,7 +85,7 @@ def test_a_narrow_page_does_not_scroll_sideways(page, address):
 def test_the_theme_is_the_browsers_unless_it_is_chosen(page, address):
     any_state(page, address)
     for theme in THEMES:  # the server sends the choice; loading the page again takes seconds
-        with urllib.request.urlopen(f"{address}?{_SMALL}&theme={theme}") as answer:
+        with urllib.request.urlopen(f"{address}?{SMALL}&theme={theme}") as answer:
             assert f'<html lang="en" data-theme="{theme}">' in answer.read().decode()
     colors = {}
     for theme in THEMES:
@@ -292,14 +105,14 @@ def test_the_theme_is_the_browsers_unless_it_is_chosen(page, address):
 
 
 def test_the_integrand_is_next_to_its_density(page, address):
-    open_state(page, address, _SMALL)
+    open_state(page, address, SMALL)
     figure = figures(page).locator("[role=group][aria-label^='A: Integrand f']")
     expect(figure.get_by_text("f/p from")).to_be_visible()
     assert figure.locator("canvas").count() >= 3
 
 
 def test_a_slider_by_keyboard(page, address):
-    open_state(page, address, _SMALL)
+    open_state(page, address, SMALL)
     controls(page).get_by_role("slider", name="Strata shift, A").press("ArrowRight")
     wait_for(page, "strata_shift", "0.05")
     controls(page).get_by_role("slider", name="Density slope, A").press("ArrowRight")
@@ -379,8 +192,8 @@ def test_the_default_page_opens_again_and_in_another_tab(page, address):
     for tab, load in ((page, "goto"), (page, "reload"), (other, "goto")):
         getattr(tab, load)(*([address] if load == "goto" else []))
         both = card(tab, "A and B: Convergence")
-        expect(both.locator("canvas").first).to_be_visible(timeout=_PATIENCE)
-        expect(controls(tab).get_by_label("Sampler, A").first).to_be_visible(timeout=_PATIENCE)
+        expect(both.locator("canvas").first).to_be_visible(timeout=PATIENCE)
+        expect(controls(tab).get_by_label("Sampler, A").first).to_be_visible(timeout=PATIENCE)
     other.close()
 
 

@@ -4,7 +4,7 @@ import json
 
 import pytest
 from tests.fonts import fonts_once
-from tests.report.conftest import undrawn
+from tests.report.drawing import undrawn
 
 from mcspectra.cli.main import main
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from tests.report.conftest import no_layout
+from tests.report.drawing import no_layout
 
 from mcspectra.cli.main import main
 from mcspectra.core.images import exr_attributes, read_image

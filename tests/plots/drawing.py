@@ -1,8 +1,6 @@
 """Helpers for tests of plots."""
 
-from bokeh.core.serialization import Serializer
-
-from mcspectra.plots import backend_bokeh, backend_matplotlib
+from mcspectra.plots import backend_matplotlib
 
 
 def marks(plot, kind):
@@ -18,4 +16,8 @@ def drawn_by_both(plot):
 
 def written_by_bokeh(plot):
     """Draw with Bokeh, and check that the models can be written."""
+    from bokeh.core.serialization import Serializer
+
+    from mcspectra.plots import backend_bokeh
+
     Serializer().encode(backend_bokeh.draw(plot).model)

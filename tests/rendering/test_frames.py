@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 from tests.plots.drawing import written_by_bokeh
-from tests.report.conftest import no_pdf
+from tests.report.drawing import no_pdf
 from tests.report.figures import leave_out_figures
 
 from mcspectra import rendering

@@ -12,9 +12,8 @@ import msgspec
 import numpy as np
 import pytest
 import xarray as xr
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 from tests.fonts import fonts_once
-from tests.report.figures import leave_out_figures
+from tests.report.drawing import no_layout, undrawn
 
 import mcspectra as mcs
 from mcspectra.core.analysis import ANALYSES
@@ -26,7 +25,7 @@ from mcspectra.report.sampler_cards import QUICK, measure_card
 from mcspectra.studies.files import Slugs, decode_study, plain_study, study_of
 from mcspectra.studies.ledger import Ledger, StudyNote
 
-__all__ = ["fonts_once"]
+__all__ = ["fonts_once", "undrawn"]
 
 Z = 1.959963984540054
 SAMPLERS = ("random", "jittered", "jittered | shift")
@@ -276,33 +275,6 @@ def all_analyses(sampler, dims=1, n=None):
         "spectrum": make_spectrum(sampler, dims=dims, n=count, half_width=width),
         "points": make_points(sampler, dims=dims, n=count),
     }
-
-
-@pytest.fixture
-def undrawn(monkeypatch):
-    """Leave out figures of pages, for tests of other contents."""
-    leave_out_figures(monkeypatch.setattr)
-
-
-@contextmanager
-def no_layout():
-    """Draw figures without layout, which takes half of the time of a picture."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ConstrainedLayoutEngine, "execute", lambda *_: None)
-        yield
-
-
-@contextmanager
-def no_pdf():
-    """Write PDF files without contents, which take half of the time of a figure; omit layout."""
-    usual = backend_matplotlib.rasterize
-
-    def rasterize(figure, *, with_pdf, **options):
-        return usual(figure, with_pdf=False, **options)[0], b" " if with_pdf else b""
-
-    with no_layout(), pytest.MonkeyPatch.context() as patch:
-        patch.setattr(backend_matplotlib, "rasterize", rasterize)
-        yield
 
 
 @contextmanager

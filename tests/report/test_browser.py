@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from playwright.sync_api import Page
-from tests.report.conftest import no_pdf
+from tests.report.drawing import no_pdf
 
 from mcspectra.cli.main import main
 from mcspectra.report import write_comparison, write_report

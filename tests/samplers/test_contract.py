@@ -138,15 +138,14 @@ def make(tmp_path_factory):
     folder = tmp_path_factory.mktemp("points")
 
     def build(case):
-        path = folder / f"{case.dims}-{case.n}.npz"
-        if not path.exists():
+        name = case.row.spec.partition("(")[0]
+        path = folder / f"{name}-{case.dims}-{case.n}.npz"
+        if name == "points" and not path.exists():
             points = np.random.default_rng(case.dims).random((GIVEN_SETS, case.n, case.dims))
-            cells = (
-                np.indices((4,) * case.dims)
-                .reshape(case.dims, -1)
-                .T.reshape(-1, min(4**case.dims, 16), case.dims)
-            )
-            np.savez(path, points=points, cells=cells + 1)
+            np.savez(path, points=points)
+        elif name == "shared-cells" and not path.exists():
+            cells = np.indices((4,) * case.dims).reshape(case.dims, -1).T
+            np.savez(path, cells=cells.reshape(-1, case.n, case.dims) + 1)
         spec = case.row.spec.replace("{path}", path.as_posix())
         chain = case.chain.replace("{n}", str(case.n))
         if "{more}" in chain:

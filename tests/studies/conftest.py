@@ -4,7 +4,7 @@ import textwrap
 
 import numpy as np
 import pytest
-from tests.report.conftest import undrawn
+from tests.report.drawing import undrawn
 
 import mcspectra as mcs
 from mcspectra.studies import open_results

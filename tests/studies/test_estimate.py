@@ -141,8 +141,9 @@ pixels = "30%"
 
 @pytest.mark.render
 def test_maps_of_a_film_and_of_the_whole_crop_have_the_same_estimate(tmp_path):
-    # The trial of the first map also compiles the kernels
-    _, whole, crop, subset = estimate_study(_plan(tmp_path, MAPS), probe_seconds=12.0)
+    # The trial of the first map also compiles the kernels. On a loaded machine it took 16 s, and
+    # trials of 12 s in all left out the last map
+    _, whole, crop, subset = estimate_study(_plan(tmp_path, MAPS), probe_seconds=60.0)
     assert whole.storage == crop.storage > 0
     assert whole.memory == crop.memory
     # Both times are measured, and other programs may slow one of them down.

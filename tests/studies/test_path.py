@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from tests.fonts import fonts_once
-from tests.report.conftest import no_pdf
+from tests.report.drawing import no_pdf
 
 import mcspectra as mcs
 from mcspectra.cli.main import main

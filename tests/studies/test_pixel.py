@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from tests.fonts import fonts_once
-from tests.report.conftest import no_pdf
+from tests.report.drawing import no_pdf
 from tests.studies.conftest import of_a_bell, predicted_bell
 
 import mcspectra as mcs
@@ -45,7 +45,6 @@ SMALL = PixelEffort(
     resolution=32,
     remedies=("unshifted", "techniques"),
 )
-Q = named_pixels("figure1")["Q"]
 OPTIONS: dict[str, Any] = {"realizations": 100, "rng": 3}
 
 
@@ -87,7 +86,7 @@ def tree(analysed):
 
 
 def estimators():
-    x, y = Q
+    x, y = named_pixels("figure1")["Q"]
     singles = {
         s: mcs.Estimator(Pixel(scene="figure1", x=x, y=y, strategy=s)) for s in ("light", "bsdf")
     }
@@ -191,7 +190,10 @@ def test_techniques_pictures_and_light_are_direct_calls(tree):
     same(tree["techniques"].to_dataset(), direct)
     picture = mcs.explain.primary_picture(balance, technique=1, resolution=32)
     same(tree["pictures/balance-bsdf"].to_dataset(), picture, "primary_value")
-    same(tree["incident"].to_dataset(), incident_light("figure1", *Q, resolution=64))
+    same(
+        tree["incident"].to_dataset(),
+        incident_light("figure1", *named_pixels("figure1")["Q"], resolution=64),
+    )
 
 
 def test_remedies_are_direct_calls(tree):
@@ -240,7 +242,7 @@ def test_rows_for_all_pairs_and_terms(tree):
 
 def test_summary_holds_the_numbers(tree):
     summary = pixel_summary(tree)
-    assert (summary["pixel"]["x"], summary["pixel"]["y"]) == Q
+    assert (summary["pixel"]["x"], summary["pixel"]["y"]) == named_pixels("figure1")["Q"]
     assert summary["pixel"]["shape"] == "floor"
     assert len(summary["rates"]) == len(PIXEL_STRATEGIES) * len(SAMPLERS)
     last = summary["rates"][-1]

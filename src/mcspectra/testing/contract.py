@@ -450,7 +450,10 @@ def check_analysis(analysis: Analysis, estimator: Any = None, sampler: Any = "ji
             called(who, f"the default of {option.name}", option.check, option.default)
     clean: Analysis = called(who, "its options", checked, analysis)
 
-    # Check the resources that the analysis claims to need
+    # Check the resources that the analysis claims to need. Integrands import this module at their
+    # first use, which is not time of `need`
+    import scipy.special  # noqa: F401
+
     start = time.process_time()
     need = called(who, "need", clean.need, subject)
     demand(isinstance(need, Need), who, f"returns {need!r} from need, not a Need")
