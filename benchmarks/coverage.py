@@ -193,11 +193,12 @@ def _of_integrals() -> Iterator[tuple[str, ...]]:
 
 
 def _of_profiles() -> Iterator[tuple[str, ...]]:
-    """Yield the coverage of the integral's interval in profiles; they do not depend on the sampler.
+    """Yield the coverage of the integral's interval in profiles, for integrands of one dim.
 
-    A profile of one of these samplers estimates the integral from scrambled nets.
+    The interval comes from scrambled nets, whichever of these samplers is profiled.
     """
-    for (name, (dims, f, integral)), budget in product(INTEGRALS.items(), BUDGETS):
+    for name, budget in product(ANTIDERIVATIVES, BUDGETS):
+        dims, f, integral = INTEGRALS[name]
         profiles = (mcs.profile(f, dims=dims, budget=budget, rng=k) for k in range(_SEEDS))
         yield name, str(budget), *_covered([each.interval for each in profiles], integral)
 
