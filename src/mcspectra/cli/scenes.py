@@ -42,7 +42,9 @@ _WIDTH = 100  # width of wrapped sentences in columns
 _AROUND = 8  # side, in pixels, of the square of pixels for which samplers are compared
 _SPP, _COMPARED_SPP, _REFERENCE_SPP = 16, 4, 1024
 _PAGE_BYTES = 1_000_000  # bytes of the page and the pictures of a map
-_PIXEL_FIGURES, _PIXEL_SIDE = 20, 128  # figures of the page of a pixel, and their resolution
+# Number of figures and bytes of the page of a pixel, for direct light and for whole paths.
+# A figure takes about as long to draw as a map of 128 × 128 pixels
+_PIXEL_PAGES, _PIXEL_SIDE = {"direct": (5, 600_000), "paths": (2, 300_000)}, 128
 _PIXEL_BYTES = 12  # bytes of three float32 numbers of a pixel of an image
 _DRY_RUN = option("--dry-run", "only print the size, the time and the storage, from a short run")
 
@@ -629,8 +631,9 @@ def _pixel_cost(options: argparse.Namespace, planned: Any) -> VerbOutput:
     if options.out is not None:
         from mcspectra.report.map_page import page_seconds
 
-        page = page_seconds(_PIXEL_FIGURES, (_PIXEL_SIDE, _PIXEL_SIDE))
-        planned = replace(planned.later(page), storage=_PAGE_BYTES)
+        figures, size = _PIXEL_PAGES["direct" if options.integrator is None else "paths"]
+        page = page_seconds(figures, (_PIXEL_SIDE, _PIXEL_SIDE))
+        planned = replace(planned.later(page), storage=size)
     if options.target is not None:
         planned = planned.later(_profile_cost(options).seconds)
     return VerbOutput(planned.text, planned.to_dict())

@@ -653,9 +653,10 @@ class Pads(_Lanes):
         n, gather = self._count, drjit.gather
         word, table, rows = self._module.UInt32, self._orders, self._rows.bit_length() - 1
         if n & (n - 1) == 0:
+            # Small pieces fit into bits that the moves of the set have left
             digits = n.bit_length() - 1
-            start = bits.take(rows + digits)  # the row, and the number that changes the column
-            return gather(word, table, start ^ self._index) ^ bits.take(digits)
+            row, first, last = (bits.take(k) for k in (rows, digits, digits))
+            return gather(word, table, (row << digits) ^ first ^ self._index) ^ last
         row = bits.take(rows) * self._opaque
         first, last = (bits.below(n, self._opaque) for _ in range(2))
         return self._sum(gather(word, table, row + self._sum(self._index, first)), last)
