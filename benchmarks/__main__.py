@@ -32,6 +32,7 @@ NAMES = (
     "large",
     "maps",
     "paths",
+    "plugin",
     "scenes",
     "production",
     "images",

@@ -1,8 +1,8 @@
 """Throughput of stock integrators with our samplers compared with the stock sampler.
 
 Each printed line compares two samplers, which render in turn during the same run.
+It ends with the median of the ratios of all rounds, and their quartiles.
 Kernels compute the points of all these samplers (`mcspectra.rendering.kernel_sets`).
-For a mask, the shifts of all pixels are drawn anew for every image.
 Tables of new point sets are drawn for other samplers, such as ``latin-hypercube``.
 """
 
@@ -13,14 +13,16 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.timing import compare
+from benchmarks.timing import timed_pairs
 from mcspectra.rendering import load_mitsuba, load_scene, register_samplers
+from mcspectra.rendering.plugin import FAR_APART
 
-WIDTH, HEIGHT, SPP = 192, 128, 16
+WIDTH, HEIGHT, SPP, ROUNDS = 192, 128, 16, 25
 SPECS = (
     "random",
     "jittered",
     "sobol | owen",
+    FAR_APART,
     "sobol | owen | decorrelate(mode='digital-shift')",
     "sobol | decorrelate(mask='blue-noise')",
     "latin-hypercube",
@@ -61,11 +63,13 @@ def _image(integrator: dict[str, Any], sampler: dict[str, Any]) -> Callable[[], 
 
 
 def _line(what: str, ours: Callable[[], Any], stock: Callable[[], Any]) -> None:
-    seconds, reference, ratio = compare(ours, stock, rounds=5)
-    rates = [WIDTH * HEIGHT * SPP / s / 1e6 for s in (seconds, reference)]
+    pairs = np.array(timed_pairs(ours, stock, ROUNDS))
+    rates = WIDTH * HEIGHT * SPP / pairs.min(axis=0) / 1e6
+    low, ratio, high = np.quantile(pairs[:, 1] / pairs[:, 0], (0.25, 0.5, 0.75))
     print(
         f"{what:75s} {rates[0]:6.1f} against {rates[1]:6.1f} million samples/s, "
-        f"throughput ratio {1 / ratio:.2f}"
+        f"throughput ratio {ratio:.2f} ({low:.2f} to {high:.2f})",
+        flush=True,
     )
 
 

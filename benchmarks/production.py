@@ -4,7 +4,7 @@ Without a flag, a crop of 240 × 135 pixels is mapped (paths of depth 6, n = 4, 
 The same samples are rendered by ``mi.render`` with the stock sampler, in turn with the map.
 ``--adaptive`` compares adaptive images with images that have equally many samples in all pixels.
 A variance map gives the samples per pixel of an adaptive image; all images have the same cost.
-``--dry-run`` compares estimated times of maps, images and profiles with measured ones.
+``--dry-run`` compares estimated times of maps, images, profiles and pixels with measured ones.
 """
 
 import json
@@ -90,6 +90,8 @@ COMMANDS = (
     ("render", "penumbra", *LARGE, *DEPTH, "--spp", "16"),
     ("render", "penumbra", *LARGE, "--spp", "8"),
     ("profile", SCENE, *DEPTH, "--seconds", "15"),
+    ("pixel", "veach", "100", "100"),
+    ("pixel", "veach", "100", "100", *DEPTH),
 )
 
 
@@ -104,17 +106,17 @@ def seconds_of(command, *more):
 def estimated():
     """Print estimated and measured seconds of commands, each in a process of its own.
 
-    The first dry run stores compiled kernels on disk, and its estimate is not printed.
-    The second dry run and the measured run then both load these kernels.
+    A dry run stores compiled kernels on disk, and the measured run loads them.
     """
     for command in COMMANDS:
-        seconds_of(command, "--dry-run")
-        cost = seconds_of(command, "--dry-run")[1]["seconds"]
+        found = seconds_of(command, "--dry-run")[1]
+        cost, most = found["seconds"], found["most"]
         with tempfile.TemporaryDirectory() as folder:
             place = {"map": f"{folder}/map", "render": f"{folder}/image.exr"}.get(command[0])
             seconds, _ = seconds_of(command, *(("-o", place) if place else ()))
         print(
-            f"{shlex.join(command)}: estimated {cost:.1f} s, measured {seconds:.1f} s, "
+            f"{shlex.join(command)}: estimated {cost:.1f} s"
+            f"{'' if most is None else f' (at most {most:.1f} s)'}, measured {seconds:.1f} s, "
             f"ratio {cost / seconds:.2f}",
             flush=True,
         )

@@ -1,5 +1,6 @@
 """Estimates of the size and time of work on scenes."""
 
+import contextlib
 import json
 import time
 
@@ -8,22 +9,32 @@ import pytest
 from mcspectra.cli.main import main
 from mcspectra.core.analysis import Subject
 from mcspectra.core.streams import Stream
-from mcspectra.rendering import costs
+from mcspectra.rendering import costs, load_mitsuba
+from mcspectra.rendering.backend import compilations
 from mcspectra.rendering.costs import SceneCost, timed_work
 from mcspectra.rendering.maps import Map
 from mcspectra.samplers import sampler
 
 
 class Clock:
-    """A clock that advances by the time of simulated work."""
+    """A clock that advances by the time of simulated work.
 
-    def __init__(self, fixed, each, compiled):
+    The first work also loads files, and compiles kernels, which later commands load from disk.
+    """
+
+    def __init__(self, fixed, each, loaded=0.0, compiled=0.0):
         self.now, self.runs = 0.0, []
-        self.fixed, self.each, self.compiled = fixed, each, compiled
+        self.fixed, self.each, self.first = fixed, each, (loaded, compiled)
 
     def work(self, size):
-        self.now += self.fixed + self.each * size + (0.0 if self.runs else self.compiled)
+        self.now += self.fixed + self.each * size + (0.0 if self.runs else sum(self.first))
         self.runs.append(size)
+
+    @contextlib.contextmanager
+    def compilations(self):
+        found = []
+        yield found
+        found.append(self.first[1])
 
     def perf_counter(self):
         return self.now
@@ -31,19 +42,21 @@ class Clock:
 
 @pytest.mark.parametrize(("fixed", "each"), [(0.1, 1e-3), (0.0, 1e-4), (0.5, 1e-2)])
 def test_time_is_a_fixed_part_and_a_part_per_unit(monkeypatch, fixed, each):
-    clock = Clock(fixed, each, compiled=2.0)
+    clock = Clock(fixed, each, loaded=2.0, compiled=50.0)
     monkeypatch.setattr(costs, "time", clock)
+    monkeypatch.setattr(costs, "compilations", clock.compilations)
     found = timed_work(clock.work, 10**6, first=16, most=10**5)
     assert found.seconds == pytest.approx(2.0 + fixed + each * 10**6, rel=0.2)
     assert found.each == pytest.approx(each, rel=0.2)
     # All runs but the first take a few seconds
-    assert clock.now - 2.0 < 4.0 + 2 * fixed
+    assert clock.now - 52.0 < 4.0 + 2 * fixed
     assert clock.runs[0] == clock.runs[1] == 16
 
 
 def test_small_work_is_run_whole(monkeypatch):
-    clock = Clock(0.0, 0.01, compiled=0.0)
+    clock = Clock(0.0, 0.01)
     monkeypatch.setattr(costs, "time", clock)
+    monkeypatch.setattr(costs, "compilations", clock.compilations)
     assert timed_work(clock.work, 7, first=16).seconds == pytest.approx(0.07)
     assert clock.runs == [7, 7]
 
@@ -56,6 +69,22 @@ def test_an_estimate_is_a_sentence():
     )
     assert "nothing is stored" in str(SceneCost("a", "b", (1, 1), 1, 1, 1.0, 1.0))
     assert json.loads(json.dumps(cost.to_dict()))["seconds"] == 4000.0
+    search = SceneCost("a", "b", (1, 1), 1, 1, 1.0, 10.0, most=20.0).later(2.0)
+    assert search.text.endswith("about 12 s, at most 22 s; nothing is stored.")
+
+
+@pytest.mark.render
+def test_compilations_are_those_of_new_kernels():
+    load_mitsuba()
+    import drjit
+
+    kind, factor = load_mitsuba().Float, time.time() % 1000.0
+    values = []
+    for _ in range(2):
+        with compilations() as found:
+            drjit.eval(drjit.arange(kind, 64) * kind(factor) + 0.123 * factor)
+        values.append(len(found))
+    assert values == [1, 0]
 
 
 @pytest.mark.render
@@ -75,20 +104,26 @@ def test_a_crop_of_the_whole_film_needs_the_same():
 
 @pytest.mark.render
 @pytest.mark.parametrize(
-    "command",
+    ("command", "pixels"),
     [
-        ["map", "--crop", "2,2,8,8", "-m", "4", "--counts", "4,9"],
-        ["render", "--spp", "16", "-o", "OUT/image.exr"],
-        ["render", "--integrator", "path(max_depth=2)", "--spp", "16", "--sampler", "sobol | owen"],
+        (["map", "--crop", "2,2,8,8", "-m", "4", "--counts", "4,9"], 64),
+        (["render", "--spp", "16", "-o", "OUT/image.exr"], 432),
+        (
+            ["render", "--integrator", "path(max_depth=2)", "--spp", "16", "--sampler", "random"],
+            432,
+        ),
+        (["pixel", "12", "14", "-n", "4,16", "-m", "4", "--sampler", "jittered", "-o", "OUT"], 1),
+        (["pixel", "12", "14", "--integrator", "path(max_depth=2)", "-n", "4,16", "-m", "8"], 1),
     ],
 )
-def test_dry_runs_write_nothing(command, tmp_path, capsys, monkeypatch):
+def test_dry_runs_write_nothing(command, pixels, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     words = [word.replace("OUT", str(tmp_path)) for word in command]
     begin = time.perf_counter()
     assert main([words[0], "penumbra(width=24, height=18)", *words[1:], "--dry-run", "--json"]) == 0
     spent = time.perf_counter() - begin
     data = json.loads(capsys.readouterr().out)
-    assert data["pixels"] == (64 if command[0] == "map" else 432)
+    assert data["pixels"] == pixels
+    assert (data["storage"] > 0) == ("-o" in command or command[0] == "map")
     assert 0.0 < data["seconds"] < 10 * spent
     assert not list(tmp_path.iterdir())

@@ -12,14 +12,22 @@ from mcspectra.rendering.kernel_sets import (
     NetPoints,
     Pads,
     Rounds,
+    _Bits,
     _in_cell,
     _unit,
     net_of,
     rule_of,
     scramble_key,
 )
-from mcspectra.rendering.plugin import PaddedSets, joint_sampler, register_samplers
+from mcspectra.rendering.plugin import (
+    PaddedSets,
+    PixelState,
+    joint_sampler,
+    register_samplers,
+    seed_lanes,
+)
 from mcspectra.samplers import as_sampler
+from mcspectra.samplers.lattice import golden_steps
 
 pytestmark = pytest.mark.render
 
@@ -109,13 +117,13 @@ def kernel_sets(spec, n, sets, *requests):
     assert None not in rules
     lane = drjit.arange(mitsuba.UInt32, n * sets)
     pixel, index = lane // n, lane % n
-    source = Pads(mitsuba, rules, n, Stream(9), Rounds.of(sets, 4, 2)).at(pixel, index)
+    source = Pads(mitsuba, rules, n, Stream(9)).at(pixel, index)
 
     def drawn(dims, request):
-        number = drjit.full(mitsuba.UInt32, 0, n * sets)
+        address = drjit.full(mitsuba.UInt32, 0, n * sets)
         for _ in range(request):
-            number = source.following(number)
-        return arrays(source.draw(dims, pixel, number, index), sets, n)
+            address = source.following(address)
+        return arrays(source.draw(dims, pixel, address, index), sets, n)
 
     return [drawn(*request) for request in requests]
 
@@ -289,29 +297,89 @@ def test_jittered_sets_have_one_point_in_each_cell(n):
         assert stats.chisquare(np.bincount(cells[:, 0].astype(int), minlength=n)).pvalue > LEVEL
 
 
+def shifts_of(spec, sets, *requests):
+    """Shifts (sets, dims) of a set of one point, and the mask with its stream, for each request."""
+    made = []
+    for (dims, _), found in zip(requests, kernel_sets(spec, 1, sets, *requests), strict=True):
+        rule = rule_of(as_sampler(spec, dims), 1)
+        stream = Stream(9).child(dims).child(0)
+        base = rule.shared(stream) if callable(rule.shared) else rule.shared.draw(1)
+        whole, base = (np.floor(x * 2.0**24).astype(np.int64) for x in (found[:, 0], base[0]))
+        shifts = whole ^ base if rule.move == "digital-shift" else (whole - base) % 2**24
+        made.append((shifts / 2.0**24, rule.mask, stream.child(rule.mask_label)))
+    return made
+
+
 @pytest.mark.parametrize(
     "spec",
     [
         MASK,
-        "sobol | owen | decorrelate(mask='r2')",
         "sobol | decorrelate(mode='digital-shift', mask='blue-noise', width=16)",
+        "sobol | decorrelate(mask='blue-noise', width=12)",
+        "sobol | decorrelate(mask='blue-noise', width=16, time='move')",
         "rank1-lattice | decorrelate(mask='spatiotemporal', width=8, frames=4)",
     ],
 )
-def test_masks_move_the_same_sets_as_the_tables_of_the_host(spec):
-    """A mask has the same shifts in each pixel and request; only the orders are different."""
-    sets, n = 300, 8
-    host, rounds = PaddedSets(spec=spec, count=n), Rounds.of(sets, 4, 2)
-    requests = [(2, 0), (2, 3), (1, 1)]
-    for (dims, request), found in zip(requests, kernel_sets(spec, n, sets, *requests), strict=True):
-        table = host.pads(dims, Stream(9), 0, rounds.size).astype(float)
-        numbers = (np.arange(sets) + request * rounds.stride) % rounds.size
-        # Both are rounded to 24 bits: sort by the first coordinate, on the torus
-        for own, other in zip(found, table[numbers], strict=True):
-            apart = np.abs(own[:, None] - other[None])
-            near = np.minimum(apart, 1.0 - apart).max(axis=-1) < 2.0**-22
-            assert (near.sum(axis=0) == 1).all()
-            assert (near.sum(axis=1) == 1).all()
+def test_requests_have_the_masks_of_the_sampler_at_other_places(spec):
+    sets = 4608
+    places = set()
+    for shifts, step, stream in shifts_of(spec, sets, (2, 0), (2, 3), (1, 1)):
+        masks, width = step.ranks(stream, shifts.shape[1]), step.width
+        frames = masks.shape[1]
+        ranks = np.floor(shifts * masks[0].size).astype(int)
+        place = np.argwhere(masks[0] == ranks[0, 0])[0]  # all ranks of a mask are different
+        places.add(tuple(place))
+        pixel = np.arange(sets)
+        frame, row, column = np.unravel_index(pixel, (sets // width**2 + 1, width, width))
+        if step.time == "move":
+            steps = np.floor(frame * (golden_steps(2) * 2.0**-64)[:, None] % 1.0 * width)
+            column, row = column + steps[0].astype(int), row + steps[1].astype(int)
+        at = [
+            (k + p) % m for k, p, m in zip((frame, row, column), place, masks[0].shape, strict=True)
+        ]
+        for rank, mask in zip(ranks.T, masks, strict=True):
+            np.testing.assert_array_equal(rank, mask[*at])
+        assert frames == (4 if step.mask == "spatiotemporal" else 1)
+    assert len(places) == 3
+
+
+def test_shifts_of_the_golden_ratio_are_added():
+    """Shifts of an R-sequence by pixels, and of a mask by frames, to all ranks of a frame."""
+    sets = 512
+    first, second = shifts_of("sobol | decorrelate(mask='r2')", sets, (2, 0), (2, 1))
+    known = np.arange(sets)[:, None] * (golden_steps(2) * 2.0**-64)
+    for shifts, _, _ in (first, second):
+        apart = (shifts - shifts[0] - known + 0.5) % 1.0 - 0.5
+        assert np.abs(apart).max() < 2.0**-22
+    assert np.abs(first[0][0] - second[0][0]).max() > 0.01
+    spec = "sobol | decorrelate(mask='blue-noise', width=16, time='golden')"
+    ((shifts, _, _),) = shifts_of(spec, sets, (2, 0))
+    shifts = (shifts - np.repeat([[0.0], [1.0]], 256, axis=0) * known[1]) % 1.0
+    ranks = np.floor(shifts * 256)
+    # The rounding to 2^-24 may move a shift below the lower end of its interval
+    assert (ranks[:256] == ranks[256:]).mean() > 0.99
+
+
+@pytest.mark.parametrize("way", ["kernel", "table", "scalar"])
+def test_shifts_of_two_requests_by_a_mask_are_independent(way):
+    """Means of products of two requests are not biased, also if images consist of whole masks."""
+    register_samplers()
+    spec, sets = "sobol | decorrelate(mask='blue-noise', width=64)", 4096
+    if way == "kernel":
+        first, second = (values for values, _, _ in shifts_of(spec, sets, (2, 0), (2, 1)))
+    elif way == "table":
+        points = PaddedSets(spec=f"{spec} | shuffle", count=1)
+        assert points.rules is None
+        state = seed_lanes(load_mitsuba(), points, Stream(5), sets, 1)
+        first, second = (arrays(state.pair(True), sets, 1)[:, 0] for _ in range(2))
+    else:
+        points = PaddedSets(spec=spec, count=1)
+        states = [PixelState(points, Stream(5).child(k)) for k in range(sets)]
+        first, second = (np.array([state.pair(True) for state in states]) for _ in range(2))
+    for a in range(2):
+        for b in range(2):
+            mean = np.exp(2j * np.pi * (first[:, a] - second[:, b])).mean()
+            assert abs(mean) < 5.0 / sets**0.5
 
 
 @pytest.mark.parametrize("mode", ["shift", "digital-shift"])
@@ -358,6 +426,32 @@ def test_variances_agree_with_the_points_of_the_host(spec, n):
         assert abs(ours[0] - known[0]) < 4.5 * np.hypot(ours[1], known[1])
 
 
+def test_words_of_random_bits_are_independent_along_the_requests_of_a_set():
+    mitsuba, count = load_mitsuba(), 2**20
+    import drjit
+
+    address = drjit.arange(mitsuba.UInt32, count) * Pads.following(None, 0)
+    keys = (mitsuba.UInt32(0x12345678), mitsuba.UInt32(0x9ABCDEF0))
+    bits = _Bits(mitsuba, keys, address)
+    words = [bits.take(32).numpy() for _ in range(3)]
+    bytes_of = [(word >> (8 * k)) & 255 for word in words for k in range(4)]
+    pairs = [(a, b) for k, a in enumerate(bytes_of) for b in bytes_of[:k]]
+    pairs += [(each[:-lag], each[lag:]) for each in bytes_of for lag in (1, 2, 7)]
+    p = [stats.chisquare(np.bincount(a * 256 + b, minlength=65536)).pvalue for a, b in pairs]
+    assert -np.expm1(len(p) * np.log1p(-min(p))) > LEVEL
+
+
+def test_pieces_of_random_bits_do_not_overlap():
+    mitsuba = load_mitsuba()
+    bits = _Bits(mitsuba, (mitsuba.UInt32(1), mitsuba.UInt32(2)), mitsuba.UInt32(3))
+    sizes = (24, 23, 9, 32, 8, 1, 0, 20)
+    pieces = [int(bits.take(size)[0]) for size in sizes]
+    again = _Bits(mitsuba, (mitsuba.UInt32(1), mitsuba.UInt32(2)), mitsuba.UInt32(3))
+    a, b, c, d = (int(again.take(32)[0]) for _ in range(4))
+    low = 2**24 - 1
+    assert pieces == [a & low, b & low >> 1, b >> 23, c, a >> 24, d & 1, 0, (d >> 1) & 2**20 - 1]
+
+
 def test_samplers_without_a_rule_use_tables():
     for spec in (
         "latin-hypercube",
@@ -374,7 +468,7 @@ def test_samplers_without_a_rule_use_tables():
 def test_the_ends_of_cells_are_inside_after_rounding(cells, bits):
     """The smallest and the largest random numbers give points of the cell."""
     mitsuba = load_mitsuba()
-    own = SimpleNamespace(take=lambda _: mitsuba.UInt32(bits))
+    own = SimpleNamespace(take=lambda count: mitsuba.UInt32(bits & (2**count - 1)))
     cell = np.arange(cells)
     corners = mitsuba.UInt32((((cell << 32) + cells - 1) // cells).astype(np.uint32))
     found = _unit(mitsuba, _in_cell(mitsuba, corners, cells, own)).numpy().astype(float)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -111,7 +112,8 @@ def _of_scene(options: argparse.Namespace, scene: str) -> VerbOutput:
     if options.dry_run:
         for name in ("target", "spp"):
             asked.pop(name, None)
-        plan = plan_scene(scene, **asked)
+        imports = time.perf_counter() - options.begun
+        plan = plan_scene(scene, **asked).later(imports)
         return VerbOutput(plan.text, plan.to_dict())
     found = profile_scene(scene, **asked)
     if options.out:

@@ -42,6 +42,9 @@ _WIDTH = 100  # width of wrapped sentences in columns
 _AROUND = 8  # side, in pixels, of the square of pixels for which samplers are compared
 _SPP, _COMPARED_SPP, _REFERENCE_SPP = 16, 4, 1024
 _PAGE_BYTES = 1_000_000  # bytes of the page and the pictures of a map
+# Number of figures and bytes of the page of a pixel, for direct light and for whole paths.
+# A figure takes about as long to draw as a map of 128 × 128 pixels
+_PIXEL_PAGES, _PIXEL_SIDE = {"direct": (5, 600_000), "paths": (2, 300_000)}, 128
 _PIXEL_BYTES = 12  # bytes of three float32 numbers of a pixel of an image
 _DRY_RUN = option("--dry-run", "only print the size, the time and the storage, from a short run")
 
@@ -505,6 +508,7 @@ def _by_map(options: argparse.Namespace, scene: str, files: list[Path]) -> VerbO
         option("--full", "several minutes: larger counts, more realizations, all remedies"),
     ),
     option("-o, --out DIR", "folder for report.html, pixel.json and figures", repeated="once"),
+    _DRY_RUN,
 )
 def pixel_(options: argparse.Namespace) -> VerbOutput:
     """Measure and explain the noise of one pixel of a scene: rates, terms, bottleneck, remedies.
@@ -542,7 +546,12 @@ def pixel_(options: argparse.Namespace) -> VerbOutput:
         from mcspectra.report import pixel_page
         from mcspectra.report.page import columns_of
         from mcspectra.report.tables import summary_table, terms_table
-        from mcspectra.studies.pixel import analyse_pixel
+        from mcspectra.studies.pixel import analyse_pixel, plan_pixel
+
+        if options.dry_run:
+            imports = time.perf_counter() - options.begun
+            planned = plan_pixel(options.scene, x, options.y, **asked).later(imports)
+            return _pixel_cost(options, planned)
 
         # Describe the pixel; show the rates of its strategies and the terms of the variance
         tree = analyse_pixel(options.scene, x, options.y, **asked)
@@ -558,7 +567,7 @@ def pixel_(options: argparse.Namespace) -> VerbOutput:
         write: Any = pixel_page.write_pixel
     else:
         from mcspectra.report import path_page
-        from mcspectra.studies.path import analyse_path
+        from mcspectra.studies.path import analyse_path, plan_path
 
         refused = [f"--{name}" for name in ("light", "budget") if name in asked]
         if refused:
@@ -566,6 +575,10 @@ def pixel_(options: argparse.Namespace) -> VerbOutput:
                 f"{refused[0]} is for direct light; leave it out with --integrator."
             )
         asked |= given_of(options, "joint_dims")
+        if options.dry_run:
+            imports = time.perf_counter() - options.begun
+            planned = plan_path(options.scene, x, options.y, integrator=options.integrator, **asked)
+            return _pixel_cost(options, planned.later(imports))
         tree = analyse_path(options.scene, x, options.y, integrator=options.integrator, **asked)
         known, answer = tree.attrs, textwrap.fill(path_page.path_answer(tree), _WIDTH)
         title = (
@@ -609,6 +622,29 @@ def pixel_(options: argparse.Namespace) -> VerbOutput:
         data["report"] = written
         parts.append(f"report: {printable(written)}")
     return VerbOutput("\n\n".join(parts), data)
+
+
+def _pixel_cost(options: argparse.Namespace, planned: Any) -> VerbOutput:
+    """Add the page, and the comparison of samplers as they are rendered, to an estimate."""
+    from dataclasses import replace
+
+    if options.out is not None:
+        from mcspectra.report.map_page import page_seconds
+
+        figures, size = _PIXEL_PAGES["direct" if options.integrator is None else "paths"]
+        page = page_seconds(figures, (_PIXEL_SIDE, _PIXEL_SIDE))
+        planned = replace(planned.later(page), storage=size)
+    if options.target is not None:
+        planned = planned.later(_profile_cost(options).seconds)
+    return VerbOutput(planned.text, planned.to_dict())
+
+
+def _profile_cost(options: argparse.Namespace) -> Any:
+    """Estimate the comparison of samplers that --target asks for."""
+    from mcspectra.profiler.scene_profile import plan_scene
+
+    whose = None if options.integrator == "scene" else options.integrator
+    return plan_scene(options.scene, integrator=whose, rng=options.seed or 0)
 
 
 def _folder_or_exr(name: str, text: str) -> str:
@@ -755,10 +791,7 @@ def _map_cost(options: argparse.Namespace, parts: Any, subjects: Any) -> VerbOut
     figures += (parts[0].pixels is not None) + (len(parts) > 1)
     profile = 0.0
     if options.target is not None:
-        from mcspectra.profiler.scene_profile import plan_scene
-
-        whose = None if options.integrator == "scene" else options.integrator
-        profile = plan_scene(options.scene, integrator=whose, rng=seed).seconds
+        profile = _profile_cost(options).seconds
     others = "".join(f", {each.sampler.spec}" for each in subjects[1:])
     found = replace(
         first,

@@ -24,6 +24,7 @@ pixels near the quantile are rendered again with a number of samples near the an
 
 from __future__ import annotations
 
+import contextlib
 import math
 import shlex
 import time
@@ -40,7 +41,7 @@ from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.core.progress import report
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.improve.answers import Answer, CandidateResult, simultaneous_z
-from mcspectra.rendering.backend import LOCK
+from mcspectra.rendering.backend import LOCK, compilations
 from mcspectra.rendering.costs import SceneCost
 from mcspectra.rendering.map_statistics import path_shares
 from mcspectra.rendering.map_tiles import Lighting, Measurement
@@ -97,10 +98,13 @@ class SceneSettings:
     # Maximum number of renders if fewer than `pixels` pixels are measured, for example in a crop.
     # With 1024 renders, the variance of a pixel has a relative error of 4 %.
     renders_of_few: int = 1024
-    # Number of pixels, and number of renders, in the test that measures the speed.
-    # The test takes 65,000 samples, because smaller wavefronts are slow
+    # Number of pixels, and numbers of renders, in the tests that measure the speed.
+    # The first render also compiles. The second test takes 65,000 samples, because smaller
+    # wavefronts are slow. If it takes less than `pilot_seconds`, the last test has a fourfold size:
+    # the fixed time of a wavefront, some hundredths of a second, is then a small part
     pilot_pixels: int = 256
-    pilot_renders: int = 16
+    pilot_renders: tuple[int, int, int] = (1, 16, 64)
+    pilot_seconds: float = 0.2
     # Fraction of the time that is spent on the comparison of samplers.
     # The rest of the time is for larger numbers of samples, and for confirming the best sampler
     comparison: float = 0.55
@@ -118,8 +122,10 @@ class SceneSettings:
     least_near: int = 8
     # Fraction of the time for pixels near a quantile. It is the average fraction in five scenes
     nearby: float = 0.2
-    # Seconds to compile the two kernels of a sampler, as a part of the estimated time
-    compilation: float = 2.0
+    # Largest fraction of the time for one number of samples of pixels near a quantile.
+    # For each of two quantiles and two samplers, there are at most two such numbers
+    nearby_each: float = 0.1
+    nearby_most: int = 8
     # Largest number of samples per pixel with which pixels near a quantile are rendered
     most_samples: int = 2**14
     # Largest ratio of a sampler's variance to the least variance at 16 samples.
@@ -616,10 +622,13 @@ class _Work:
         # Measure the speed with few renders. The first render also compiles the kernel
         report("profile: speed", 0.0)
         some = tiles[:: max(1, len(tiles) * self.side**2 // _SETTINGS.pilot_pixels)]
-        for pilot in (1, _SETTINGS.pilot_renders):
+        for pilot in settings.pilot_renders:
             before = rendered.samples, rendered.seconds
             self._values(candidates[given], counts[0], some, pilot)
-        speed = (rendered.samples - before[0]) / (rendered.seconds - before[1])
+            spent = rendered.seconds - before[1]
+            if pilot > 1 and spent > settings.pilot_seconds:
+                break
+        speed = (rendered.samples - before[0]) / spent
         allowed = settings.comparison * self.limit * speed
         each = wide * sum(counts) * len(candidates)
         renders = int(allowed / (each * len(tiles)))
@@ -640,28 +649,47 @@ class _Work:
     def plan(
         self, candidates: Mapping[str, str | Mapping[str, Any]], most: int, given: str
     ) -> SceneCost:
-        """Measure the speed, and estimate the time and the number of samples of the profile."""
-        tiles, renders, speed = self.planned(candidates, most, given)
-        tracer, film = self.rendered.tracer, self.rendered.film
-        wide = (self.side + 2 * film.margin) ** 2
+        """Measure the speed, and estimate the time and the number of samples of the profile.
+
+        All kernels of the profile are compiled, and stored on disk for the profile.
+        """
+        settings, counts, rendered = _SETTINGS, _SETTINGS.counts, self.rendered
+        with compilations() as compiled:
+            tiles, renders, _ = self.planned(candidates, most, given)
+            tracer, film = rendered.tracer, rendered.film
+            pixels = pixels_of(tiles, self.side)
+            self._causes(pixels, np.ones(len(pixels)))
+            preview(tracer.scene, tracer.integrator)
+        fixed = time.perf_counter() - self.begin - sum(compiled)
+
+        # Measure the mean speed of all samplers at the larger number of samples
+        some = tiles[:: max(1, len(tiles) * self.side**2 // settings.pilot_pixels)]
+        traced, spent = 0, 0.0
+        for plugin in candidates.values():
+            with contextlib.suppress(ParameterError):  # the profile says why it leaves one out
+                for n in counts:
+                    self._values(plugin, n, some, 1)
+                before = rendered.samples, rendered.seconds
+                self._values(plugin, counts[-1], some, settings.pilot_renders[1])
+                traced += rendered.samples - before[0]
+                spent += rendered.seconds - before[1]
+        speed = traced / spent
+
         # Count the samples to compare all samplers, and to confirm the best sampler
-        samples = (
-            wide
-            * len(tiles)
-            * renders
-            * (sum(_SETTINGS.counts) * len(candidates) + _SETTINGS.counts[-1])
-        )
-        near = _SETTINGS.nearby * self.limit
-        paths = _SETTINGS.cause_pixels * _SETTINGS.cause_chains * 32
-        seconds = (samples + paths) / speed + near + _SETTINGS.compilation * len(candidates)
+        wide = (self.side + 2 * film.margin) ** 2
+        samples = wide * len(tiles) * renders * (sum(counts) * len(candidates) + counts[-1])
+        compared = fixed + samples / speed
+        near = settings.nearby * self.limit
+        longest = settings.nearby_most * settings.nearby_each * self.limit
         return SceneCost(
             scene=scene_name(tracer.scene).strip("'\""),
             what=f"{renders} renders of each with {len(candidates)} samplers",
             size=(film.width, film.height),
             pixels=len(tiles) * self.side**2,
-            samples=int(samples + paths + near * speed),
+            samples=int(samples + near * speed),
             samples_per_second=speed,
-            seconds=time.perf_counter() - self.begin + seconds,
+            seconds=compared + near,
+            most=compared + longest,
         )
 
     def _values(
@@ -971,7 +999,7 @@ class _Work:
             renders = settings.near_renders * max(1, settings.near // len(near))
             each = (1 + 2 * film.margin) ** 2 * len(near) * renders
             speed = self.rendered.samples / self.rendered.seconds
-            afford = 0.1 * self.limit * speed / each
+            afford = settings.nearby_each * self.limit * speed / each
             count = 4 ** max(1, round(math.log(min(wanted, afford, settings.most_samples), 4)))
             if count <= n and wanted > n:
                 break  # more samples would take too much time, so extrapolate

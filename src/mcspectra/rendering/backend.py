@@ -41,6 +41,7 @@ __all__ = [
     "SCALAR_VARIANT",
     "VARIANT",
     "Verdict",
+    "compilations",
     "describe",
     "find_library",
     "import_mitsuba",
@@ -289,6 +290,25 @@ def _imported() -> Any:
         resolver.clear()
         resolver.append(str(mitsuba_folder()))
     return mitsuba
+
+
+@contextlib.contextmanager
+def compilations() -> Iterator[list[float]]:
+    """List the seconds in which each kernel is compiled in the block, at the end of the block.
+
+    Kernels that Dr.Jit loads from its cache on disk are not compiled.
+    """
+    load_mitsuba()
+    import drjit
+
+    found: list[float] = []
+    with drjit.scoped_set_flag(drjit.JitFlag.KernelHistory, True):
+        drjit.kernel_history_clear()
+        yield found
+        for each in drjit.kernel_history([drjit.KernelType.JIT]):
+            if not (each["cache_hit"] or each["cache_disk"]):
+                found.append(each["backend_time"] / 1000.0)
+        drjit.kernel_history_clear()
 
 
 @contextlib.contextmanager

@@ -3,7 +3,8 @@
 All commands and functions that render scenes estimate their costs by the same method.
 The work is run at growing sizes until a run takes long enough.
 The size of a run is its number of pixels, or of samples per pixel.
-The first run also compiles kernels, so it is repeated.
+The first run also compiles kernels and stores them on disk, so it is repeated.
+Later commands load these kernels, so an estimated time does not include compilation.
 The time is a fixed part plus a part in proportion to the size; the last two runs give both parts.
 """
 
@@ -12,14 +13,17 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, final
 
 from mcspectra.core.display import counted
+from mcspectra.rendering.backend import compilations
 
-__all__ = ["SceneCost", "TimedWork", "timed_work"]
+__all__ = ["SceneCost", "TimedWork", "timed_part", "timed_work"]
 
 _GROWTH = 4  # ratio of the sizes of successive runs
+_PARTS = (16, 4)  # a short part of an analysis is run with these fractions of its size
+_FEWEST = 4  # smallest number of realizations for a variance with an error
 _ENOUGH = 0.25  # sizes stop growing when a run takes this share of the time for all runs
 
 
@@ -42,7 +46,10 @@ class SceneCost:
     samples_per_second
         Measured number of samples per second.
     seconds
-        Estimated time, with the time for loading, compiling and writing.
+        Estimated time, with the time for loading and writing, if kernels are compiled already.
+    most
+        Estimated time if a search, whose length depends on the result, takes as long as it may.
+        None for work without such a search.
     storage
         Estimated bytes of all written files; 0 if nothing is stored.
     """
@@ -55,20 +62,27 @@ class SceneCost:
     samples_per_second: float
     seconds: float
     storage: int = 0
+    most: float | None = None
 
     @property
     def text(self) -> str:
         """The estimate as a sentence."""
+        most = "" if self.most is None else f", at most {_duration(self.most)}"
         stored = f"about {_bytes(self.storage)} are stored" if self.storage else "nothing is stored"
         return (
             f"{self.scene}, {self.size[0]} × {self.size[1]} pixels: "
             f"{counted(self.pixels, 'pixel')}, {self.what}, {self.samples / 1e6:.1f} million "
             f"samples at {self.samples_per_second / 1e6:.2g} million per second: about "
-            f"{_duration(self.seconds)}; {stored}."
+            f"{_duration(self.seconds)}{most}; {stored}."
         )
 
     def __str__(self) -> str:
         return self.text
+
+    def later(self, seconds: float) -> SceneCost:
+        """Return the estimate of this work after other work that takes `seconds`."""
+        most = None if self.most is None else self.most + seconds
+        return replace(self, seconds=self.seconds + seconds, most=most)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain numbers and texts."""
@@ -115,12 +129,18 @@ def timed_work(
         Sizes of the first and of the largest run.
     seconds
         Approximate time for all runs, without the first, which compiles.
+
+    Returns
+    -------
+    TimedWork
+        Estimates for a later command, which loads the compiled kernels from disk.
     """
     largest = min(total, most or total)
     size, runs = min(first, largest), []
     start = time.perf_counter()
-    work(size)
-    compiled = time.perf_counter() - start
+    with compilations() as compiled:
+        work(size)
+    loaded = time.perf_counter() - start - sum(compiled)
     while True:
         start = time.perf_counter()
         work(size)
@@ -134,8 +154,19 @@ def timed_work(
     if len(runs) > 1:
         before, shorter = runs[-2]
         # The last two runs give the time per unit of size, but a busy machine may distort it.
-        # The time per unit is limited to 50 to 100 % of the mean time per unit of the last run
+        # Far from the last run, the time per unit is limited to 50 to 100 % of its mean per unit
         slope = (spent - shorter) / (size - before)
-        each = min(max(slope, 0.5 * each), each)
-    fixed = max(spent - each * size, 0.0) + max(compiled - runs[0][1], 0.0)
+        least = 0.5 * each if total > _GROWTH * size else 0.0
+        each = min(max(slope, least), each)
+    fixed = max(spent - each * size, 0.0) + max(loaded - runs[0][1], 0.0)
     return TimedWork(fixed + each * total, each)
+
+
+def timed_part(work: Callable[[int], object], total: int, *, seconds: float = 60.0) -> TimedWork:
+    """Estimate the seconds of ``work(total)``, a part of an analysis with a large fixed time.
+
+    The part is run with a sixteenth and with a quarter of its size, which tell its fixed time from
+    the rest. If the first run takes a quarter of `seconds`, the second is left out.
+    """
+    first, most = (max(math.ceil(total / part), min(total, _FEWEST)) for part in _PARTS)
+    return timed_work(work, total, first=first, most=most, seconds=seconds)

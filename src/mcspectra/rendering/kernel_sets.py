@@ -9,6 +9,7 @@ A `Rule` describes the sets of a sampler. Three steps make a coordinate of a poi
 2. The set moves its numbers: by a shift modulo 1, by an XOR of their binary digits,
    or by a hash that scrambles digits like ``owen(method='hash')``.
    A mask or random bits give the shift. The hash takes 47 random bits in each round.
+   For each request, the mask is at another random place: shifts of requests are independent.
 3. Random bits of the point place it in the cell that its moved number belongs to.
 
 Random points have one cell. Jittered points have n cells, and no set moves them.
@@ -18,6 +19,10 @@ Coordinate j of point i of a net: XOR those columns of generator matrix j that t
 
 Numbers are 32 bits of a binary fraction (`straight`), or the same bits in reversed order.
 Points are rounded down to multiples of 2^-24, which are exact in float32.
+
+Random bits are words of 32 bits, a hash of two keys and the number of the word (`_Bits`).
+Multiplications of 64 bits would take a third of the time of all random numbers.
+The keys of a pixel, and those of a point, are 64 bits from the streams of `core.streams`.
 
 Renderers request one or two numbers at a time and need point sets in a random order (`Pads`).
 Numbers that come jointly from one set are in the order of the sampler (`JointSets`).
@@ -36,10 +41,10 @@ from typing import Any, Literal, Protocol, TypeAlias, final, runtime_checkable
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.core.parallel import available_workers, map_in_order
 from mcspectra.core.streams import Stream
 from mcspectra.samplers import Sampler
 from mcspectra.samplers.base import FIRST_STEP, Randomized
+from mcspectra.samplers.lattice import golden_steps
 from mcspectra.samplers.law import Fixed, Independent, Law, Scrambled, Shifted, Strata
 from mcspectra.samplers.randomizations import Decorrelate
 from mcspectra.samplers.scrambles import DigitalShift, Owen
@@ -65,8 +70,9 @@ _FEWEST_ORDERS = 16
 _MOST_NUMBERS = 2**27  # maximum number of values in one table (512 MiB)
 _FEWEST_SETS = 509  # minimum number of sets in a table, a prime; later requests reuse them
 _GOLDEN = (5**0.5 - 1) / 2
-_BLOCK_SETS = 2**14  # number of sets whose shifts are drawn at once, by one of several threads
 _DIGITS = 24  # binary digits of the numbers in float32
+_WORD = 0x9E3779B1  # step between the addresses of two words of random bits, an odd number
+_WORDS = 8  # largest number of words for one request of a set, or of a point
 _M1, _M2, _M3 = 0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB
 
 
@@ -128,17 +134,19 @@ class Rule:
     cells
         Number of cells along each axis. Each point is uniform in a cell; without cells, it is
         not jittered. After a digital shift, the numbers of cells must be powers of two.
-    offsets
-        Function that returns the shifts (count, dims) of sets first … first + count − 1.
-        Its arguments are the random stream of the sets, first, and count.
+    mask
+        The randomization whose mask gives the shifts of pixels.
         If None, each set has its own random bits.
+    mask_label
+        Label of the mask's random stream.
     """
 
     dims: int
     shared: Net | Callable[[Stream], Array] | None = None
     move: Move = "none"
     cells: tuple[int, ...] | None = None
-    offsets: Callable[[Stream, int, int], Array] | None = None
+    mask: Decorrelate | None = None
+    mask_label: int = 0
 
 
 def rule_of(sampler: Sampler, n: int) -> Rule | None:
@@ -187,17 +195,18 @@ def _shared_by_pixels(sampler: Sampler, n: int) -> Rule | None:
         return None
     if step.mode != "shift" and not set(inner.digit_bases) <= {2}:
         return None
-    label = FIRST_STEP + inner.plain.scrambles + len(before)
 
-    def shared(stream: Stream) -> Array:
+    def drawn(stream: Stream) -> Array:
         return np.asarray(inner.draw_stream(n, stream, 0, 1)[0])
 
-    def offsets(stream: Stream, first: int, count: int) -> Array:
-        return step.offsets(stream.child(label), first, count, inner.dims)
-
-    white = step.mask == "white"
     move: Any = step.mode
-    return Rule(dims=inner.dims, shared=shared, move=move, offsets=None if white else offsets)
+    return Rule(
+        dims=inner.dims,
+        shared=inner if isinstance(inner, Net) else drawn,
+        move=move,
+        mask=None if step.mask == "white" else step,
+        mask_label=FIRST_STEP + inner.plain.scrambles + len(before),
+    )
 
 
 def net_words(module: Any, net: Net, count: int, index: Any) -> list[Any]:
@@ -301,28 +310,46 @@ class NetPoints:
         return points
 
 
+def _words(module: Any, bits: Any) -> tuple[Any, Any]:
+    """Split 64 random bits into two words, the keys of a hash."""
+    return module.UInt32(bits >> 32), module.UInt32(bits)
+
+
 class _Bits:
     """Random bits of a set or of a point, taken in pieces of at most 32 bits.
 
-    Numbers of 64 random bits are mixed only when the bits of earlier numbers do not suffice.
+    Word k is a hash of the two keys and of the address plus k times `_WORD`.
+    Without the keys, it is the hash of 32 bits with two multiplications and the least bias that
+    the program ``hash-prospector`` found.
+    The second key enters after a first nonlinear step.
+    Therefore two pixels have equal words, in another order, only if both of their keys fit.
+    Words are computed only when the bits of earlier words do not suffice.
     """
 
     def __init__(self, module: Any, keys: tuple[Any, Any], address: Any) -> None:
-        self._module, self._keys, self._address = module, keys, address
-        self._numbers: list[tuple[Any, int]] = []  # random numbers, and how many bits are used
+        self._module, self._key, self._start = module, keys[1], address + keys[0]
+        self._taken: list[tuple[Any, int]] = []  # words, and how many bits are used
+
+    def _word(self, number: int) -> Any:
+        x = self._start + number * _WORD % 2**32
+        x = ((x ^ (x >> 16)) + self._key) * 0x21F0AAAD
+        x = (x ^ (x >> 15)) * 0xD35A2D97
+        return x ^ (x >> 15)
 
     def take(self, count: int) -> Any:
         """Return `count` random bits as a UInt32 number."""
         if count == 0:
             return self._module.UInt32(0)
-        free = (k for k, (_, used) in enumerate(self._numbers) if used + count <= 64)
-        place = next(free, len(self._numbers))
-        if place == len(self._numbers):
-            bits = mix_bits(self._module, *self._keys, self._address + place)
-            self._numbers.append((bits, 0))
-        bits, used = self._numbers[place]
-        self._numbers[place] = bits, used + count
-        return self._module.UInt32(bits >> used) & (2**count - 1)
+        free = (k for k, (_, used) in enumerate(self._taken) if used + count <= 32)
+        place = next(free, len(self._taken))
+        if place == len(self._taken):
+            self._taken.append((self._word(place), 0))
+        word, used = self._taken[place]
+        self._taken[place] = word, used + count
+        if count == 32:
+            return word
+        # The highest bits need no AND
+        return word >> used if used + count == 32 else (word >> used) & (2**count - 1)
 
     def below(self, bound: int, opaque: Any) -> Any:
         """Return a random whole number below `bound`, at most 2^16; `opaque` is the same number."""
@@ -334,36 +361,39 @@ class _Bits:
 
 
 class _Sets:
-    """The sets of one rule: shared numbers, and shifts of the first `size` sets, in tables."""
+    """The sets of one rule: shared numbers, in tables unless they are a net, and a mask."""
 
-    def __init__(
-        self, module: Any, rule: Rule, count: int, stream: Stream, size: int, rounds: int
-    ) -> None:
+    def __init__(self, module: Any, rule: Rule, count: int, stream: Stream, rounds: int) -> None:
         self._module, self._rule, self._count, self._rounds = module, rule, count, rounds
         self._tables: list[Any] = []
-        self._offsets: list[Any] = []
+        self._net = rule.shared if isinstance(rule.shared, Net) else None
+        self._mask: _Mask | None = None
         cells = rule.cells or ()
         self.one_cell = rule.shared is None and cells == (1,) * rule.dims
         if rule.shared is None and any(s & (s - 1) for s in cells):
             grid = np.indices(cells).reshape(rule.dims, -1)
             corners = (((k << 32) + s - 1) // s for k, s in zip(grid, cells, strict=True))
             self._tables = [module.UInt32(c.astype(np.uint32)) for c in corners]
-        elif rule.shared is not None and not isinstance(rule.shared, Net):
-            self._tables = _columns(module, rule.shared(stream))
-        if rule.offsets is not None:
-            block = functools.partial(_offsets, rule.offsets, stream, size)
-            parts = map_in_order(block, range(0, size, _BLOCK_SETS), available_workers())
-            self._offsets = _columns(module, np.concatenate(list(parts)))
+        elif self._net is None and rule.shared is not None:
+            draw: Any = rule.shared
+            self._tables = _columns(module, draw(stream))
+        if rule.mask is not None:
+            self._mask = _Mask(module, rule.mask, rule.dims, stream.child(rule.mask_label))
 
-    def moves(self, bits: _Bits, number: Any) -> list[list[Any]]:
+    def at(self, pixel: Any) -> _Sets:
+        """Return these sets for lanes at other pixels."""
+        lanes = copy(self)
+        if self._mask is not None:
+            lanes._mask = self._mask.at(pixel)
+        return lanes
+
+    def moves(self, bits: _Bits, address: Any) -> list[list[Any]]:
         """Return the random numbers that move each coordinate of a set."""
-        import drjit
-
         rule, module, dims = self._rule, self._module, self._rule.dims
         if rule.move == "none":
             return [[] for _ in range(dims)]
-        if rule.offsets is not None:
-            return [[drjit.gather(module.UInt32, table, number)] for table in self._offsets]
+        if self._mask is not None:
+            return [[shift] for shift in self._mask.shifts(bits, address)]
         if rule.move == "owen":
             # The first digits of a hash depend only on as many bits of the summand and the factor
             count = self._rounds * dims
@@ -378,7 +408,7 @@ class _Sets:
         import drjit
 
         rule, module, found = self._rule, self._module, []
-        reversed_digits = isinstance(rule.shared, Net)
+        reversed_digits = self._net is not None
         for j, x in enumerate(self._shared(place)[:dims]):
             if rule.move == "owen":
                 word = x if reversed_digits else drjit.brev(x)
@@ -399,8 +429,8 @@ class _Sets:
         import drjit
 
         rule, module = self._rule, self._module
-        if isinstance(rule.shared, Net):
-            return net_words(module, rule.shared, self._count, place)
+        if self._net is not None:
+            return net_words(module, self._net, self._count, place)
         if self._tables:
             return [drjit.gather(module.UInt32, table, place) for table in self._tables]
         # The digits of a place are those of the cell's number along each axis, in row-major order
@@ -414,11 +444,87 @@ class _Sets:
         return corners
 
 
-def _offsets(
-    draw: Callable[[Stream, int, int], Array], stream: Stream, size: int, first: int
-) -> Array:
-    """Return the shifts of a block of sets."""
-    return draw(stream, first, min(_BLOCK_SETS, size - first))
+class _Mask:
+    """Shifts of pixels by a mask of ``decorrelate``, at a random place for each request.
+
+    In each dim, the mask starts at its own place, which is the same for all requests.
+    A request moves the masks of all dims together.
+    Without this move, all requests of a pixel would have nearly the same shift if the number of
+    pixels is a multiple of the mask's; images of integrands of two requests would be biased.
+    """
+
+    _cell: list[Any]
+    _added: list[Any]
+
+    def __init__(self, module: Any, step: Decorrelate, dims: int, stream: Stream) -> None:
+        import drjit
+
+        self._module, self._step, self._dims = module, step, dims
+        keys = stream.child(1).keys(0, 1)[0]
+        self._keys = _words(module, drjit.opaque(module.UInt64, int(keys[0])))
+        self._tables: list[Any] = []
+        if step.mask != "r2":
+            ranks = step.ranks(stream, dims).reshape(dims, -1)
+            self._size = ranks.shape[1]
+            # The table holds the lower corners of the cells, one cell for each rank
+            corners = ((ranks.astype(np.uint64) << np.uint64(32)) + self._size - 1) // self._size
+            self._tables = [module.UInt32(np.ascontiguousarray(c, np.uint32)) for c in corners]
+
+    def at(self, pixel: Any) -> _Mask:
+        """Return the mask for lanes at other pixels."""
+        import drjit
+
+        lanes, module, step, width = copy(self), self._module, self._step, self._step.width
+
+        def golden(number: Any, dims: int) -> list[Any]:
+            steps = (module.UInt64(number) * int(each) for each in golden_steps(dims))
+            return [module.UInt32(each >> 32) for each in steps]
+
+        lanes._added = []
+        if step.mask == "r2":
+            lanes._added = golden(pixel, self._dims)
+            return lanes
+        frame = pixel // (width * width)
+        place = pixel - frame * (width * width)
+        row = place // width
+        column = place - row * width
+        if step.time == "golden":
+            lanes._added = golden(frame, self._dims)
+        elif step.time == "move":
+            across, down = (drjit.mul_hi(u, module.UInt32(width)) for u in golden(frame, 2))
+            column, row = _wrapped(column + across, width), _wrapped(row + down, width)
+        lanes._cell = [frame % (self._size // (width * width)), row, column]
+        return lanes
+
+    def shifts(self, bits: _Bits, address: Any) -> list[Any]:
+        """Return the shift of each dim, from the mask at its place for a request.
+
+        Random bits of the set place the shift in the interval of its rank.
+        """
+        import drjit
+
+        module, width = self._module, self._step.width
+        place = _Bits(module, self._keys, address)
+        if not self._tables:
+            return [added + place.take(32) for added in self._added]
+        index = module.UInt32(0)
+        for each, side in zip(self._cell, (self._size // width**2, width, width), strict=True):
+            start = place.below(side, module.UInt32(side))
+            index = index * side + _wrapped(each + start, side)
+        found = []
+        for table in self._tables:
+            corner = drjit.gather(module.UInt32, table, index)
+            found.append(_in_cell(module, corner, self._size, bits))
+        return [x + y for x, y in zip(found, self._added or [0] * self._dims, strict=True)]
+
+
+def _wrapped(number: Any, side: int) -> Any:
+    """Return a number below 2·side modulo `side`."""
+    import drjit
+
+    if side & (side - 1) == 0:
+        return number & (side - 1)
+    return drjit.select(number >= side, number - side, number)
 
 
 def _columns(module: Any, points: Array) -> list[Any]:
@@ -433,7 +539,7 @@ def _in_cell(module: Any, x: Any, cells: int, own: _Bits) -> Any:
 
     if cells & (cells - 1) == 0:
         m = cells.bit_length() - 1
-        jitter = own.take(32) >> m
+        jitter = own.take(_DIGITS - m) << (32 - _DIGITS)
         return (x & (2**32 - 2 ** (32 - m))) | jitter if m else jitter
     # The given x is the lower corner. Rounding down must not move the point to the cell below
     y = x + drjit.mul_hi(own.take(32), module.UInt32(2**32 // cells))
@@ -448,13 +554,14 @@ class Rounds:
 
     The stride is relatively prime to the size.
     The first `size` requests of a pixel therefore use different sets.
+    If the sets have the shifts of a mask, the stride is far from multiples of the mask.
     """
 
     size: int
     stride: int
 
     @staticmethod
-    def of(pixels: int, requests: int, numbers_each: int) -> Rounds:
+    def of(pixels: int, requests: int, numbers_each: int, *, independent: bool = True) -> Rounds:
         """Choose the number of sets and the stride for the first `requests` requests of a pixel.
 
         The memory of the table limits the number of sets.
@@ -462,7 +569,8 @@ class Rounds:
         size = max(_FEWEST_SETS, pixels * requests + 1)
         size = min(size, _MOST_NUMBERS // numbers_each)
         golden = int(size * _GOLDEN)
-        strides = (s for s in (pixels, *range(golden, size)) if s < size and gcd(s, size) == 1)
+        first = (pixels,) if independent else ()
+        strides = (s for s in (*first, *range(golden, size)) if s < size and gcd(s, size) == 1)
         return Rounds(size, next(strides, 1))
 
 
@@ -475,8 +583,8 @@ class _Lanes:
 
     _pixel: Any
     _index: Any
-    _set_key: Any
-    _point_key: Any
+    _set_keys: tuple[Any, Any]
+    _point_keys: tuple[Any, Any]
 
     def __init__(self, module: Any, stream: Stream) -> None:
         import drjit
@@ -489,8 +597,9 @@ class _Lanes:
         module, (k0, k1) = self._module, self._keys
         lanes, wide = copy(self), module.UInt64
         lanes._pixel, lanes._index = pixel, index
-        lanes._set_key = mix_bits(module, k0, k1, wide(pixel))
-        lanes._point_key = mix_bits(module, k0, k1, ((wide(pixel) + 1) << 32) | wide(index))
+        point = ((wide(pixel) + 1) << 32) | wide(index)
+        lanes._set_keys = _words(module, mix_bits(module, k0, k1, wide(pixel)))
+        lanes._point_keys = _words(module, mix_bits(module, k0, k1, point))
         return lanes
 
 
@@ -500,74 +609,57 @@ class Pads(_Lanes):
     The order of a set is v(i + a) + b modulo n, where v is one of many random permutations.
     The permutation and the numbers a and b are random bits of the set.
     The permutations are rows of a table, which is the same in every process.
-    If n is a power of two, an XOR replaces the second addition.
+    If n is a power of two, an XOR replaces each addition.
     In the order of one set, each place of another set follows with the probability 1/n.
     Images are therefore unbiased for any table of permutations.
-
-    If a mask moves the sets, `Rounds` assigns the sets of the mask to requests.
     """
 
-    _first: Any
-
-    def __init__(
-        self, module: Any, rules: Sequence[Rule], count: int, stream: Stream, rounds: Rounds
-    ) -> None:
+    def __init__(self, module: Any, rules: Sequence[Rule], count: int, stream: Stream) -> None:
         import drjit
 
         super().__init__(module, stream)
         self._count, self._sets = count, {}
         for k, rule in enumerate(rules, 1):
             points = stream.child(k).child(0)
-            self._sets[k] = _Sets(module, rule, count, points, rounds.size, rounds=1)
+            self._sets[k] = _Sets(module, rule, count, points, rounds=1)
         orders = _orders(count)
         self._rows, self._orders = len(orders), module.UInt32(orders.ravel())
         self._opaque = drjit.opaque(module.UInt32, count)
-        self._rounds: Any = None
-        if any(rule.offsets is not None for rule in rules):
-            self._rounds = [drjit.opaque(module.UInt32, k) for k in (rounds.size, rounds.stride)]
 
     def at(self, pixel: Any, index: Any) -> Pads:
         """Return these sets for lanes with other pixels or indices."""
         lanes: Pads = super().at(pixel, index)
-        if lanes._rounds is not None:
-            lanes._first = pixel % lanes._rounds[0]
+        lanes._sets = {k: sets.at(pixel) for k, sets in self._sets.items()}
         return lanes
 
-    def following(self, request: Any) -> Any:
-        """Return the number of the next request; with masks, the offset of its set."""
-        return request + 1 if self._rounds is None else self._in_round(request + self._rounds[1])
+    def following(self, address: Any) -> Any:
+        """Return the address of the random bits of the next request."""
+        return address + 2 * _WORDS * _WORD % 2**32
 
-    def draw(self, dims: int, _: Any, request: Any, __: Any, ___: Any = True) -> list[Any]:
+    def draw(self, dims: int, _: Any, address: Any, __: Any, ___: Any = True) -> list[Any]:
         """Return the coordinates of each lane's point in the 1-D or 2-D set of a request."""
         module, sets = self._module, self._sets[dims]
-        # A set and a point need at most 4 numbers of 64 random bits each
-        address = (2 * module.UInt32(request) + (dims - 1)) << 2
-        bits = _Bits(module, (self._set_key, self._keys[1]), address)
-        own = _Bits(module, (self._point_key, self._keys[1]), address)
-        number = None
-        if self._rounds is not None:
-            number = self._in_round(self._first + request)
-        moves = sets.moves(bits, number)
+        address = module.UInt32(address) + (dims - 1) * _WORDS * _WORD % 2**32
+        bits = _Bits(module, self._set_keys, address)
+        own = _Bits(module, self._point_keys, address)
+        moves = sets.moves(bits, address)
         place = module.UInt32(0) if sets.one_cell else self._place(bits)
         return sets.points(place, moves, own, dims)
-
-    def _in_round(self, number: Any) -> Any:
-        import drjit
-
-        size = self._rounds[0]
-        return drjit.select(number >= size, number - size, number)
 
     def _place(self, bits: _Bits) -> Any:
         """Return the place of each lane's point in the random order of its set."""
         import drjit
 
-        n = self._count
-        row = bits.take(self._rows.bit_length() - 1) * self._opaque
+        n, gather = self._count, drjit.gather
+        word, table, rows = self._module.UInt32, self._orders, self._rows.bit_length() - 1
+        if n & (n - 1) == 0:
+            # Small pieces fit into bits that the moves of the set have left
+            digits = n.bit_length() - 1
+            row, first, last = (bits.take(k) for k in (rows, digits, digits))
+            return gather(word, table, (row << digits) ^ first ^ self._index) ^ last
+        row = bits.take(rows) * self._opaque
         first, last = (bits.below(n, self._opaque) for _ in range(2))
-        powers = n & (n - 1) == 0
-        column = (self._index + first) & (n - 1) if powers else self._sum(self._index, first)
-        place = drjit.gather(self._module.UInt32, self._orders, row + column)
-        return place ^ last if powers else self._sum(place, last)
+        return self._sum(gather(word, table, row + self._sum(self._index, first)), last)
 
     def _sum(self, a: Any, b: Any) -> Any:
         """Return the sum of two places modulo n."""
@@ -580,18 +672,18 @@ class Pads(_Lanes):
 class JointSets(_Lanes):
     """Sets in several dims, one set per pixel, in the order of the sampler."""
 
-    def __init__(self, module: Any, rule: Rule, count: int, stream: Stream, pixels: int) -> None:
+    def __init__(self, module: Any, rule: Rule, count: int, stream: Stream) -> None:
         super().__init__(module, stream.child(3))
         self.dims = rule.dims
-        self._sets = _Sets(module, rule, count, stream.child(3).child(0), pixels, rounds=2)
+        self._sets = _Sets(module, rule, count, stream.child(3).child(0), rounds=2)
 
     def at(self, pixel: Any, index: Any) -> JointPoints:
         """Return the points `index` of the sets of pixels, with all their coordinates."""
-        lanes, module = super().at(pixel, index), self._module
-        bits = _Bits(module, (lanes._set_key, self._keys[1]), module.UInt32(0))
-        own = _Bits(module, (lanes._point_key, self._keys[1]), module.UInt32(0))
-        moves = self._sets.moves(bits, pixel)
-        return JointPoints(self, self._sets.points(index, moves, own, self.dims))
+        lanes, zero = super().at(pixel, index), self._module.UInt32(0)
+        bits = _Bits(self._module, lanes._set_keys, zero)
+        own = _Bits(self._module, lanes._point_keys, zero)
+        sets = self._sets.at(pixel)
+        return JointPoints(self, sets.points(index, sets.moves(bits, zero), own, self.dims))
 
 
 class JointPoints:

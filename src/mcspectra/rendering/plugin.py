@@ -373,10 +373,12 @@ class PixelState:
             return self._joint[self._index, start : start + dims]
         request = self._requests[dims] % _MOST_REQUESTS
         self._requests[dims] += 1
-        block, place = divmod(request, _REQUESTS)
+        # Sets of one stream have neighboring shifts of a mask, so each request has its own stream
+        drawn = _REQUESTS if self._sets.independent else 1
+        block, place = divmod(request, drawn)
         if (dims, block) not in self._drawn:
-            pads = self._sets.pads(dims, self._stream, block * _REQUESTS, _REQUESTS)
-            self._drawn[dims, block] = pads
+            stream = self._stream if self._sets.independent else self._stream.child(block)
+            self._drawn[dims, block] = self._sets.pads(dims, stream, block * drawn, drawn)
         numbers: Array = self._drawn[dims, block][place, self._index]
         return numbers
 
@@ -400,14 +402,13 @@ def seed_lanes(
     rules, joint_rule = sets.rules, sets.joint_rule
     pads: _TablePads | Pads
     if rules is None:
-        rounds = Rounds.of(pixels, _REQUESTS, 2 * sets.count)
+        rounds = Rounds.of(pixels, _REQUESTS, 2 * sets.count, independent=sets.independent)
         pads = _TablePads(module, sets, stream, rounds)
     else:
-        rounds = Rounds.of(pixels, _REQUESTS, 2)
-        pads = Pads(module, rules, sets.count, stream, rounds)
+        pads = Pads(module, rules, sets.count, stream)
     joint: _DeviceSets | JointSets | None = None
     if joint_rule is not None:
-        joint = JointSets(module, joint_rule, sets.count, stream, pixels)
+        joint = JointSets(module, joint_rule, sets.count, stream)
     elif sets.joint:
         size = Rounds.of(pixels, _REQUESTS, 2 * sets.count).size
         joint = _DeviceSets(module, sets.joints(stream, 0, min(pixels, size)))
@@ -656,6 +657,12 @@ class PaddedSets:
         """Rule for joint sets, or None if kernels cannot compute the sets."""
         joint = self._samplers[2]
         return None if joint is None or joint.dims > _MOST_WORDS else rule_of(joint, self.count)
+
+    @property
+    def independent(self) -> bool:
+        """Whether sets of one stream are independent, as they are without a mask."""
+        single, pair, _ = self._samplers
+        return single.independent and pair.independent
 
     def pads(self, dims: int, stream: Stream, first: int, sets: int) -> Array:
         """Return shuffled sets in 1 or 2 dims, starting with set `first`: (sets, count, dims)."""

@@ -514,20 +514,18 @@ class Decorrelate(Randomization):
     def offsets(self, stream: Stream, first: int, count: int, dims: int) -> Array:
         """Return the mask's shifts (count, dims) for pixels first … first + count − 1."""
         pixels = np.arange(first, first + count)
-        places = stream.child(0).uniforms(0, 1, 3 * dims)[0]
+        places = stream.child(0).uniforms(0, 1, dims)[0]
         if self.mask == "r2":
             from mcspectra.samplers.lattice import golden_steps
 
-            units = (places[:dims] * 2.0**53).astype(np.uint64) << np.uint64(11)
+            units = (places * 2.0**53).astype(np.uint64) << np.uint64(11)
             sums = units + pixels.astype(np.uint64)[:, None] * golden_steps(dims)  # modulo 2^64
             return np.asarray((sums >> np.uint64(11)) * 2.0**-53)
 
         # A shift is (rank + random number)/number of ranks.
         # Each dim has its own position of the mask
-        width, places = self.width, places.reshape(3, dims)
-        ranks = _mask(width, self.frames if self.mask == "spatiotemporal" else 1)
+        width, ranks, starts = self.width, *self._placed(stream, dims)
         frame = pixels // width**2
-        starts = (places * np.array([[width], [width], [len(ranks)]])).astype(np.int64)
         steps = np.zeros((frame[-1] - frame[0] + 1 if count else 0, 2), np.int64)
         if self.time == "move":
             steps = (_steps_of(np.arange(frame[0], frame[-1] + 1), 2) * width).astype(np.int64)
@@ -539,6 +537,18 @@ class Decorrelate(Randomization):
             shifts += _steps_of(frame, dims)
             shifts -= shifts >= 1.0
         return np.asarray(shifts)
+
+    def ranks(self, stream: Stream, dims: int) -> Array:
+        """Return the ranks (dims, frames, width, width) of the mask, at its place in each dim."""
+        ranks, starts = self._placed(stream, dims)
+        return np.stack([np.roll(ranks, -start[::-1], axis=(0, 1, 2)) for start in starts.T])
+
+    def _placed(self, stream: Stream, dims: int) -> tuple[Array, Array]:
+        """Return the mask, and its first column, row and frame in each dim (3, dims)."""
+        ranks = _mask(self.width, self.frames if self.mask == "spatiotemporal" else 1)
+        places = stream.child(0).uniforms(0, 1, 3 * dims)[0].reshape(3, dims)
+        sides = np.array([[self.width], [self.width], [len(ranks)]])
+        return ranks, (places * sides).astype(np.int64)
 
     def _moved(self, step: Randomization, points: Array, stream: Stream, first: int) -> Array:
         if self.mask == "white":

@@ -19,10 +19,11 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 import xarray as xr
@@ -30,6 +31,7 @@ import xarray as xr
 from mcspectra.core.analysis import Subject
 from mcspectra.core.checks import Array, as_choice, as_integer
 from mcspectra.core.confidence import CONFIDENCE_Z
+from mcspectra.core.display import counted
 from mcspectra.core.errors import McspectraError, Parameter, ParameterError
 from mcspectra.core.parallel import available_workers
 from mcspectra.core.progress import report
@@ -45,6 +47,8 @@ from mcspectra.measure.anova import Anova, anova_variances
 from mcspectra.measure.converge import convergence, count_stream
 from mcspectra.measure.setup import Setup
 from mcspectra.prediction.prediction import predict
+from mcspectra.rendering.backend import compilations
+from mcspectra.rendering.costs import SceneCost, timed_part
 from mcspectra.rendering.padding import Padded, as_rendered, padding_note
 from mcspectra.rendering.paths import (
     SCENE_INTEGRATOR,
@@ -60,7 +64,7 @@ from mcspectra.rendering.scenes import Scene, emitter_names, film_size, scene_na
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.studies.pixel import check_compared, find_pixel
 
-__all__ = ["PATH_SAMPLERS", "analyse_path", "path_remedies", "shares_by_light"]
+__all__ = ["PATH_SAMPLERS", "analyse_path", "path_remedies", "plan_path", "shares_by_light"]
 
 PATH_SAMPLERS = ("random", "latin-hypercube", "rank1-lattice | shift", "sobol | owen")
 """Samplers that are compared by default; they support any count in any number of dims.
@@ -170,78 +174,36 @@ def analyse_path(
         If a sampler does not support a count.
     """
     # Check all arguments before any work
-    x, y = find_pixel(scene, x, y)
-    if channel == "rgb":
-        raise ParameterError(
-            Parameter("channel"), " is 'rgb'; give 'luminance', 0, 1 or 2, one at a time."
-        )
-    usual, repeats, pairs, paths, predicted = _EFFORTS[as_choice("effort", effort, tuple(_EFFORTS))]
-    f = PathPixel(scene=scene, x=x, y=y, integrator=integrator, channel=channel, dims=dims)
-    asked = usual if counts is None else counts
-    if samplers is None:
-        _, ns = check_compared(PATH_SAMPLERS, asked, f.dims, most=_MOST_SAMPLES)
-        rendered = default_spec(*ns, joint_dims=joint_dims)
-        samplers = tuple(dict.fromkeys((*PATH_SAMPLERS[:-1], rendered, PATH_SAMPLERS[-1])))
-    if isinstance(samplers, str) or not samplers:
-        sources, ns = check_compared(samplers, asked, f.dims, most=_MOST_SAMPLES)
-    padded = [as_rendered(each, f.dimensions, joint_dims) for each in samplers]
-    sources, ns = check_compared(padded, asked, f.dims, most=_MOST_SAMPLES)
-    options: dict[str, Any] = {
-        "rng": as_integer("rng", rng, least=0),
-        "workers": available_workers(workers),
-    }
-    number = as_integer("realizations", realizations or repeats, least=4)
+    work = _Work.of(
+        scene, x, y, integrator, channel, dims, samplers, counts, realizations, joint_dims,
+        effort, rng, workers,
+    )  # fmt: skip
+    f, sources, ns, options = work.f, work.sources, work.counts, work.options
 
     # Measure the rates, then the variance components of one random path
     report("path: rates", 0.0)
-    curves = convergence(f, sources, ns, realizations=number, **options)
+    curves = work.rates(work.realizations)
     parts: dict[str, xr.Dataset] = {"convergence": curves}
     report("path: parts", 0.4)
-    dimensions = f.dimensions
-    kinds = {  # The names of each coordinate's group, for four ways to group the coordinates
-        "bounce": [f"bounce {d.bounce}" if d.bounce else "camera" for d in dimensions],
-        "decision": [d.decision for d in dimensions],
-        "request": [str(Dimension(d.bounce, d.decision)) for d in dimensions],
-        "coordinate": [str(d) for d in dimensions],
-    }
-    for kind, names in kinds.items():
-        order = 2 if kind == "bounce" else 1
-        labels = list(dict.fromkeys(names))
-        if len(labels) <= _MOST_GROUPS:
-            groups = [labels.index(name) for name in names]
-            found = anova_variances(f, order=order, groups=groups, realizations=pairs, **options)
-            axes = (label.split("x")[1:] for label in found["subset_label"].values)
-            said = [" × ".join(labels[int(i)] for i in u) for u in axes]
-            parts[f"anova/{kind}"] = found.assign_coords(
-                subset_label=("subset", said), axis_label=("axis", labels)
-            ).assign_attrs(axes=_AXES[kind])
+    parts |= work.components(work.pairs)
 
     # Find the lights that cause the noise, and the remedies
     report("path: lights", 0.7)
-    stream, lights, note = Stream.from_rng(options["rng"]), None, ""
-    try:
-        lights = shares_by_light(f, paths, stream.child(_LIGHTS))
-    except ParameterError as error:
-        note = str(error)
+    lights, note = work.lights(work.paths)
     if lights is not None:
         parts["lights"] = lights
     if remedies:
         report("path: remedies", 0.8)
-        bounces = [d.bounce for d in f.dimensions]
-        ends = [k for k in range(2, f.dims) if bounces[k] > bounces[k - 1]]
         ranking = None
         if "anova/coordinate" in parts:
             shares = parts["anova/coordinate"]["total_share"].values
-            made = Anova(order=1, realizations=pairs).need(
+            made = Anova(order=1, realizations=work.pairs).need(
                 Subject(Estimator(f), as_sampler("random", f.dims))
             )
             ranking = np.argsort(-shares, kind="stable"), made.evaluations
-        parts["remedies"] = path_remedies(
-            f, sources[-1], ns, stream, realizations=max(_FEWEST, number),
-            samplers=(*PATH_SAMPLERS, "halton | permute"), ends=ends, joint_dims=joint_dims,
-            axes=ranking, lights=lights,
-        )  # fmt: skip
-    if predicted:
+        tried = max(_FEWEST, work.realizations)
+        parts["remedies"] = work.remedies(tried, ranking, lights)
+    if work.predicted:
         report("path: predictions", 0.9)
         parts["predict"] = predict(f, sources, ns, **options)
     parts["picture"] = dataset({"image": (("y", "x", "channel"), preview(f.scene, f.integrator))})
@@ -260,11 +222,181 @@ def analyse_path(
         "padding": padding_note(sources[-1]),
         "value": float(curves["mean"].isel(n=-1).sel(sampler=sources[-1].spec)),
         "counts": ns,
-        "realizations": number,
+        "realizations": work.realizations,
         "lights_note": note,
         "rng": options["rng"],
     }
     return tree
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class _Work:
+    """The parts of the analysis of one pixel, each with a size that its time is proportional to."""
+
+    f: PathPixel
+    sources: Sequence[Sampler]
+    counts: Sequence[int]
+    joint_dims: int | None
+    realizations: int
+    pairs: int
+    paths: int
+    predicted: bool
+    options: Mapping[str, Any]
+
+    @staticmethod
+    def of(
+        scene: Scene, x: int | str, y: int | None, integrator: str, channel: str | int,
+        dims: int | None, samplers: Sequence[Sampler | str] | None, counts: Sequence[int] | None,
+        realizations: int | None, joint_dims: int | None, effort: str, rng: int,
+        workers: int | None,
+    ) -> _Work:  # fmt: skip
+        """Check all arguments of `analyse_path`."""
+        x, y = find_pixel(scene, x, y)
+        if channel == "rgb":
+            raise ParameterError(
+                Parameter("channel"), " is 'rgb'; give 'luminance', 0, 1 or 2, one at a time."
+            )
+        usual, repeats, pairs, paths, predicted = _EFFORTS[
+            as_choice("effort", effort, tuple(_EFFORTS))
+        ]
+        f = PathPixel(scene=scene, x=x, y=y, integrator=integrator, channel=channel, dims=dims)
+        asked = usual if counts is None else counts
+        if samplers is None:
+            _, ns = check_compared(PATH_SAMPLERS, asked, f.dims, most=_MOST_SAMPLES)
+            rendered = default_spec(*ns, joint_dims=joint_dims)
+            samplers = tuple(dict.fromkeys((*PATH_SAMPLERS[:-1], rendered, PATH_SAMPLERS[-1])))
+        if isinstance(samplers, str) or not samplers:
+            sources, ns = check_compared(samplers, asked, f.dims, most=_MOST_SAMPLES)
+        padded = [as_rendered(each, f.dimensions, joint_dims) for each in samplers]
+        sources, ns = check_compared(padded, asked, f.dims, most=_MOST_SAMPLES)
+        return _Work(
+            f=f,
+            sources=sources,
+            counts=ns,
+            joint_dims=joint_dims,
+            realizations=as_integer("realizations", realizations or repeats, least=4),
+            pairs=pairs,
+            paths=paths,
+            predicted=predicted,
+            options={
+                "rng": as_integer("rng", rng, least=0),
+                "workers": available_workers(workers),
+            },
+        )
+
+    def rates(self, realizations: int) -> xr.Dataset:
+        """Measure the variances of all samplers."""
+        return convergence(
+            self.f, self.sources, self.counts, realizations=realizations, **self.options
+        )
+
+    def components(self, pairs: int) -> dict[str, xr.Dataset]:
+        """Measure the variance components of one random path, for four ways to group its axes."""
+        f, parts = self.f, {}
+        kinds = {  # The names of each coordinate's group
+            "bounce": [f"bounce {d.bounce}" if d.bounce else "camera" for d in f.dimensions],
+            "decision": [d.decision for d in f.dimensions],
+            "request": [str(Dimension(d.bounce, d.decision)) for d in f.dimensions],
+            "coordinate": [str(d) for d in f.dimensions],
+        }
+        for kind, names in kinds.items():
+            order = 2 if kind == "bounce" else 1
+            labels = list(dict.fromkeys(names))
+            if len(labels) <= _MOST_GROUPS:
+                groups = [labels.index(name) for name in names]
+                found = anova_variances(
+                    f, order=order, groups=groups, realizations=pairs, **self.options
+                )
+                axes = (label.split("x")[1:] for label in found["subset_label"].values)
+                said = [" × ".join(labels[int(i)] for i in u) for u in axes]
+                parts[f"anova/{kind}"] = found.assign_coords(
+                    subset_label=("subset", said), axis_label=("axis", labels)
+                ).assign_attrs(axes=_AXES[kind])
+        return parts
+
+    def lights(self, paths: int) -> tuple[xr.Dataset | None, str]:
+        """Return the shares of lights, or None and the reason if they are unknown."""
+        try:
+            return shares_by_light(self.f, paths, self._stream.child(_LIGHTS)), ""
+        except ParameterError as error:
+            return None, str(error)
+
+    def remedies(
+        self, realizations: int, axes: tuple[Array, int] | None, lights: xr.Dataset | None
+    ) -> xr.Dataset:
+        """Measure the remedies for the last sampler."""
+        bounces = [d.bounce for d in self.f.dimensions]
+        ends = [k for k in range(2, self.f.dims) if bounces[k] > bounces[k - 1]]
+        return path_remedies(
+            self.f, self.sources[-1], self.counts, self._stream, realizations=realizations,
+            samplers=(*PATH_SAMPLERS, "halton | permute"), ends=ends, joint_dims=self.joint_dims,
+            axes=axes, lights=lights,
+        )  # fmt: skip
+
+    @property
+    def _stream(self) -> Stream:
+        return Stream.from_rng(self.options["rng"])
+
+
+def plan_path(
+    scene: Scene,
+    x: int | str,
+    y: int | None = None,
+    *,
+    integrator: str = "scene",
+    channel: str | int = "luminance",
+    dims: int | None = None,
+    samplers: Sequence[Sampler | str] | None = None,
+    counts: Sequence[int] | None = None,
+    realizations: int | None = None,
+    remedies: bool = True,
+    joint_dims: int | None = None,
+    effort: str = "quick",
+    rng: int = 0,
+    workers: int | None = None,
+) -> SceneCost:
+    """Return what `analyse_path` with these arguments would do, and how long it would take.
+
+    Every part of the analysis is timed with few realizations, pairs or paths.
+    """
+    begin = time.perf_counter()
+    work = _Work.of(
+        scene, x, y, integrator, channel, dims, samplers, counts, realizations, joint_dims,
+        effort, rng, workers,
+    )  # fmt: skip
+    f, sources, ns = work.f, work.sources, work.counts
+    with compilations() as compiled:
+        preview(f.scene, f.integrator)
+    seconds = time.perf_counter() - begin - sum(compiled)
+    rates = timed_part(work.rates, work.realizations)
+    seconds += rates.seconds
+    seconds += timed_part(work.components, work.pairs).seconds
+    seconds += timed_part(work.lights, work.paths).seconds
+    if remedies:
+        lights, _ = work.lights(min(_PILOT, work.paths))
+
+        def tried(number: int) -> object:
+            return work.remedies(number, None, lights)
+
+        seconds += timed_part(tried, max(_FEWEST, work.realizations)).seconds
+    if work.predicted:
+
+        def predictions(number: int) -> object:
+            return predict(f, sources[:number], ns, **work.options)
+
+        seconds += timed_part(predictions, len(sources)).seconds
+    paths = work.realizations * sum(ns) * len(sources)
+    return SceneCost(
+        scene=scene_name(scene).strip("'"),
+        what=f"{work.realizations} estimates of n = {', '.join(map(str, ns))} paths with "
+        f"{counted(len(sources), 'sampler')}" + (", and remedies" if remedies else ""),
+        size=film_size(f.scene),
+        pixels=1,
+        samples=paths,
+        samples_per_second=sum(ns) * len(sources) / rates.each,
+        seconds=seconds,
+    )
 
 
 def shares_by_light(f: PathPixel, paths: int, stream: Stream) -> xr.Dataset | None:

@@ -8,17 +8,20 @@ Terms, the bottleneck and remedies use one sampler, the first that is not ``rand
 
 from __future__ import annotations
 
+import functools
 import itertools
-from collections.abc import Sequence
+import time
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias, final
 
 import numpy as np
 import xarray as xr
 
+from mcspectra.core.analysis import Subject
 from mcspectra.core.checks import as_choice, as_integer
-from mcspectra.core.display import shown
+from mcspectra.core.display import counted, shown
 from mcspectra.core.errors import Parameter, ParameterError, close_match_hint
 from mcspectra.core.parallel import available_workers
 from mcspectra.core.progress import report
@@ -27,13 +30,15 @@ from mcspectra.core.streams import Stream
 from mcspectra.estimators import AbstractEstimator, Estimator
 from mcspectra.explain.diagnosis import diagnose
 from mcspectra.explain.primary import primary_picture
+from mcspectra.improve.remedy import Remedies
 from mcspectra.improve.remedy import remedies as find_remedies
 from mcspectra.measure.converge import convergence
 from mcspectra.measure.techniques import technique_terms
 from mcspectra.measure.terms import variance_terms
 from mcspectra.prediction.prediction import predict
 from mcspectra.quality.jumps import curve_length
-from mcspectra.rendering.backend import LOCK
+from mcspectra.rendering.backend import LOCK, compilations
+from mcspectra.rendering.costs import SceneCost, timed_part
 from mcspectra.rendering.pixel import (
     Pixel,
     PixelView,
@@ -62,6 +67,7 @@ __all__ = [
     "analyse_pixel",
     "check_compared",
     "find_pixel",
+    "plan_pixel",
 ]
 
 PIXEL_STRATEGIES = ("light", "bsdf", "balance", "power")
@@ -199,46 +205,24 @@ def analyse_pixel(
         If `Pixel` raises an error, or if the named pixel does not exist.
         If a sampler does not support a count.
     """
-    # Find the pixel, and check all arguments before any work
-    x, y = find_pixel(scene, x, y)
-    request = as_scene(scene)
-    as_integer("dims", dims, least=2, most=3)
-    if channel == "rgb":
-        raise ParameterError(
-            Parameter("channel"), " is 'rgb'; give 'luminance', 0, 1 or 2, one at a time."
-        )
-    view = check_view(PixelView(request, x, y, light, channel, dims), bsdf=True)
-    warn_integrator(request)
-    chosen = EFFORTS[as_choice("effort", effort, tuple(EFFORTS))]
-    asked = chosen.counts[dims] if counts is None else counts
-    sources, ns = check_compared(samplers, asked, dims, most=_MOST_SAMPLES)
-    number = chosen.realizations if realizations is None else realizations
-    options: dict[str, Any] = {
-        "realizations": as_integer("realizations", number, least=4),
-        "rng": as_integer("rng", rng, least=0),
-        "workers": available_workers(workers),
-    }
-    total = 2 * ns[-1] if budget is None else budget
-    total = as_integer("budget", total, least=_LEAST_BUDGET, most=2**24)
-    explained = next((s for s in sources if s.spec != "random"), sources[0])
+    work = _Work.of(
+        scene, x, y, light, channel, dims, samplers, counts, realizations, budget, effort, rng,
+        workers,
+    )  # fmt: skip
+    request, view, chosen, options = work.scene, work.view, work.effort, work.options
+    ns, explained = work.counts, work.explained
 
     # Make each strategy once, so that its quadratures are computed only once
-    given: dict[str, Any] = {"light": light, "channel": view.channel, "dims": dims}
-    singles = {
-        s: Pixel(scene=request, x=view.x, y=view.y, strategy=s, **given) for s in _TECHNIQUES
-    }
-    combined = {h: pixel_mis(request, view.x, view.y, heuristic=h, **given) for h in _HEURISTICS}
-    strategies: dict[str, AbstractEstimator] = {s: Estimator(g) for s, g in singles.items()}
-    strategies |= combined
+    singles, strategies = work.strategies()
 
     # The search for remedies takes longest, so it runs in a thread parallel to the measurements
     with ThreadPoolExecutor(1) as beside:
         searched = (
             beside.submit(
                 find_remedies,
-                combined["balance"],
+                strategies["balance"],
                 explained,
-                total,
+                work.budget,
                 kinds=chosen.remedies,
                 **{**options, "realizations": max(_FEWEST, options["realizations"])},
             )
@@ -246,38 +230,31 @@ def analyse_pixel(
             else None
         )
         report("pixel: rates", 0.0)
-        curves = convergence(list(strategies.values()), sources, ns, **options)
+        curves = work.rates(strategies, options["realizations"])
         curves = curves.rename(estimator="strategy").assign_coords(strategy=list(strategies))
         specs = [estimator.spec for estimator in strategies.values()]
         parts: Parts = {"convergence": curves.assign_coords(spec=("strategy", specs))}
         report("pixel: predictions", 0.2)
-        shared = {name: options[name] for name in ("rng", "workers")}
         for strategy, estimator in strategies.items():
-            parts[f"predict/{strategy}"] = predict(estimator, sources, ns, **shared)
+            parts[f"predict/{strategy}"] = work.predicted(estimator)
         report("pixel: terms", 0.4)
-        terms = {"half_width": chosen.half_width[dims], "space": "primary", **options}
-        # Use the middle count n instead of the largest n.
-        # For smaller n, a truncated spectrum captures a larger share of the variance
-        middle = ns[(len(ns) - 1) // 2]
         for strategy, estimator in strategies.items():
-            for basis in _BASES:
-                found = variance_terms(estimator, explained, middle, basis=basis, **terms)
+            for basis, found in work.terms(estimator).items():
                 parts[f"terms/{strategy}/{basis}"] = found
         report("pixel: techniques", 0.6)
         parts["techniques"] = technique_terms(
-            strategies["balance"], explained, ns, basis="auto", **terms
+            strategies["balance"], explained, ns, basis="auto", **work.spectra
         )
         report("pixel: pictures", 0.8)
-        side, v = chosen.resolution, view
+        v = view
         parts["incident"] = incident_light(
-            v.scene, v.x, v.y, light=v.light, channel=v.channel, resolution=2 * side
+            v.scene, v.x, v.y, light=v.light, channel=v.channel, resolution=2 * chosen.resolution
         )
         for strategy, estimator in strategies.items():
             for t in range(len(estimator.counts) if dims == 2 else 0):
                 share = strategy in _HEURISTICS
                 name = f"{strategy}-{_TECHNIQUES[t]}" if share else strategy
-                picture = primary_picture(estimator, technique=t, resolution=side)
-                parts[f"pictures/{name}"] = _without_rounding(picture)
+                parts[f"pictures/{name}"] = work.picture(estimator, t)
         image = preview(request, "direct")
         parts["picture"] = dataset({"image": (("y", "x", "channel"), image)})
         if searched is not None:
@@ -311,6 +288,166 @@ def analyse_pixel(
         tree.attrs[f"diagnosis_{strategy}"] = diagnosis.text
         tree.attrs[f"cause_{strategy}"] = diagnosis.main
     return tree
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class _Work:
+    """Checked arguments of the analysis of one pixel, and its parts."""
+
+    scene: Scene
+    view: PixelView
+    effort: PixelEffort
+    sources: Sequence[Sampler]
+    counts: Sequence[int]
+    budget: int
+    options: Mapping[str, Any]
+
+    @staticmethod
+    def of(
+        scene: Scene, x: int | str, y: int | None, light: int | str | None, channel: str | int,
+        dims: int, samplers: Sequence[Sampler | str], counts: Sequence[int] | None,
+        realizations: int | None, budget: int | None, effort: str, rng: int, workers: int | None,
+    ) -> _Work:  # fmt: skip
+        """Find the pixel, and check all arguments before any work."""
+        x, y = find_pixel(scene, x, y)
+        request = as_scene(scene)
+        as_integer("dims", dims, least=2, most=3)
+        if channel == "rgb":
+            raise ParameterError(
+                Parameter("channel"), " is 'rgb'; give 'luminance', 0, 1 or 2, one at a time."
+            )
+        view = check_view(PixelView(request, x, y, light, channel, dims), bsdf=True)
+        warn_integrator(request)
+        chosen = EFFORTS[as_choice("effort", effort, tuple(EFFORTS))]
+        asked = chosen.counts[dims] if counts is None else counts
+        sources, ns = check_compared(samplers, asked, dims, most=_MOST_SAMPLES)
+        number = chosen.realizations if realizations is None else realizations
+        options: dict[str, Any] = {
+            "realizations": as_integer("realizations", number, least=4),
+            "rng": as_integer("rng", rng, least=0),
+            "workers": available_workers(workers),
+        }
+        total = 2 * ns[-1] if budget is None else budget
+        total = as_integer("budget", total, least=_LEAST_BUDGET, most=2**24)
+        return _Work(
+            scene=request, view=view, effort=chosen, sources=sources, counts=ns, budget=total,
+            options=options,
+        )  # fmt: skip
+
+    @property
+    def explained(self) -> Sampler:
+        """The sampler that gets terms, bottleneck and remedies."""
+        return next((s for s in self.sources if s.spec != "random"), self.sources[0])
+
+    @property
+    def spectra(self) -> dict[str, Any]:
+        """Options of spectra in primary space."""
+        width = self.effort.half_width[self.view.dims]
+        return {"half_width": width, "space": "primary", **self.options}
+
+    def strategies(self) -> tuple[dict[str, Pixel], dict[str, AbstractEstimator]]:
+        """Return the integrands of single techniques, and the estimators of all strategies."""
+        v = self.view
+        given: dict[str, Any] = {"light": v.light, "channel": v.channel, "dims": v.dims}
+        singles = {
+            s: Pixel(scene=self.scene, x=v.x, y=v.y, strategy=s, **given) for s in _TECHNIQUES
+        }
+        made: dict[str, AbstractEstimator] = {s: Estimator(g) for s, g in singles.items()}
+        made |= {h: pixel_mis(self.scene, v.x, v.y, heuristic=h, **given) for h in _HEURISTICS}
+        return singles, made
+
+    def rates(self, strategies: Mapping[str, AbstractEstimator], realizations: int) -> xr.Dataset:
+        """Measure the variances of all samplers and strategies."""
+        options = {**self.options, "realizations": realizations}
+        return convergence(list(strategies.values()), self.sources, self.counts, **options)
+
+    def predicted(self, estimator: AbstractEstimator) -> xr.Dataset:
+        """Predict the variances of all samplers."""
+        shared = {name: self.options[name] for name in ("rng", "workers")}
+        return predict(estimator, self.sources, self.counts, **shared)
+
+    def terms(self, estimator: AbstractEstimator) -> dict[str, xr.Dataset]:
+        """Measure the variance terms in each basis."""
+        # Use the middle count n instead of the largest n.
+        # For smaller n, a truncated spectrum captures a larger share of the variance
+        middle = self.counts[(len(self.counts) - 1) // 2]
+        return {
+            basis: variance_terms(estimator, self.explained, middle, basis=basis, **self.spectra)
+            for basis in _BASES
+        }
+
+    def picture(self, estimator: AbstractEstimator, technique: int) -> xr.Dataset:
+        """Draw the values of a technique in primary space."""
+        side = self.effort.resolution
+        return _without_rounding(primary_picture(estimator, technique=technique, resolution=side))
+
+
+def plan_pixel(
+    scene: Scene,
+    x: int | str,
+    y: int | None = None,
+    *,
+    light: int | str | None = None,
+    channel: str | int = "luminance",
+    dims: int = 2,
+    samplers: Sequence[Sampler | str] = PIXEL_SAMPLERS,
+    counts: Sequence[int] | None = None,
+    realizations: int | None = None,
+    budget: int | None = None,
+    remedies: bool = True,
+    effort: str = "quick",
+    rng: int = 0,
+    workers: int | None = None,
+) -> SceneCost:
+    """Return what `analyse_pixel` with these arguments would do, and how long it would take.
+
+    Rates are timed with few realizations. All other parts are timed for light sampling, and take
+    as long for each technique of the other strategies.
+    """
+    begin = time.perf_counter()
+    work = _Work.of(
+        scene, x, y, light, channel, dims, samplers, counts, realizations, budget, effort, rng,
+        workers,
+    )  # fmt: skip
+    number, ns, estimators = work.options["realizations"], work.counts, work.strategies()[1]
+
+    def parts(sampler: int) -> None:
+        estimator = work.strategies()[1]["light"]
+        replace(work, sources=work.sources[:sampler]).predicted(estimator)
+        work.terms(estimator)
+        if dims == 2:
+            work.picture(estimator, 0)
+        diagnose(estimator, work.explained, Stream.from_rng(rng))
+
+    with compilations() as compiled:
+        preview(work.scene, "direct")
+        parts(1)  # loads all kernels
+    seconds = time.perf_counter() - begin - sum(compiled)
+    start = time.perf_counter()
+    parts(len(work.sources))
+    techniques = sum(len(each.counts) for each in estimators.values())
+    seconds += techniques * (time.perf_counter() - start)
+    rates = timed_part(functools.partial(work.rates, estimators), number)
+    samples = techniques * sum(ns) * len(work.sources)
+    seconds += rates.seconds
+    if remedies:
+        given, tried = estimators["balance"], max(_FEWEST, number)
+        kinds: Any = work.effort.remedies
+        search = Remedies(budget=work.budget, realizations=tried, kinds=kinds)
+        cost = search.need(Subject(given, work.explained)).cost
+        seconds += cost * rates.each / samples
+    return SceneCost(
+        scene=scene_name(work.scene).strip("'"),
+        what=f"{number} estimates of n = {', '.join(map(str, ns))} with "
+        f"{counted(len(estimators), 'strategy')} and "
+        f"{counted(len(work.sources), 'sampler')}" + (", and remedies" if remedies else ""),
+        size=film_size(work.scene),
+        pixels=1,
+        samples=number * samples,
+        samples_per_second=samples / rates.each,
+        seconds=seconds,
+    )
 
 
 def find_pixel(scene: Scene, x: int | str, y: int | None) -> tuple[int, int]:
