@@ -70,10 +70,13 @@ class SearchSettings:
     # Settings of the classes of integrands
 
     # Maximum number of random integrands (members) that represent a class.
-    # The variance ratio of strata designs is 0.037, 0.031 and 0.027 with 512, 1024, 2048 members.
     # The variance ratio of lattices is the same with 512, 1024 and 2048 members.
     members: int = 1024
     # Number of batches of members from which the features of a class are computed (see `features`).
+    # The variance ratio of strata designs is 0.019 with one batch, and 0.014 with six batches.
+    # If few members of a class cause most of its variance, more batches matter more.
+    # For Gaussians of random orientation, point sets have 0.74, 0.54, 0.44 and 0.43 times the
+    # variance of a folded lattice with 1, 4, 6 and 12 batches. A batch takes about 8 s.
     batches: int = 6
     # Maximum size of a table with the values of all members of the class at the points of a grid.
     # A table of this size takes 128 MB in single precision.
@@ -128,7 +131,8 @@ class SearchSettings:
     # With 4 and 16 scramblings, the variance ratio is the same.
     first_trees: int = 8
 
-    # Settings of point sets that together fill the cells of a grid
+    # Settings of point sets that together fill the cells of a grid.
+    # Ratios for `cells`, `features` and `trials` are from searches without annealing
 
     # Number of cells of the grid. There are cells/n sets of n points, and at least 16 sets.
     # The variance ratio of strata designs is 0.033, 0.031 and 0.033 with 2^15, 2^16 and 2^17 cells.
@@ -142,6 +146,8 @@ class SearchSettings:
     # With 2^19, 2^20, 2^21 exchanges, the variance ratio of strata designs is 0.035, 0.031, 0.028.
     trials: int = 2**20
     # Number of rounds of exchanges.
+    # Twice as many rounds lower the variance over the members of the search by 22 %,
+    # but the variance over other members only by 2 % (Gaussians of random orientation, one batch).
     rounds: int = 48
     # Number of rounds after which the search continues with the best start only.
     # Designs of kind ``points`` for ``half-spaces`` have the variance ratio 0.735
@@ -149,6 +155,7 @@ class SearchSettings:
     first_rounds: int = 4
     # Exchanges that increase the error are also accepted at first (annealing).
     # The temperature begins with this fraction of the mean squared error of a set, and falls to 0.
+    # The variance ratio of strata designs is 0.025 for 0, and 0.014 for 0.01 and 0.02.
     warmth: float = 0.02
     # Number of rounds at the end that accept only exchanges which lower the error.
     cold_rounds: int = 4
