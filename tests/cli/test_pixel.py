@@ -136,6 +136,7 @@ def test_quiet_prints_the_result(capsys):
         (("figure1", "P", "--counts", "16,x"), "--counts"),
         (("figure1", "P", "-m", "1"), "--realizations"),
         (("figure1", "P", "--quick", "--full"), "not allowed"),
+        (("figure1", "P", "-o", __file__), "give a folder"),
     ],
 )
 def test_bad_input(capsys, arguments, words):

@@ -11,7 +11,7 @@ from mcspectra.core.analysis import Subject
 from mcspectra.core.streams import Stream
 from mcspectra.rendering import costs, load_mitsuba
 from mcspectra.rendering.backend import compilations
-from mcspectra.rendering.costs import SceneCost, timed_work
+from mcspectra.rendering.costs import SceneCost, timed_part, timed_work
 from mcspectra.rendering.maps import Map
 from mcspectra.samplers import sampler
 
@@ -61,12 +61,25 @@ def test_small_work_is_run_whole(monkeypatch):
     assert clock.runs == [7, 7]
 
 
+@pytest.mark.parametrize(("total", "first"), [(200, 13), (10**9, 64)])
+def test_a_part_of_any_size_is_timed_in_a_minute(monkeypatch, total, first):
+    clock = Clock(0.2, 0.01)
+    monkeypatch.setattr(costs, "time", clock)
+    monkeypatch.setattr(costs, "compilations", clock.compilations)
+    assert timed_part(clock.work, total).seconds == pytest.approx(0.2 + 0.01 * total)
+    assert clock.runs[0] == clock.runs[1] == first
+    assert clock.now < 60.0
+
+
 def test_an_estimate_is_a_sentence():
-    cost = SceneCost("a.xml", "4 renders", (4, 3), 12, 48, 1e6, 4000.0, 2_500_000)
+    cost = SceneCost("a.xml", "4 renders", (4, 3), 12, 48_000, 1e6, 4000.0, 2_500_000)
     assert cost.text == (
-        "a.xml, 4 × 3 pixels: 12 pixels, 4 renders, 0.0 million samples at 1 million per second: "
+        "a.xml, 4 × 3 pixels: 12 pixels, 4 renders, 0.048 million samples at 1 million per second: "
         "about 67 min; about 2.5 MB are stored."
     )
+    large = SceneCost("a.xml", "4 renders", (4, 3), 12, 123_400_000, 2e8, 1.0, 300_000).text
+    assert "123 million samples at 200 million per second" in large
+    assert large.endswith("about 300 kB are stored.")
     assert "nothing is stored" in str(SceneCost("a", "b", (1, 1), 1, 1, 1.0, 1.0))
     assert json.loads(json.dumps(cost.to_dict()))["seconds"] == 4000.0
     search = SceneCost("a", "b", (1, 1), 1, 1, 1.0, 10.0, most=20.0).later(2.0)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from tests.fonts import fonts_once
+from tests.rendering.small_scenes import plate
 from tests.report.drawing import no_pdf
 from tests.studies.conftest import of_a_bell, predicted_bell
 
@@ -30,7 +31,13 @@ from mcspectra.report.pixel_page import (
     write_pixel,
 )
 from mcspectra.studies import pixel as module
-from mcspectra.studies.pixel import EFFORTS, PIXEL_STRATEGIES, PixelEffort, analyse_pixel
+from mcspectra.studies.pixel import (
+    EFFORTS,
+    PIXEL_STRATEGIES,
+    PixelEffort,
+    analyse_pixel,
+    find_pixel,
+)
 
 __all__ = ["fonts_once"]
 
@@ -379,6 +386,7 @@ def test_three_dims_have_no_pictures_of_g(tmp_path):
     ("changes", "error", "words"),
     [
         ({"x": "R"}, ParameterError, "no pixel named 'R'.*P, Q|no pixel named 'R'"),
+        ({"scene": "sky(width=16, height=8)", "x": "R"}, ParameterError, "metal, .*plastic"),
         ({"x": 3}, ParameterError, "give x and y"),
         ({"x": "Q", "y": 3}, ParameterError, "give x and y"),
         ({"x": 384, "y": 0}, ParameterError, "outside the film"),
@@ -397,6 +405,7 @@ def test_three_dims_have_no_pictures_of_g(tmp_path):
         ({"counts": [16, float("nan")]}, ParameterError, "counts"),
         ({"counts": [4, 2**60]}, ParameterError, "counts"),
         ({"realizations": 3}, ParameterError, "realizations"),
+        ({"realizations": 10**10}, ParameterError, "from 4 to 1000000000"),
         ({"realizations": float("inf")}, ParameterError, "realizations"),
         ({"budget": 4}, ParameterError, "budget"),
         ({"budget": 2**40}, ParameterError, "budget"),
@@ -412,3 +421,8 @@ def test_bad_input_is_one_sentence(changes, error, words):
     with pytest.raises(error, match=words) as caught:
         analyse_pixel(**given)
     assert "\n" not in str(caught.value)
+
+
+def test_a_scene_without_named_pixels_suggests_no_name():
+    with pytest.raises(ParameterError, match=r"no pixel named 'P'; give x and y\.$"):
+        find_pixel(plate(width=16, height=8), "P", None)

@@ -188,8 +188,9 @@ def real(**limits: float) -> Callable[[str, str], float]:
 
 
 def folder_name(name: str, text: str) -> str:
-    """Read the name of a folder, and reject names with extensions of pages and pictures."""
-    if Path(text).suffix.lower() in _PAGES and not Path(text).is_dir():
+    """Read the name of a folder, and reject files and names with extensions of pages."""
+    path = Path(text)
+    if (path.suffix.lower() in _PAGES or path.exists()) and not path.is_dir():
         raise ParameterError(
             f"{name} is {shown(text)}, the name of a file; give a folder for several files."
         )

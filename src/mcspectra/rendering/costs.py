@@ -24,6 +24,7 @@ __all__ = ["SceneCost", "TimedWork", "timed_part", "timed_work"]
 _GROWTH = 4  # ratio of the sizes of successive runs
 _PARTS = (16, 4)  # a short part of an analysis is run with these fractions of its size
 _FEWEST = 4  # smallest number of realizations for a variance with an error
+_FIRST = 64  # largest size of the first run of such a part, so that no dry run is long
 _ENOUGH = 0.25  # sizes stop growing when a run takes this share of the time for all runs
 
 
@@ -71,9 +72,9 @@ class SceneCost:
         stored = f"about {_bytes(self.storage)} are stored" if self.storage else "nothing is stored"
         return (
             f"{self.scene}, {self.size[0]} × {self.size[1]} pixels: "
-            f"{counted(self.pixels, 'pixel')}, {self.what}, {self.samples / 1e6:.1f} million "
-            f"samples at {self.samples_per_second / 1e6:.2g} million per second: about "
-            f"{_duration(self.seconds)}{most}; {stored}."
+            f"{counted(self.pixels, 'pixel')}, {self.what}, {_rounded(self.samples / 1e6)} "
+            f"million samples at {_rounded(self.samples_per_second / 1e6)} million per second: "
+            f"about {_duration(self.seconds)}{most}; {stored}."
         )
 
     def __str__(self) -> str:
@@ -97,7 +98,12 @@ def _duration(seconds: float) -> str:
 
 def _bytes(number: float) -> str:
     power = min(max(int(math.log(max(number, 1.0), 1000.0)), 1), 4)
-    return f"{number / 1000.0**power:.2g} {('kB', 'MB', 'GB', 'TB')[power - 1]}"
+    return f"{_rounded(number / 1000.0**power)} {('kB', 'MB', 'GB', 'TB')[power - 1]}"
+
+
+def _rounded(number: float) -> str:
+    """Write a number with two digits, or as a whole number if it is larger."""
+    return f"{number:.2g}" if number < 99.5 else f"{number:.0f}"
 
 
 @final
@@ -166,7 +172,8 @@ def timed_part(work: Callable[[int], object], total: int, *, seconds: float = 60
     """Estimate the seconds of ``work(total)``, a part of an analysis with a large fixed time.
 
     The part is run with a sixteenth and with a quarter of its size, which tell its fixed time from
-    the rest. If the first run takes a quarter of `seconds`, the second is left out.
+    the rest. A large part starts with the size `_FIRST`, and its sizes grow at most to a quarter.
+    If a run takes a quarter of `seconds`, longer ones are left out.
     """
     first, most = (max(math.ceil(total / part), min(total, _FEWEST)) for part in _PARTS)
-    return timed_work(work, total, first=first, most=most, seconds=seconds)
+    return timed_work(work, total, first=min(first, _FIRST), most=most, seconds=seconds)

@@ -33,7 +33,7 @@ from mcspectra.core.checks import Array, as_choice, as_integer
 from mcspectra.core.confidence import CONFIDENCE_Z
 from mcspectra.core.display import counted
 from mcspectra.core.errors import McspectraError, Parameter, ParameterError
-from mcspectra.core.parallel import available_workers
+from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers
 from mcspectra.core.progress import report
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import Stream
@@ -275,7 +275,9 @@ class _Work:
             sources=sources,
             counts=ns,
             joint_dims=joint_dims,
-            realizations=as_integer("realizations", realizations or repeats, least=4),
+            realizations=as_integer(
+                "realizations", realizations or repeats, least=4, most=MAX_REALIZATIONS
+            ),
             pairs=pairs,
             paths=paths,
             predicted=predicted,

@@ -23,7 +23,7 @@ from mcspectra.core.analysis import Subject
 from mcspectra.core.checks import as_choice, as_integer
 from mcspectra.core.display import counted, shown
 from mcspectra.core.errors import Parameter, ParameterError, close_match_hint
-from mcspectra.core.parallel import available_workers
+from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers
 from mcspectra.core.progress import report
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import Stream
@@ -239,7 +239,7 @@ def analyse_pixel(
             parts[f"predict/{strategy}"] = work.predicted(estimator)
         report("pixel: terms", 0.4)
         for strategy, estimator in strategies.items():
-            for basis, found in work.terms(estimator).items():
+            for basis, found in work.terms(estimator, options["realizations"]).items():
                 parts[f"terms/{strategy}/{basis}"] = found
         report("pixel: techniques", 0.6)
         parts["techniques"] = technique_terms(
@@ -324,7 +324,7 @@ class _Work:
         sources, ns = check_compared(samplers, asked, dims, most=_MOST_SAMPLES)
         number = chosen.realizations if realizations is None else realizations
         options: dict[str, Any] = {
-            "realizations": as_integer("realizations", number, least=4),
+            "realizations": as_integer("realizations", number, least=4, most=MAX_REALIZATIONS),
             "rng": as_integer("rng", rng, least=0),
             "workers": available_workers(workers),
         }
@@ -367,13 +367,14 @@ class _Work:
         shared = {name: self.options[name] for name in ("rng", "workers")}
         return predict(estimator, self.sources, self.counts, **shared)
 
-    def terms(self, estimator: AbstractEstimator) -> dict[str, xr.Dataset]:
+    def terms(self, estimator: AbstractEstimator, realizations: int) -> dict[str, xr.Dataset]:
         """Measure the variance terms in each basis."""
         # Use the middle count n instead of the largest n.
         # For smaller n, a truncated spectrum captures a larger share of the variance
         middle = self.counts[(len(self.counts) - 1) // 2]
+        options = {**self.spectra, "realizations": realizations}
         return {
-            basis: variance_terms(estimator, self.explained, middle, basis=basis, **self.spectra)
+            basis: variance_terms(estimator, self.explained, middle, basis=basis, **options)
             for basis in _BASES
         }
 
@@ -402,8 +403,8 @@ def plan_pixel(
 ) -> SceneCost:
     """Return what `analyse_pixel` with these arguments would do, and how long it would take.
 
-    Rates are timed with few realizations. All other parts are timed for light sampling, and take
-    as long for each technique of the other strategies.
+    Rates and terms are timed with few realizations. All parts but the rates are timed for light
+    sampling, and take as long for each technique of the other strategies.
     """
     begin = time.perf_counter()
     work = _Work.of(
@@ -415,7 +416,6 @@ def plan_pixel(
     def parts(sampler: int) -> None:
         estimator = work.strategies()[1]["light"]
         replace(work, sources=work.sources[:sampler]).predicted(estimator)
-        work.terms(estimator)
         if dims == 2:
             work.picture(estimator, 0)
         diagnose(estimator, work.explained, Stream.from_rng(rng))
@@ -426,8 +426,10 @@ def plan_pixel(
     seconds = time.perf_counter() - begin - sum(compiled)
     start = time.perf_counter()
     parts(len(work.sources))
+    single = time.perf_counter() - start
+    single += timed_part(lambda few: work.terms(work.strategies()[1]["light"], few), number).seconds
     techniques = sum(len(each.counts) for each in estimators.values())
-    seconds += techniques * (time.perf_counter() - start)
+    seconds += techniques * single
     rates = timed_part(functools.partial(work.rates, estimators), number)
     samples = techniques * sum(ns) * len(work.sources)
     seconds += rates.seconds
@@ -461,8 +463,7 @@ def find_pixel(scene: Scene, x: int | str, y: int | None) -> tuple[int, int]:
     names = named_pixels(scene)
     if x in names:
         return names[x]
-    hint, _ = close_match_hint(x, names)
-    there = f" It has {', '.join(names)}." if names and not hint else hint
+    there = close_match_hint(x, names)[0] if names else ""
     raise ParameterError(
         f"The scene {scene_name(scene)} has no pixel named {shown(x)}; give x and y.{there}"
     )
