@@ -42,11 +42,14 @@ _BEYOND = {16: 0.005, 64: 0.02, 256: 0.15}
 # Values of g beyond all sampled values also have a share in the variance of the estimates.
 # Strata and nets remove much of the variance of g, but not this part of it.
 # If the share exceeds `_UNSEEN`, the estimates give no upper bound of their variance.
-# The share is computed from at least `_LEAST_UNSEEN` values if their tail index exceeds `_HEAVY`.
-# The standard error of the tail index is 0.08. It counts as at most `_FINITE`.
 # For 100 estimates with 256 points each, the median of the share is 0.02 for an exponential,
 # 0.14 for a lognormal, and 0.26 for x^−0.3 (`jittered`).
-_UNSEEN, _HEAVY, _FINITE, _LEAST_UNSEEN = 0.05, 0.12, 0.45, 1024
+_UNSEEN = 0.05
+# The share is computed if there are `_LEAST_UNSEEN` values and their tail index exceeds `_HEAVY`.
+# The tail is a 25th of the values, from 64 to 256 of them. A larger part is not the tail alone:
+# it would show heavy tails of bounded functions with a peak.
+# The tail index has a standard error of 0.08 to 0.16. It counts as at most `_FINITE`.
+_HEAVY, _FINITE, _LEAST_UNSEEN, _PART = 0.12, 0.45, 1024, 25
 # Largest allowed square of the standard error of log s².
 # If the squared error exceeds 2, the sample variance s² has less than one degree of freedom.
 # The upper end of the interval of the variance would then be above 100 s²
@@ -437,14 +440,15 @@ class Moments:
     def unseen(self) -> Array:
         """Share of the variance that comes from values of g beyond all N values at the points.
 
-        The distances of the 256 farthest values from the least of them have an index k and a scale.
-        By the generalized Pareto law, a value beyond all N exceeds them by √(2/((1 − k)(1 − 2k))) s
-        in the root mean square, where s is the scale times 256^k. Its probability is 1/N.
-        The square, divided by N, is therefore a part of n times the variance of the estimates.
+        A generalized Pareto law with index k and scale σ is fitted to the M farthest values.
+        By this law, a value of g lies beyond all N values with probability 1/N.
+        Its mean squared distance from them is then 2 s² / ((1 − k)(1 − 2k)), where s = σ M^k.
+        This square, divided by N, is a part of n times the variance of the estimates.
         The share is 0 if the tail of g is not heavy.
         """
         assert self.points is not None
-        count, many = self.points.count, max(_BEYOND)
+        count = self.points.count
+        many = min(max(_TAIL, count // _PART), max(_BEYOND))
         far, index = self.points._farthest(many)
         index = np.minimum(index, _FINITE)
         size = (far[1:] - far[0]).mean(axis=0) * (1.0 - index) * many**index
