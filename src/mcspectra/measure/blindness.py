@@ -157,6 +157,8 @@ def blindness(
             for text, where, size in (
                 ("∫g² diverges: infinite variance", everywhere & np.isinf(of_random), excess),
                 ("all estimates are equal{at}: the samples missed the source of the variance",
+                 ~varies[at] & missed[at] & ~agrees, excess),
+                ("all estimates are equal{at}: the variance is 0, or the samples missed its source",
                  ~varies[at] & ~agrees, excess),
                 (("by ∫g² the variance is {worst:.3g} times the measured one{at}: samples missed "
                  "a rare region"),
@@ -164,10 +166,11 @@ def blindness(
                 (("the mean is {worst:+.3g} standard errors from the integral{at}: samples missed "
                  "a rare region"),
                  far[at] & source.unbiased, pull[at]),
-                ("∫g⁴ diverges because g grows as t^-{worst:.2g}: no estimates bound the variance",
+                (("∫g⁴ diverges because g grows as t^-{worst:.2g}: estimates give no upper bound "
+                 "of the variance"),
                  everywhere & (peaks >= _SETTINGS.no_kurtosis), everywhere * peaks),
-                (("g grows about as t^-{worst:.2g} toward a face of the cube: no estimates bound "
-                 "the variance"),
+                (("g grows about as t^-{worst:.2g} with the distance t to a face of the cube: "
+                 "estimates give no upper bound of the variance"),
                  everywhere & (seen >= _SETTINGS.no_kurtosis), everywhere * seen),
                 ("tails not resolved{at}: a single estimate causes {worst:.3g} % of the variance",
                  heavy[at] & varies[at], 100 * of["largest_share"]),
