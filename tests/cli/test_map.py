@@ -154,7 +154,7 @@ def test_invalid_folders_for_a_map_are_refused(made, tmp_path, capsys):
     for target, more, sentence in (
         (folder, (), "already holds results"),
         (folder, ("--resume", "--seed", 4), "belongs to another study"),
-        (tmp_path / "file", (), "is a file"),
+        (tmp_path / "file", (), "the name of a file"),
     ):
         code, out, err = run(capsys, "veach", *SMALL, "--out", target, *more)
         assert (code, out) == (2, "")

@@ -109,9 +109,6 @@ def flip_tree(table: Array, codes: Array, axes: int, bits: int) -> bool:
     return changed
 
 
-_LANES = 16  # Partial sums that the compiler computes at once
-
-
 @kernel
 def swap_cells(
     features: Array,
@@ -132,7 +129,8 @@ def swap_cells(
     # The array owner (N,) holds the number of each cell's set; place (N,) holds its stratum
     cells, r = features.shape
     taken = 0
-    partial = np.empty(_LANES, np.float32)
+    lanes = 16  # Number of partial sums that the compiler computes at once
+    partial = np.empty(lanes, np.float32)
     for t in range(trials):
         bits = mix_bits(keys[0], keys[1], t)
         a, b = np.int64(bits % np.uint64(cells)), np.int64(0)
@@ -154,8 +152,8 @@ def swap_cells(
         if k == l or not (free or place[a] == place[b]):
             continue
         partial[:] = 0.0
-        for start in range(0, r, _LANES):
-            for i in range(_LANES):
+        for start in range(0, r, lanes):
+            for i in range(lanes):
                 d = features[b, start + i] - features[a, start + i]
                 partial[i] += d * (sums[k, start + i] - sums[l, start + i] + d)
         change, limit = partial.sum(), 0.0
