@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 __all__ = ["certificate", "design"]
 
-_VERSION = 4  # Version of the searches; the cache ignores samplers of other versions
+_VERSION = 5  # Version of the searches; the cache ignores samplers of other versions
 
 
 @final
