@@ -296,7 +296,7 @@ def _imported() -> Any:
 def compilations() -> Iterator[list[float]]:
     """List the seconds in which each kernel is compiled in the block, at the end of the block.
 
-    Kernels that Dr.Jit loads from its cache on disk are not compiled.
+    The list lacks kernels that Dr.Jit loads from its cache on disk.
     """
     load_mitsuba()
     import drjit

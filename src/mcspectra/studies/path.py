@@ -276,7 +276,10 @@ class _Work:
             counts=ns,
             joint_dims=joint_dims,
             realizations=as_integer(
-                "realizations", realizations or repeats, least=4, most=MAX_REALIZATIONS
+                "realizations",
+                repeats if realizations is None else realizations,
+                least=4,
+                most=MAX_REALIZATIONS,
             ),
             pairs=pairs,
             paths=paths,

@@ -17,7 +17,7 @@ If sets together contain each cell of a grid exactly once, they need no shift.
 The mean of φ_t over the points of a set is taken for every feature φ_t, and squared.
 The variance is the sum of these squares over t, averaged over the sets.
 The search exchanges cells between sets to lower this variance.
-By simulated annealing [KirkpatrickEtAl1983]_, it also leaves local minima.
+Simulated annealing [KirkpatrickEtAl1983]_ lets the search leave local minima.
 Exchanges start from random sets, or from the cosets of a digital net if these are better.
 All points of a set have the same offset within their cells, except for reflections.
 Reflecting the offset in a cell changes the sign of a feature's slope in this cell.
@@ -72,7 +72,7 @@ class SearchSettings:
     # Maximum number of random integrands (members) that represent a class.
     # The variance ratio of lattices is the same with 512, 1024 and 2048 members.
     members: int = 1024
-    # Number of batches of members from which the features of a class are computed (see `features`).
+    # Features of a class (see `features`) are computed from this number of batches of members.
     # The variance ratio of strata designs is 0.019 with one batch, and 0.014 with six batches.
     # If few members of a class cause most of its variance, more batches matter more.
     # For Gaussians of random orientation, point sets have 0.74, 0.54, 0.44 and 0.43 times the
@@ -553,7 +553,9 @@ def _shared(
         report("features of the class", (batch + 1) / batches)
     features = np.ascontiguousarray(table.T)
     del table, added
-    features = np.pad(features, ((0, 0), (0, -features.shape[1] % 16)))  # for `swap_cells`
+    features = np.pad(
+        features, ((0, 0), (0, -features.shape[1] % 16))
+    )  # `swap_cells` adds 16 at once
 
     # Each set starts with one random cell of each stratum, or with a coset of a net
     place = np.ravel_multi_index(tuple((cells // parts).T), tuple(shape))
