@@ -12,7 +12,15 @@ from mcspectra.cli.main import main
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.profiler import profile_scene
-from mcspectra.profiler.scene_profile import Needed, _in_order, _rare, _spp, _Work, sampler_name
+from mcspectra.profiler.scene_profile import (
+    Needed,
+    _in_order,
+    _rare,
+    _spp,
+    _Work,
+    plan_scene,
+    sampler_name,
+)
 from mcspectra.rendering import load_mitsuba
 from mcspectra.rendering.paths import Tracer
 from mcspectra.rendering.plugin import register_samplers
@@ -324,6 +332,18 @@ def test_a_dry_run_prints_size_and_time(capsys):
     command = ["profile", "penumbra(width=32, height=24)", "--integrator", "direct"]
     assert main([*command, "--dry-run", "--seconds", "1"]) == 0
     assert "nothing is stored" in capsys.readouterr().out
+
+
+def test_a_plan_counts_the_pixels_of_the_crop_and_the_samples_for_the_target():
+    scene = "penumbra(width=32, height=24)"
+    asked = {"integrator": "direct", "seconds": 1.0, "crop": (4, 4, 8, 8)}
+    easy, hard = (plan_scene(scene, target=target, **asked) for target in (10.0, 1e-3))
+    assert easy.pixels == hard.pixels == 64
+    assert easy.samples < hard.samples
+    with pytest.raises(ParameterError, match="crop is"):
+        plan_scene(scene, integrator="direct", crop=(30, 0, 8, 8))
+    with pytest.raises(ParameterError, match="target"):
+        plan_scene(scene, target=-1.0)
 
 
 @pytest.mark.parametrize(

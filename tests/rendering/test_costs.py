@@ -84,6 +84,17 @@ def test_an_estimate_is_a_sentence():
     assert json.loads(json.dumps(cost.to_dict()))["seconds"] == 4000.0
     search = SceneCost("a", "b", (1, 1), 1, 1, 1.0, 10.0, most=20.0).later(2.0)
     assert search.text.endswith("about 12 s, at most 22 s; nothing is stored.")
+    long = SceneCost("a", "b", (1, 1), 1, 1, 1.0, 40 * 86_400.0)
+    assert long.text.endswith("about 40 days; nothing is stored.")
+
+
+def test_an_estimate_of_two_works_adds_times_and_samples():
+    first = SceneCost("a", "4 renders", (9, 9), 1, 600, 100.0, 10.0, storage=7)
+    then = first.then(SceneCost("a", "8 renders", (9, 9), 64, 1400, 350.0, 5.0, most=20.0))
+    assert (then.pixels, then.samples, then.samples_per_second) == (1, 2000, 200.0)
+    assert (then.seconds, then.most, then.storage) == (15.0, 30.0, 7)
+    assert "1 pixel, 4 renders; then 64 pixels, 8 renders, 0.002 million" in then.text
+    assert first.then(first).most is None
 
 
 @pytest.mark.render
@@ -127,6 +138,7 @@ def test_a_crop_of_the_whole_film_needs_the_same():
         ),
         (["pixel", "12", "14", "-n", "4,16", "-m", "4", "--sampler", "jittered", "-o", "OUT"], 1),
         (["pixel", "12", "14", "--integrator", "path(max_depth=2)", "-n", "4,16", "-m", "8"], 1),
+        (["pixel", "12", "14", "--integrator", "path(max_depth=2)", "-n", "4", "--target", "5"], 1),
     ],
 )
 def test_dry_runs_write_nothing(command, pixels, tmp_path, capsys, monkeypatch):

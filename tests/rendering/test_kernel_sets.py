@@ -1,5 +1,6 @@
 """Sets computed in kernels: the samplers' own points, and sets in random orders."""
 
+from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,6 +15,7 @@ from mcspectra.rendering.kernel_sets import (
     Rounds,
     _Bits,
     _in_cell,
+    _own_digits,
     _unit,
     net_of,
     rule_of,
@@ -84,6 +86,32 @@ def test_points_agree_with_hashed_owen_scrambling(net, dims, count):
 )
 def test_nets_are_found_where_owen_alone_scrambles_them(spec, there):
     assert (net_of(as_sampler(spec, 2)) is not None) == there
+
+
+@dataclass(frozen=True)
+class _Slow:
+    """A net whose second coordinates are below one half."""
+
+    dims = 2
+
+    def direction_numbers(self, n):
+        columns = np.zeros((2, 32), np.uint32)
+        columns[0, :3] = 2**31, 2**30, 2**29
+        columns[1, :3] = 2**30, 2**30 + 2**29, 2**29 + 2**26
+        return columns
+
+
+def test_scrambled_digits_are_those_with_which_points_differ():
+    for spec, dims in (("sobol", 12), ("larcher-pillichshammer", 2)):
+        for n in (1, 2, 5, 16, 1024) if spec == "sobol" else (2, 16, 1024):
+            assert _own_digits(as_sampler(spec, dims), n) == (n - 1).bit_length()
+    # Columns 010, 011 and 001001: three digits tell four points apart, and six digits eight
+    assert _own_digits(_Slow(), 4) == 3
+    assert _own_digits(_Slow(), 8) == 6
+    numbers = np.zeros(1, int)
+    for column in _Slow().direction_numbers(8)[1, :3].astype(int):
+        numbers = np.concatenate([numbers, numbers ^ column])
+    assert [len(set(numbers >> (32 - k))) for k in (5, 6)] == [4, 8]
 
 
 @pytest.mark.parametrize("film", ["center", "sampled"])

@@ -110,8 +110,7 @@ def _of_scene(options: argparse.Namespace, scene: str) -> VerbOutput:
     asked["samplers"] = [*asked.pop("compare", []), *([options.sampler] if options.sampler else [])]
     asked["rng"] = options.seed or 0
     if options.dry_run:
-        for name in ("target", "spp"):
-            asked.pop(name, None)
+        asked.pop("spp", None)
         imports = time.perf_counter() - options.begun
         plan = plan_scene(scene, **asked).later(imports)
         return VerbOutput(plan.text, plan.to_dict())

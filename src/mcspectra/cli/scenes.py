@@ -551,7 +551,7 @@ def pixel_(options: argparse.Namespace) -> VerbOutput:
         if options.dry_run:
             imports = time.perf_counter() - options.begun
             planned = plan_pixel(options.scene, x, options.y, **asked).later(imports)
-            return _pixel_cost(options, planned)
+            return _pixel_cost(options, x, planned)
 
         # Describe the pixel; show the rates of its strategies and the terms of the variance
         tree = analyse_pixel(options.scene, x, options.y, **asked)
@@ -578,7 +578,7 @@ def pixel_(options: argparse.Namespace) -> VerbOutput:
         if options.dry_run:
             imports = time.perf_counter() - options.begun
             planned = plan_path(options.scene, x, options.y, integrator=options.integrator, **asked)
-            return _pixel_cost(options, planned.later(imports))
+            return _pixel_cost(options, x, planned.later(imports))
         tree = analyse_path(options.scene, x, options.y, integrator=options.integrator, **asked)
         known, answer = tree.attrs, textwrap.fill(path_page.path_answer(tree), _WIDTH)
         title = (
@@ -606,17 +606,12 @@ def pixel_(options: argparse.Namespace) -> VerbOutput:
         parts.append("\n".join([remedies_table(found), *filled(pilots)]))
     parts.append("\n".join(filled(said)))
     if options.target is not None:
-        from mcspectra.rendering.scenes import film_size
+        from mcspectra.profiler.scene_profile import profile_scene
 
         # Compare samplers at pixels around this pixel
-        width, height = film_size(options.scene)
-        side = min(_AROUND, width, height)
-        corner = [
-            min(max(int(tree.attrs[k]) - side // 2, 0), size - side)
-            for k, size in (("x", width), ("y", height))
-        ]
-        advice = _as_rendered(options, (*corner, side, side))
-        parts.insert(1, f"{side} × {side} pixels around this one: {advice.text}")
+        crop = _around(options.scene, tree.attrs["x"], tree.attrs["y"])
+        advice = profile_scene(options.scene, **_as_rendered(options, crop))
+        parts.insert(1, f"{crop[2]} × {crop[3]} pixels around this one: {advice.text}")
         data["profile"] = advice.to_dict()
     if written is not None:
         data["report"] = written
@@ -624,7 +619,7 @@ def pixel_(options: argparse.Namespace) -> VerbOutput:
     return VerbOutput("\n\n".join(parts), data)
 
 
-def _pixel_cost(options: argparse.Namespace, planned: Any) -> VerbOutput:
+def _pixel_cost(options: argparse.Namespace, x: int | str, planned: Any) -> VerbOutput:
     """Add the page, and the comparison of samplers as they are rendered, to an estimate."""
     from dataclasses import replace
 
@@ -635,16 +630,24 @@ def _pixel_cost(options: argparse.Namespace, planned: Any) -> VerbOutput:
         page = page_seconds(figures, (_PIXEL_SIDE, _PIXEL_SIDE))
         planned = replace(planned.later(page), storage=size)
     if options.target is not None:
-        planned = planned.later(_profile_cost(options).seconds)
+        from mcspectra.profiler.scene_profile import plan_scene
+        from mcspectra.studies.pixel import find_pixel
+
+        crop = _around(options.scene, *find_pixel(options.scene, x, options.y))
+        planned = planned.then(plan_scene(options.scene, **_as_rendered(options, crop)))
     return VerbOutput(planned.text, planned.to_dict())
 
 
-def _profile_cost(options: argparse.Namespace) -> Any:
-    """Estimate the comparison of samplers that --target asks for."""
-    from mcspectra.profiler.scene_profile import plan_scene
+def _around(scene: str, x: int, y: int) -> tuple[int, int, int, int]:
+    """Return the square of pixels around a pixel, for which samplers are compared: x, y, w, h."""
+    from mcspectra.rendering.scenes import film_size
 
-    whose = None if options.integrator == "scene" else options.integrator
-    return plan_scene(options.scene, integrator=whose, rng=options.seed or 0)
+    sizes = film_size(scene)
+    side = min(_AROUND, *sizes)
+    left, top = (
+        min(max(int(k) - side // 2, 0), size - side) for k, size in zip((x, y), sizes, strict=True)
+    )
+    return left, top, side, side
 
 
 def _folder_or_exr(name: str, text: str) -> str:
@@ -765,7 +768,9 @@ def map_(options: argparse.Namespace) -> VerbOutput:
         text = f"{text}\n\n" + "\n".join(lines)
         data["samples_per_pixel"] = {**wanted.to_dict(), "files": files}
     if options.target is not None:
-        advice = _as_rendered(options, options.crop)
+        from mcspectra.profiler.scene_profile import profile_scene
+
+        advice = profile_scene(options.scene, **_as_rendered(options, options.crop))
         text, data["profile"] = f"{advice.text}\n\n{text}", advice.to_dict()
     return VerbOutput(text, data)
 
@@ -789,33 +794,31 @@ def _map_cost(options: argparse.Namespace, parts: Any, subjects: Any) -> VerbOut
     # A map of a subset of the pixels has one more figure. So does a comparison of samplers
     figures = 5 + (4 if parts[0].integrator is None or parts[0].chains != 0 else 0)
     figures += (parts[0].pixels is not None) + (len(parts) > 1)
-    profile = 0.0
-    if options.target is not None:
-        profile = _profile_cost(options).seconds
     others = "".join(f", {each.sampler.spec}" for each in subjects[1:])
     found = replace(
         first,
         what=first.what + others,
         samples=samples,
         samples_per_second=samples / sum(c.samples / c.samples_per_second for c in costs),
-        seconds=imports + seconds + page_seconds(figures, first.size) + profile,
+        seconds=imports + seconds + page_seconds(figures, first.size),
         storage=sum(c.storage for c in costs) + _PAGE_BYTES,
     )
+    if options.target is not None:
+        from mcspectra.profiler.scene_profile import plan_scene
+
+        found = found.then(plan_scene(options.scene, **_as_rendered(options, options.crop)))
     return VerbOutput(found.text, found.to_dict())
 
 
-def _as_rendered(options: argparse.Namespace, crop: Any) -> Any:
-    """Compare samplers in renders of a scene, for a target error at the pixels of a crop."""
-    from mcspectra.profiler.scene_profile import profile_scene
-
-    return profile_scene(
-        options.scene,
-        target=options.target,
-        integrator=None if options.integrator == "scene" else options.integrator,
-        joint_dims=options.joint_dims,
-        crop=crop,
-        rng=options.seed or 0,
-    )
+def _as_rendered(options: argparse.Namespace, crop: Any) -> dict[str, Any]:
+    """Return how the scene's profile, or its plan, compares samplers at the pixels of a crop."""
+    return {
+        "target": options.target,
+        "integrator": None if options.integrator == "scene" else options.integrator,
+        "joint_dims": options.joint_dims,
+        "crop": crop,
+        "rng": options.seed or 0,
+    }
 
 
 @verb(

@@ -108,6 +108,8 @@ class SceneSettings:
     # Fraction of the time that is spent on the comparison of samplers.
     # The rest of the time is for larger numbers of samples, and for confirming the best sampler
     comparison: float = 0.55
+    # Shares of the pixels for which the numbers of samples that reach the target are printed
+    shares: tuple[float, float] = (0.5, 0.95)
     # Number of pixels near a quantile of the errors that are rendered with more samples.
     # Each of these pixels is rendered `near_renders` times
     near: int = 32
@@ -120,8 +122,6 @@ class SceneSettings:
     # Minimum number of these pixels on each side of the quantile, if there are that many pixels.
     # The error of the median of 16 pixels is a third of the scatter over pixels
     least_near: int = 8
-    # Fraction of the time for pixels near a quantile. It is the average fraction in five scenes
-    nearby: float = 0.2
     # Largest fraction of the time for one number of samples of pixels near a quantile.
     # For each of two quantiles and two samplers, there are at most two such numbers
     nearby_each: float = 0.1
@@ -456,7 +456,7 @@ def profile_scene(
     ParameterError
         If a parameter is out of range, or Mitsuba cannot render the scene.
     """
-    goal = 0.05 if target is None else as_real("target", target, above=0.0, most=1e3)
+    goal = _goal(target)
     work, candidates, given, own = _prepared(
         scene, integrator, samplers, joint_dims, channel, seconds, rng
     )
@@ -468,22 +468,31 @@ def profile_scene(
 def plan_scene(
     scene: Scene,
     *,
+    target: float | None = None,
     integrator: str | None = None,
     samplers: Sequence[str] = (),
     joint_dims: int | None = None,
     channel: str | int = "luminance",
     pixels: int | None = None,
+    crop: Sequence[int] | None = None,
     seconds: float = 30.0,
     rng: RngLike = 0,
 ) -> SceneCost:
     """Return what `profile_scene` with these parameters would do, and how long it would take.
 
     The function loads the scene and renders a few pixels to measure the speed.
+    These renders also show about how many samples the target takes.
     """
+    goal = _goal(target)
     work, candidates, given, _ = _prepared(
         scene, integrator, samplers, joint_dims, channel, seconds, rng
     )
-    return work.plan(candidates, _most(pixels), given)
+    work.crop = _checked_crop(crop, work.rendered.film)
+    return work.plan(candidates, _most(pixels), given, goal)
+
+
+def _goal(target: float | None) -> float:
+    return 0.05 if target is None else as_real("target", target, above=0.0, most=1e3)
 
 
 def _checked_crop(crop: Sequence[int] | None, film: Film) -> tuple[int, int, int, int] | None:
@@ -647,7 +656,11 @@ class _Work:
         return tiles, renders, speed
 
     def plan(
-        self, candidates: Mapping[str, str | Mapping[str, Any]], most: int, given: str
+        self,
+        candidates: Mapping[str, str | Mapping[str, Any]],
+        most: int,
+        given: str,
+        target: float,
     ) -> SceneCost:
         """Measure the speed, and estimate the time and the number of samples of the profile.
 
@@ -664,33 +677,71 @@ class _Work:
 
         # Measure the mean speed of all samplers at the larger number of samples
         some = tiles[:: max(1, len(tiles) * self.side**2 // settings.pilot_pixels)]
-        traced, spent = 0, 0.0
-        for plugin in candidates.values():
+        traced, spent, near = 0, 0.0, 0
+        for name, plugin in candidates.items():
             with contextlib.suppress(ParameterError):  # the profile says why it leaves one out
                 for n in counts:
                     self._values(plugin, n, some, 1)
                 before = rendered.samples, rendered.seconds
-                self._values(plugin, counts[-1], some, settings.pilot_renders[1])
+                values = self._values(plugin, counts[-1], some, settings.pilot_renders[1])
                 traced += rendered.samples - before[0]
                 spent += rendered.seconds - before[1]
+                if name == given:
+                    near = self._nearby(values, target)
         speed = traced / spent
 
         # Count the samples to compare all samplers, and to confirm the best sampler
         wide = (self.side + 2 * film.margin) ** 2
         samples = wide * len(tiles) * renders * (sum(counts) * len(candidates) + counts[-1])
         compared = fixed + samples / speed
-        near = settings.nearby * self.limit
+        # Pixels near two quantiles are rendered with the scene's sampler and with the best one
+        near *= min(len(candidates), 2)
         longest = settings.nearby_most * settings.nearby_each * self.limit
         return SceneCost(
             scene=scene_name(tracer.scene).strip("'\""),
             what=f"{renders} renders of each with {len(candidates)} samplers",
             size=(film.width, film.height),
             pixels=len(tiles) * self.side**2,
-            samples=int(samples + near * speed),
+            samples=samples + near,
             samples_per_second=speed,
-            seconds=compared + near,
+            seconds=compared + near / speed,
             most=compared + longest,
         )
+
+    def _nearby(self, values: Array, target: float) -> int:
+        """Estimate the number of samples for pixels near the quantiles of one sampler's errors.
+
+        The values (R, P) are those of R renders of P pixels with the last of the compared counts.
+        """
+        settings, mean = _SETTINGS, np.abs(values.mean(axis=0))
+        (first, last), seen = settings.counts, mean > 0.0
+        if not seen.any():
+            return 0
+        logs, samples = self._narrowed(values[:, seen], mean[seen]), 0
+        for share in settings.shares:
+            away = 2.0 * math.log(target) - float(np.quantile(logs, share))
+            wanted = last * math.exp(away / settings.usual)
+            each = self._each_near(settings.near, settings.near_renders)
+            samples += each * (self._next_count(first, last, wanted, each) or 0)
+        return samples
+
+    def _each_near(self, pixels: int, renders: int) -> int:
+        """Return the number of paths for renders of pixels, if each takes one sample."""
+        return (1 + 2 * self.rendered.film.margin) ** 2 * pixels * renders
+
+    def _next_count(self, first: int, n: float, wanted: float, each: int) -> int | None:
+        """Return the number of samples with which pixels near a quantile are rendered next.
+
+        It is None if the last number n is close to the number wanted, or if more samples take
+        too much time. The renders take `each` paths if each pixel has one sample.
+        """
+        settings = _SETTINGS
+        if 0.5 * n <= wanted <= 2.0 * n or wanted < 0.5 * first or n >= settings.most_samples:
+            return None
+        speed = self.rendered.samples / self.rendered.seconds
+        afford = settings.nearby_each * self.limit * speed / each
+        count = 4 ** max(1, round(math.log(min(wanted, afford, settings.most_samples), 4)))
+        return None if count <= n and wanted > n else count
 
     def _values(
         self, plugin: str | Mapping[str, Any], n: int, tiles: Array, renders: int, side: int = 0
@@ -801,7 +852,7 @@ class _Work:
                     # The variance of independent samples falls exactly as 1/n
                     rate=-1.0 if name == "independent" else None,
                 )
-                for share in (0.5, 0.95)
+                for share in settings.shares
             )
             for name in {chosen, given}
         }
@@ -985,8 +1036,6 @@ class _Work:
 
         # Render the pixels near the quantile of the errors, with about the number of samples wanted
         for _ in range(2):
-            if 0.5 * n <= wanted <= 2.0 * n or wanted < 0.5 * first or n >= settings.most_samples:
-                break
             # The renders at the first number of samples choose the pixels. The renders at the last
             # number of samples are then not too small or too large because of the choice
             order = np.argsort(raw[first], kind="stable")
@@ -995,14 +1044,10 @@ class _Work:
             aside = max(min(settings.near // 2, rank, len(order) - 1 - rank), settings.least_near)
             picks = order[max(rank - aside, 0) : rank + aside]
             near = seen[picks]
-            film = self.rendered.film
             renders = settings.near_renders * max(1, settings.near // len(near))
-            each = (1 + 2 * film.margin) ** 2 * len(near) * renders
-            speed = self.rendered.samples / self.rendered.seconds
-            afford = settings.nearby_each * self.limit * speed / each
-            count = 4 ** max(1, round(math.log(min(wanted, afford, settings.most_samples), 4)))
-            if count <= n and wanted > n:
-                break  # more samples would take too much time, so extrapolate
+            count = self._next_count(first, n, wanted, self._each_near(len(near), renders))
+            if count is None:
+                break  # extrapolate
             found = self._values(plugin, count, pixels[near], renders, side=1)
             # Each pixel is compared with itself: if half of these pixels are far noisier than the
             # others, the median of their errors would be a matter of chance

@@ -85,6 +85,20 @@ class SceneCost:
         most = None if self.most is None else self.most + seconds
         return replace(self, seconds=self.seconds + seconds, most=most)
 
+    def then(self, other: SceneCost) -> SceneCost:
+        """Return the estimate of this work and of other work on the same scene after it."""
+        both = (self, other)
+        samples = sum(each.samples for each in both)
+        longest = (each.seconds if each.most is None else each.most for each in both)
+        return replace(
+            self,
+            what=f"{self.what}; then {counted(other.pixels, 'pixel')}, {other.what}",
+            samples=samples,
+            samples_per_second=samples / sum(c.samples / c.samples_per_second for c in both),
+            seconds=self.seconds + other.seconds,
+            most=None if self.most is other.most is None else sum(longest),
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain numbers and texts."""
         return dict(vars(self))
@@ -93,7 +107,10 @@ class SceneCost:
 def _duration(seconds: float) -> str:
     if seconds < 300.0:
         return f"{seconds:.0f} s"
-    return f"{seconds / 60.0:.0f} min" if seconds < 3 * 3600.0 else f"{seconds / 3600.0:.1f} h"
+    hours = seconds / 3600.0
+    if hours < 3.0:
+        return f"{seconds / 60.0:.0f} min"
+    return f"{hours:.1f} h" if hours < 72.0 else f"{hours / 24.0:.0f} days"
 
 
 def _bytes(number: float) -> str:

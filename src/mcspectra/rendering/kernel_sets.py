@@ -8,12 +8,14 @@ A `Rule` describes the sets of a sampler. Three steps make a coordinate of a poi
    or the lower corner of a cell.
 2. The set moves its numbers: by a shift modulo 1, by an XOR of their binary digits,
    or by a hash that scrambles digits like ``owen(method='hash')``.
-   A mask or random bits give the shift. The hash takes 47 random bits in each round.
+   A mask or random bits give the shift. In each round, the hash takes two random bits per digit.
    For each request, the mask is at another random place: shifts of requests are independent.
 3. Random bits of the point place it in the cell that its moved number belongs to.
 
 Random points have one cell. Jittered points have n cells, and no set moves them.
 A net with ``digital-shift(jitter=True)`` is moved by XOR and placed in cells of side 2^-m.
+A net with ``owen`` is placed in cells that contain at most one coordinate of its points each:
+scrambled digits after the first digits that no two points share are independent random digits.
 ``decorrelate`` moves a drawn set, and has no cells.
 Coordinate j of point i of a net: XOR those columns of generator matrix j that the bits of i select.
 
@@ -133,7 +135,7 @@ class Rule:
         How each set moves the shared numbers: by a shift modulo 1, a digital shift or a scramble.
     cells
         Number of cells along each axis. Each point is uniform in a cell; without cells, it is
-        not jittered. After a digital shift, the numbers of cells must be powers of two.
+        not jittered. After a digital shift or a scramble, they must be powers of two.
     mask
         The randomization whose mask gives the shifts of pixels.
         If None, each set has its own random bits.
@@ -160,11 +162,34 @@ def rule_of(sampler: Sampler, n: int) -> Rule | None:
     if not sampler.independent:
         return None
     if (net := net_of(sampler)) is not None:
-        return Rule(dims=dims, shared=net, move="owen")
+        cells = (1 << _own_digits(net, n),) * dims
+        return Rule(dims=dims, shared=net, move="owen", cells=cells)
     if (net := shifted_net_of(sampler)) is not None:
         cells = (1 << (n - 1).bit_length(),) * dims
         return Rule(dims=dims, shared=net, move="digital-shift", cells=cells)
     return _rule_of_law(sampler.law(n))
+
+
+def _own_digits(net: Net, n: int) -> int:
+    """Return the number of leading digits with which the coordinates of n points of a net differ.
+
+    It is at most `_DIGITS`. In every dim, it is the least number of rows for which the columns
+    of the generator matrix are linearly independent.
+    """
+    bits, most = (n - 1).bit_length(), 0
+    for columns in net.direction_numbers(n):
+        digits = bits
+        while digits < _DIGITS:
+            rest, rank = [int(each) >> (32 - digits) for each in columns[:bits]], 0
+            while any(rest):
+                pivot = max(rest)
+                rest = [min(each, each ^ pivot) for each in rest]
+                rank += 1
+            if rank == bits:
+                break
+            digits += 1
+        most = max(most, digits)
+    return most
 
 
 def _rule_of_law(law: Law) -> Rule | None:
@@ -394,13 +419,13 @@ class _Sets:
             return [[] for _ in range(dims)]
         if self._mask is not None:
             return [[shift] for shift in self._mask.shifts(bits, address)]
+        digits = [s.bit_length() - 1 for s in rule.cells or (1 << _DIGITS,) * dims]
         if rule.move == "owen":
             # The first digits of a hash depend only on as many bits of the summand and the factor
-            count = self._rounds * dims
-            rounds = [(bits.take(_DIGITS), (bits.take(_DIGITS - 1) << 1) | 1) for _ in range(count)]
-            return [rounds[j::dims] for j in range(dims)]
-        cells = rule.cells or (1 << _DIGITS,) * dims
-        digits = [s.bit_length() - 1 for s in cells]
+            return [
+                [(bits.take(m), (bits.take(max(m - 1, 0)) << 1) | 1) for _ in range(self._rounds)]
+                for m in digits
+            ]
         return [[bits.take(m) << (32 - m) if m else module.UInt32(0)] for m in digits]
 
     def points(self, place: Any, moves: list[list[Any]], own: _Bits, dims: int) -> list[Any]:
