@@ -138,7 +138,7 @@ def test_a_crop_of_the_whole_film_needs_the_same():
         ),
         (["pixel", "12", "14", "-n", "4,16", "-m", "4", "--sampler", "jittered", "-o", "OUT"], 1),
         (["pixel", "12", "14", "--integrator", "path(max_depth=2)", "-n", "4,16", "-m", "8"], 1),
-        (["pixel", "12", "14", "--integrator", "path(max_depth=2)", "-n", "4", "--target", "5"], 1),
+        (["pixel", "9", "9", "--integrator", "path(max_depth=2)", "-n", "4,9", "--target", "5"], 1),
     ],
 )
 def test_dry_runs_write_nothing(command, pixels, tmp_path, capsys, monkeypatch):
