@@ -61,6 +61,15 @@ def test_small_work_is_run_whole(monkeypatch):
     assert clock.runs == [7, 7]
 
 
+def test_a_time_per_unit_is_positive_if_a_longer_run_is_faster(monkeypatch):
+    clock = Clock(0.3, -1e-3)
+    monkeypatch.setattr(costs, "time", clock)
+    monkeypatch.setattr(costs, "compilations", clock.compilations)
+    found = timed_work(clock.work, 64, first=16)
+    assert 0.0 < found.each < 1e-3
+    assert found.seconds == pytest.approx(0.236)
+
+
 @pytest.mark.parametrize(("total", "first"), [(200, 13), (10**9, 64)])
 def test_a_part_of_any_size_is_timed_in_a_minute(monkeypatch, total, first):
     clock = Clock(0.2, 0.01)

@@ -289,7 +289,7 @@ def _render_cost(
         size=size,
         pixels=pixels,
         samples=pixels * spp * images * each,
-        samples_per_second=pixels * each / max(paced.each, 1e-12),
+        samples_per_second=pixels * each / paced.each,
         seconds=loaded + paced.seconds,
         storage=_PIXEL_BYTES * pixels * len(options.out),
     )

@@ -177,10 +177,11 @@ def timed_work(
     if len(runs) > 1:
         before, shorter = runs[-2]
         # The last two runs give the time per unit of size, but a busy machine may distort it.
-        # Far from the last run, the time per unit is limited to 50 to 100 % of its mean per unit
+        # Far from the last run, the time per unit is limited to 50 to 100 % of its mean per unit.
+        # Otherwise it is at least 5 %, so that a speed is never infinite
         slope = (spent - shorter) / (size - before)
-        least = 0.5 * each if total > _GROWTH * size else 0.0
-        each = min(max(slope, least), each)
+        least = 0.5 if total > _GROWTH * size else 0.05
+        each = min(max(slope, least * each), each)
     fixed = max(spent - each * size, 0.0) + max(loaded - runs[0][1], 0.0)
     return TimedWork(fixed + each * total, each)
 

@@ -338,7 +338,7 @@ class Map(Analysis, frozen=True, kw_only=True):
             size=(width, height),
             pixels=count,
             samples=samples * count,
-            samples_per_second=samples / max(paced.each, 1e-12),
+            samples_per_second=samples / paced.each,
             seconds=loaded + paced.seconds + interpolation + _PIXEL_SECONDS * total * numbers,
             storage=(_PIXEL_BYTES * total + _STATE_BYTES * count) * numbers,
         )
