@@ -60,7 +60,7 @@ def test_light_comes_only_from_the_directions_of_the_light():
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"channel": "rgb"}, "one at a time"),
+        ({"channel": "rgb"}, "channel is 'rgb'; give 'luminance', 0, 1 or 2"),
         ({"channel": 3}, "channel is 3"),
         ({"resolution": 3}, "resolution"),
         ({"resolution": 10**9}, "resolution"),

@@ -6,6 +6,8 @@ import pytest
 from mcspectra.core.errors import ParameterError
 from mcspectra.rendering import Pixel, describe_pixel, pixel_mis, variance_map
 from mcspectra.rendering.pixel import incident_light
+from mcspectra.studies.path import analyse_path
+from mcspectra.studies.pixel import analyse_pixel
 
 pytestmark = pytest.mark.render
 
@@ -53,3 +55,10 @@ def test_other_channels_are_refused(channel):
         Pixel(**WALL, **PLACE, channel=channel)
     with pytest.raises(ParameterError, match="give 'luminance', 0, 1 or 2"):
         variance_map("veach", channel=channel)
+
+
+@pytest.mark.parametrize("channel", ["rgb", 7])
+@pytest.mark.parametrize("analyse", [analyse_pixel, analyse_path])
+def test_analyses_of_a_pixel_offer_only_channels_that_they_take(analyse, channel):
+    with pytest.raises(ParameterError, match=f"channel is {channel!r}; give 'luminance', 0, 1"):
+        analyse("veach", 1, 1, channel=channel)

@@ -527,7 +527,7 @@ def _prepared(
     Return the work to be done, all samplers, the scene's sampler, and its samples per pixel.
     """
     limit = as_real("seconds", seconds, least=1.0, most=86_400.0)
-    check_channel(channel, ("luminance",))
+    check_channel(channel)
     request, spec = as_scene(scene), integrator or SCENE_INTEGRATOR
     begin = time.perf_counter()
     with LOCK:

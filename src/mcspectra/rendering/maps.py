@@ -222,7 +222,7 @@ class Map(Analysis, frozen=True, kw_only=True):
 
         The size of the film is read from the scene if the scene can be loaded.
         """
-        check_channel(self.channel, ("luminance",))
+        check_channel(self.channel)
         direct = {"light": None, "strategies": MAP_STRATEGIES, "heuristic": "balance"}
         refused, way = direct, "is for direct light; leave it out if you give an integrator"
         if self.integrator is None:
@@ -365,7 +365,7 @@ class Map(Analysis, frozen=True, kw_only=True):
                 scene=scene,
                 light=self.light,
                 heuristic=self.heuristic,
-                channel=check_channel(self.channel, ("luminance",)),
+                channel=check_channel(self.channel),
                 size=grid,
             ),
             strategies=self._strategies,

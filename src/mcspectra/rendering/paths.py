@@ -177,7 +177,7 @@ class PathPixel(MitsubaIntegrand):
     selection: Any = None
 
     def _check(self) -> None:
-        channel = check_channel(self.channel)
+        channel = check_channel(self.channel, several=True)
         with LOCK:
             x, y = check_pixel(self.scene, self.x, self.y)
             if self.selection is not None:

@@ -249,7 +249,7 @@ def check_view(view: PixelView, *, bsdf: bool) -> PixelView:
 
     The flag `bsdf` is true if the BSDF will be sampled, which may require one more dim.
     """
-    channel = check_channel(view.channel)
+    channel = check_channel(view.channel, several=True)
     dims = as_integer("dims of a pixel", view.dims, least=2, most=MOST_DIMS)
     single_lobe = bsdf and dims % 2 == 0
     with LOCK:
@@ -416,8 +416,9 @@ class PixelView:
         return Draws(np.asarray(values, np.float64), rows)
 
 
-def check_channel(channel: object, names: Sequence[str] = ("luminance", "rgb")) -> str | int:
-    """Check a channel and return it: one of `names`, or 0, 1 or 2."""
+def check_channel(channel: object, *, several: bool = False) -> str | int:
+    """Check a channel and return it: "luminance", 0, 1 or 2; with `several` also "rgb"."""
+    names = ("luminance", "rgb") if several else ("luminance",)
     if isinstance(channel, str) and channel in names:
         return str(channel)
     try:
@@ -479,10 +480,6 @@ def incident_light(
     request = as_scene(scene)
     rows = as_integer("resolution", resolution, least=4, most=1024)
     chosen = check_channel(channel)
-    if chosen == "rgb":
-        raise ParameterError(
-            Parameter("channel"), " is 'rgb'; give 'luminance', 0, 1 or 2, one at a time."
-        )
     elevation = (np.arange(rows) + 0.5) * (90.0 / rows)
     azimuth = (np.arange(4 * rows) + 0.5) * (90.0 / rows)
     with LOCK:

@@ -32,7 +32,7 @@ from mcspectra.core.analysis import Subject
 from mcspectra.core.checks import Array, as_choice, as_integer
 from mcspectra.core.confidence import CONFIDENCE_Z
 from mcspectra.core.display import counted
-from mcspectra.core.errors import McspectraError, Parameter, ParameterError
+from mcspectra.core.errors import McspectraError, ParameterError
 from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers
 from mcspectra.core.progress import report
 from mcspectra.core.results import dataset
@@ -58,6 +58,7 @@ from mcspectra.rendering.paths import (
     light_selection,
     parts_by_light,
 )
+from mcspectra.rendering.pixel import check_channel
 from mcspectra.rendering.plugin import default_spec
 from mcspectra.rendering.rendered import preview
 from mcspectra.rendering.scenes import Scene, emitter_names, film_size, scene_name
@@ -253,10 +254,7 @@ class _Work:
     ) -> _Work:  # fmt: skip
         """Check all arguments of `analyse_path`."""
         x, y = find_pixel(scene, x, y)
-        if channel == "rgb":
-            raise ParameterError(
-                Parameter("channel"), " is 'rgb'; give 'luminance', 0, 1 or 2, one at a time."
-            )
+        check_channel(channel)
         usual, repeats, pairs, paths, predicted = _EFFORTS[
             as_choice("effort", effort, tuple(_EFFORTS))
         ]

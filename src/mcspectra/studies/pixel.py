@@ -42,6 +42,7 @@ from mcspectra.rendering.costs import SceneCost, timed_part
 from mcspectra.rendering.pixel import (
     Pixel,
     PixelView,
+    check_channel,
     check_view,
     describe_pixel,
     incident_light,
@@ -313,10 +314,7 @@ class _Work:
         x, y = find_pixel(scene, x, y)
         request = as_scene(scene)
         as_integer("dims", dims, least=2, most=3)
-        if channel == "rgb":
-            raise ParameterError(
-                Parameter("channel"), " is 'rgb'; give 'luminance', 0, 1 or 2, one at a time."
-            )
+        check_channel(channel)
         view = check_view(PixelView(request, x, y, light, channel, dims), bsdf=True)
         warn_integrator(request)
         chosen = EFFORTS[as_choice("effort", effort, tuple(EFFORTS))]
