@@ -330,7 +330,8 @@ def test_a_map_writes_samples_that_render_reads(tmp_path, capsys, monkeypatch):
     scene = "penumbra(width=16, height=12)"
     # The comparison of samplers has its own tests
     advice = SimpleNamespace(text="advice", to_dict=dict)
-    monkeypatch.setattr("mcspectra.cli.scenes._as_rendered", lambda *_: advice)
+    compare = "mcspectra.profiler.scene_profile.profile_scene"
+    monkeypatch.setattr(compare, lambda *_, **__: advice)
     file, image = tmp_path / "spp.exr", tmp_path / "image.exr"
     asked = ["map", scene, "--integrator", "path(max_depth=2)", "--counts", "4,16", "-m", "8",
              "--chains", "0", "-o", str(tmp_path / "map"), "-o", str(file)]  # fmt: skip
