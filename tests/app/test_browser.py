@@ -39,6 +39,8 @@ def test_all_widgets_have_names(page, address):
     for role in ("slider", "checkbox", "combobox", "textbox", "button", "figure", "progressbar"):
         own = [line.strip() for line in lines if line.strip().startswith(f"- {role}")]
         assert all('"' in line for line in own), own
+    bar = page.get_by_role("progressbar", name="Progress of A", exact=True)
+    expect(bar).to_have_count(1)
 
 
 def test_copied_python_gives_the_displayed_figures(page, address):

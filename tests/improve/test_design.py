@@ -285,7 +285,8 @@ def test_an_interrupt_keeps_the_best_and_is_not_cached(monkeypatch):
         yield
 
     monkeypatch.setattr(doors, "KINDS", {"lattice": at_once})
-    assert design("lattice", "gaussians", 13).spec == "korobov | shift"  # the search found nothing
+    with pytest.warns(NoGainWarning, match="interrupted before its first result"):
+        assert design("lattice", "gaussians", 13).spec == "korobov | shift"
     real = dict(searches.KINDS)
     monkeypatch.setattr(doors, "KINDS", {"lattice": interrupted})
     assert design("lattice", "gaussians", 13).spec.endswith(

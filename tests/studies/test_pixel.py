@@ -391,7 +391,7 @@ def test_three_dims_have_no_pictures_of_g(tmp_path):
         ({"x": "Q", "y": 3}, ParameterError, "give x and y"),
         ({"x": 384, "y": 0}, ParameterError, "outside the film"),
         ({"x": 1.5, "y": 0}, ParameterError, "outside the film"),
-        ({"channel": "rgb"}, ParameterError, "one at a time"),
+        ({"channel": "rgb"}, ParameterError, "channel is 'rgb'; give 'luminance', 0, 1 or 2"),
         ({"channel": 7}, ParameterError, "channel is 7"),
         ({"dims": 4}, ParameterError, "dims"),
         ({"light": "moon"}, ParameterError, "no light"),

@@ -244,7 +244,8 @@ class Board:
         self._status.text = (
             f'<p role="{role}" class="{role}"><strong>{self._side}:</strong> '
             f"{escape_html(sentence)}</p>"
-            f'<progress value="{self._fraction:.3f}"></progress>'
+            f'<progress aria-label="Progress of {self._side}" value="{self._fraction:.3f}">'
+            "</progress>"
         )
 
 

@@ -267,7 +267,7 @@ def design(
             warn(read["note"], NoGainWarning)
         return found if chosen is None else _saved(found, chosen)
 
-    # If the user interrupts before the first result, return a usual sampler
+    # If the user interrupts before the first result, return a usual sampler with a warning
     usual = sampler_of("korobov | shift", goal.dims)
     best, finished = Design(math.inf, 0.0, lambda _: usual), False
     try:
@@ -283,9 +283,13 @@ def design(
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         made, note = best.make(target.with_suffix(".npz")), ""
-        if (
-            finished and settings.return_rival
-        ):  # Check whether a usual sampler has less variance over integrands that were not used
+        if math.isinf(best.variance):
+            note = (
+                "The search was interrupted before its first result, so the sampler is "
+                f"{usual.spec}, not a design; let the search run longer."
+            )
+        elif finished and settings.return_rival:
+            # Check whether a usual sampler has less variance over integrands that were not used
             made, note = _better_rival(goal, made, n, stream.child(5))
         if note:
             target.with_suffix(".npz").unlink(missing_ok=True)
