@@ -103,6 +103,9 @@ class StageSettings:
     # The usual length of a block is divided by this number, so that threads share small analyses.
     # For example, a thousand realizations of a thousand points are two blocks for two threads.
     parts: int = 2
+    # Largest number of points whose values show whether the integrand has a light tail.
+    # The 256 farthest values form the tail of 6,400 or more values.
+    of_tail: int = 2**14
 
 
 STAGE_SETTINGS = StageSettings()
@@ -568,37 +571,42 @@ class MomentsCell:
         blocks = realization_blocks(realizations, STAGE_SETTINGS.parts * numbers, first=first)
         sets = independent_sets(self.estimators[0].law(self.sampler, self.n))
 
-        def estimates(block: Block) -> list[tuple[Array, Moments | None]]:
+        def estimates(block: Block) -> list[tuple[Array, Moments | None, Array | None]]:
             points = self.estimators[0].draw(self.sampler, self.n, self.stream, *block)
             return [of_estimator(e, points, block[0]) for e in self.estimators]
 
         def of_estimator(
             e: AbstractEstimator, points: list[Array], start: int
-        ) -> tuple[Array, Moments | None]:
-            """Return estimates (R, C), and moments of the values of a user's function.
+        ) -> tuple[Array, Moments | None, Array | None]:
+            """Return estimates (R, C), moments of the values of a user's function, and their tail.
 
             C is the number of channels, or 1 for an integrand without channels.
-            The first realizations show whether the function grows toward a face of the cube.
+            The first realizations show whether the function has a light tail,
+            and whether a user's function grows toward a face of the cube.
             """
-            if len(points) > 1 or not e.is_black_box:
-                return e.estimate(points).reshape(len(points[0]), -1), None
+            if len(points) > 1:
+                return e.estimate(points).reshape(len(points[0]), -1), None, None
             values = e.primary_values(0, points[0])
             alone = values.reshape(values.shape[0] * values.shape[1], -1)
-            found = Moments.of_points(alone)
+            found = light = None
             if start == 0:
-                growth = growth_exponents(points[0].reshape(len(alone), -1), alone)
-                found = replace(found, growth=growth)
-            return e.estimate_of([values]).reshape(len(values), -1), found
+                light = Moments.of_points(alone[: STAGE_SETTINGS.of_tail]).has_light_tail()
+            if e.is_black_box:
+                found = Moments.of_points(alone)
+                if start == 0:
+                    growth = growth_exponents(points[0].reshape(len(alone), -1), alone)
+                    found = replace(found, growth=growth)
+            return e.estimate_of([values]).reshape(len(values), -1), found, light
 
         def moments(index: int) -> list[Moments]:
             parts = zip(*map(estimates, slices(blocks[index], numbers)), strict=True)
             found = []
             for each in parts:
-                values, points = zip(*each, strict=True)
+                values, points, lights = zip(*each, strict=True)
                 start = blocks[index][0]
                 whole = Moments.of(np.concatenate(values), tails=True, first=start, sets=sets)
                 alone = None if points[0] is None else functools.reduce(Moments.merge, points)
-                found.append(replace(whole, points=alone))
+                found.append(replace(whole, points=alone, light=lights[0]))
             return found
 
         return Reduction(
