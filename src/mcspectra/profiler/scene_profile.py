@@ -732,8 +732,9 @@ class _Work:
     def _next_count(self, first: int, n: float, wanted: float, each: int) -> int | None:
         """Return the number of samples with which pixels near a quantile are rendered next.
 
-        It is None if the last number n is close to the number wanted, or if more samples take
-        too much time. The renders take `each` paths if each pixel has one sample.
+        No more renders are needed if the last number n is close to the number wanted, and none
+        are made if they take too much time; the result is then None.
+        The renders take `each` paths if each pixel has one sample.
         """
         settings = _SETTINGS
         if 0.5 * n <= wanted <= 2.0 * n or wanted < 0.5 * first or n >= settings.most_samples:

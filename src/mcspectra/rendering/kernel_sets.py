@@ -173,8 +173,8 @@ def rule_of(sampler: Sampler, n: int) -> Rule | None:
 def _own_digits(net: Net, n: int) -> int:
     """Return the number of leading digits with which the coordinates of n points of a net differ.
 
-    It is at most `_DIGITS`. In every dim, it is the least number of rows for which the columns
-    of the generator matrix are linearly independent.
+    Columns of a generator matrix that are cut to this number of rows are linearly independent.
+    The result is the least such number for all dims, but at most `_DIGITS`.
     """
     bits, most = (n - 1).bit_length(), 0
     for columns in net.direction_numbers(n):
