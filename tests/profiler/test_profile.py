@@ -456,6 +456,13 @@ def test_bad_input_is_refused():
         mcs.profile("linear", budget=10)
 
 
+@pytest.mark.parametrize("left", [0, -3])
+def test_no_evaluations_give_no_lines(left):
+    # The search for a pole may spend a few of the evaluations that lines would get
+    found = lines_of(lambda x: x[:, 0], 4, left, np.random.default_rng(0))
+    assert found.axis.size == 0
+
+
 def test_lines_find_the_place_and_the_exponent_of_a_pole():
     found = lines_of(lambda x: np.abs(x[:, 0] - 0.3) ** -0.3, 1, 4000, np.random.default_rng(0))
     assert np.median(found.exponent) == pytest.approx(-0.3, abs=0.1)

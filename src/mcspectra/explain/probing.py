@@ -368,7 +368,7 @@ def lines_of(
         Maximum number of evaluations of g.
     """
     pairs = evaluations // (settings.line + (settings.chord if dims > 1 else 0))
-    if not pairs:
+    if pairs < 1:  # Earlier probes may have spent a few evaluations more than their share
         none = np.empty(0)
         return Lines(
             axis=none.astype(int),
