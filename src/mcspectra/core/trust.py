@@ -10,16 +10,17 @@ The function `mcspectra.samplers.allow_code` also extends the permissions of the
 
 from __future__ import annotations
 
+import importlib
 import os
 import re
 import shlex
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
 
 from mcspectra.core.display import shown
-from mcspectra.core.errors import ConfigError, McspectraError
+from mcspectra.core.errors import ConfigError, McspectraError, ParameterError, reason_of
 from mcspectra.core.spec import Call, parse_chain
 
 __all__ = [
@@ -28,13 +29,14 @@ __all__ = [
     "FUNCTION",
     "Trust",
     "allow",
+    "loaded_function",
     "process_trust",
     "reach_of",
     "words_of",
 ]
 
 CODE = {"command": "run", "python": "function"}
-"""Samplers that run code, each with the name of the parameter that contains the code."""
+"""Samplers and integrands that run code, each with the parameter that contains the code."""
 
 FILE_KEYS = (
     "path",
@@ -222,3 +224,28 @@ def allow(code: Iterable[str] = (), folders: Iterable[Path] = ()) -> None:
     """
     global _process
     _process = _process.widened(code, folders)
+
+
+def loaded_function(name: object) -> Callable[..., Any]:
+    """Return the function ``module:function``.
+
+    Raises
+    ------
+    ParameterError
+        If the name has another form, cannot be imported, or is not a function.
+    """
+    if not isinstance(name, str) or not FUNCTION.fullmatch(name):
+        raise ParameterError(f"python(function={name!r:.80}): write 'module:function'.")
+    module, _, attribute = name.partition(":")
+    try:
+        found = getattr(importlib.import_module(module), attribute)
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # external code may raise any exception
+        hint = "; name its folder in PYTHONPATH" if isinstance(error, ModuleNotFoundError) else ""
+        raise ParameterError(
+            f"The function {name!r} cannot be imported: {reason_of(error, 200)}{hint}."
+        ) from error
+    if not callable(found):
+        raise ParameterError(f"{name!r} is {found!r:.80}, not a function.")
+    return found  # type: ignore[no-any-return]

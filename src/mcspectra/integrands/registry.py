@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from mcspectra.core.checks import MAX_DIMS, as_integer
 from mcspectra.core.display import counted, needed, shown
-from mcspectra.core.errors import ParameterError
+from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.core.registry import Registry, classes_of
-from mcspectra.core.spec import parse
+from mcspectra.core.spec import Call, parse
+from mcspectra.core.trust import FUNCTION, loaded_function, process_trust
 from mcspectra.integrands.base import Integrand
 
 __all__ = ["INTEGRANDS", "as_integrand", "integrand"]
@@ -41,8 +42,11 @@ def integrand(spec: str, dims: int | None = None) -> Integrand:
     ----------
     spec
         ``name`` or ``name(key=value, ...)``; see ``mcspectra list integrands``.
+        A function of points (..., d) in Python is named ``module:function``.
+        Modules are found on Python's path (PYTHONPATH).
     dims
         Number of dims. The default is the number in the spec, else the integrand's own, else 2.
+        A function in Python has no default.
 
     Raises
     ------
@@ -50,8 +54,19 @@ def integrand(spec: str, dims: int | None = None) -> Integrand:
         If the spec cannot be parsed. `UnknownName` is raised if the name is not registered.
     ParameterError
         If a parameter is unknown, missing or out of range, or the numbers of dims disagree.
+        If a function cannot be imported, or has no dims.
+    ConfigError
+        If the spec names a function that is not allowed (`mcspectra.samplers.allow_code`).
     """
     asked = None if dims is None else as_integer("dims", dims, least=1, most=MAX_DIMS)
+    if FUNCTION.fullmatch(spec):
+        process_trust().check_code(Call("python", {"function": spec}))
+        function = loaded_function(spec)
+        if asked is None:
+            raise ParameterError(
+                Parameter("dims"), f" is missing; give the number of inputs of {spec}."
+            )
+        return Integrand.from_function(function, dims=asked)
     found: Integrand = INTEGRANDS.build(parse(spec), asked)
     return found
 

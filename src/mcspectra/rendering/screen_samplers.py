@@ -47,7 +47,7 @@ from mcspectra.core.progress import report
 from mcspectra.core.registry import DEFAULT_DIMS, Registry
 from mcspectra.core.spec import Component, parse_chain
 from mcspectra.core.streams import Stream
-from mcspectra.core.trust import words_of
+from mcspectra.core.trust import loaded_function, words_of
 from mcspectra.measure.bench import shared_sets
 from mcspectra.samplers import Decorrelate, Sampler, as_sampler
 from mcspectra.samplers.external import (
@@ -57,7 +57,6 @@ from mcspectra.samplers.external import (
     allow_own_code,
     as_label,
     check_code,
-    loaded_function,
     printed_points,
     qualified_name,
 )

@@ -7,7 +7,6 @@ A spec that names code runs only if `allow_code` or the option ``--allow-code`` 
 from __future__ import annotations
 
 import hashlib
-import importlib
 import math
 import os
 import re
@@ -38,7 +37,7 @@ from mcspectra.core.pointfiles import matching_files, parse_dat, read_points
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.spec import Call
 from mcspectra.core.streams import Stream
-from mcspectra.core.trust import CODE, FUNCTION, allow, process_trust, words_of
+from mcspectra.core.trust import CODE, allow, loaded_function, process_trust, words_of
 from mcspectra.samplers._digital_kernels import all_balanced, leading_digits
 from mcspectra.samplers._primes import power_from
 from mcspectra.samplers.base import MAX_COUNT, Draw, Randomization, Sampler, repeated
@@ -56,7 +55,6 @@ __all__ = [
     "allow_own_code",
     "as_label",
     "check_code",
-    "loaded_function",
     "net_quality",
     "printed_points",
     "qualified_name",
@@ -717,31 +715,6 @@ def _output_of(words: Sequence[str], most: int, timeout: float, spec: str) -> st
             how = f"exit code {code}" if code > 0 else f"signal {-code}"
             raise ParameterError(f"{spec} ended with {how}: {said}.")
     return data.decode(errors="replace")
-
-
-def loaded_function(name: object) -> Callable[..., Any]:
-    """Return the function ``module:function``.
-
-    Raises
-    ------
-    ParameterError
-        If the name has another form, cannot be imported, or is not a function.
-    """
-    if not isinstance(name, str) or not FUNCTION.fullmatch(name):
-        raise ParameterError(f"python(function={name!r:.80}): write 'module:function'.")
-    module, _, attribute = name.partition(":")
-    try:
-        found = getattr(importlib.import_module(module), attribute)
-    except KeyboardInterrupt:
-        raise
-    except BaseException as error:  # external code may raise any exception
-        hint = "; name its folder in PYTHONPATH" if isinstance(error, ModuleNotFoundError) else ""
-        raise ParameterError(
-            f"The function {name!r} cannot be imported: {reason_of(error, 200)}{hint}."
-        ) from error
-    if not callable(found):
-        raise ParameterError(f"{name!r} is {found!r:.80}, not a function.")
-    return found  # type: ignore[no-any-return]
 
 
 def allow_code(*names: str) -> None:

@@ -30,8 +30,8 @@ from mcspectra.core.errors import (
 )
 from mcspectra.core.pointfiles import matching_files
 from mcspectra.core.spec import Call, parse_chain
-from mcspectra.core.trust import FILE_KEYS, FUNCTION, Trust
-from mcspectra.samplers.external import allow_own_code, loaded_function
+from mcspectra.core.trust import FILE_KEYS, FUNCTION, Trust, loaded_function
+from mcspectra.samplers.external import allow_own_code
 
 __all__ = ["Inputs", "Trust", "Vetting", "changed_inputs", "check_inputs"]
 
