@@ -1,6 +1,7 @@
-"""The verb `profile` for files of draws: formats, text, figures and errors."""
+"""The verb `profile`: files of draws, and functions in Python that are named."""
 
 import json
+import math
 import os
 import pickle
 
@@ -9,6 +10,7 @@ import pytest
 import xarray as xr
 
 import mcspectra as mcs
+from mcspectra.core import trust
 
 DRAWS = np.random.default_rng(1).standard_normal((2, 100))
 
@@ -207,5 +209,54 @@ def test_bad_input_is_one_sentence(run, files, names, words):
     (files / "ragged.csv").write_text("chain,b\n1,2\n2,3\n2,4\n")
     code, out, err = run("profile", *(files / n if "." in n else n for n in names))
     assert (code, out) == (2, "")
+    assert words in err
+    assert err.count("\n") == 1
+
+
+FUNCTIONS = """
+import numpy as np
+def bump(x): return np.exp(-(x**2).sum(axis=-1))
+def broken(x): raise ValueError("no such thing")
+number = 3
+"""
+
+
+@pytest.fixture
+def own_module(tmp_path, monkeypatch):
+    """A module with functions; what a test allows is forgotten afterwards."""
+    (tmp_path / "functions_of_a_user.py").write_text(FUNCTIONS)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(trust, "_process", trust.process_trust())
+    return "functions_of_a_user"
+
+
+def test_functions_in_python_are_named_on_the_command_line(run_json, own_module):
+    name = f"{own_module}:bump"
+    given = (name, "-d", 2, "--budget", 1024, "--allow-code", name)
+    found = run_json("profile", *given)
+    truth = (math.erf(1.0) * math.pi**0.5 / 2) ** 2
+    low, high = found["integral_ci"]
+    assert low < truth < high
+    same = mcs.profile(lambda x: np.exp(-(x**2).sum(axis=-1)), dims=2, budget=1024)
+    assert found["integral"] == same.integral
+    low, high = run_json("integrate", *given)["interval"]
+    assert low < truth < high
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "words"),
+    [
+        ("bump", [], "allow it by --allow-code functions_of_a_user:bump"),
+        ("bump", ["--allow-code"], "--dims is missing; give the number of inputs"),
+        ("none", ["--allow-code", "-d2"], "cannot be imported"),
+        ("number", ["--allow-code", "-d2"], "is 3, not a function"),
+        ("broken", ["--allow-code", "-d2"], "failed at its first points: ValueError: no such"),
+    ],
+)
+def test_functions_that_cannot_be_used_are_one_sentence(run, own_module, name, options, words):
+    text = f"{own_module}:{name}"
+    allowed = [part for each in options for part in ([each, text] if "code" in each else [each])]
+    code, _, err = run("profile", text, *allowed)
+    assert code == 2
     assert words in err
     assert err.count("\n") == 1

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 import mcspectra as mcs
 from mcspectra.cli.common import (
+    INTEGRAND,
     Declaration,
     Read,
     Verb,
@@ -47,7 +48,7 @@ if TYPE_CHECKING:
 __all__ = ["analysis_verb", "declared"]
 
 _ESTIMATOR = (
-    option("INTEGRAND", "integrand spec, e.g. 'gaussian(width=0.25)'"),
+    INTEGRAND,
     option("-d, --dims D", "number of dims, unless the specs fix it", whole()),
     option(
         "--density SPEC",

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from mcspectra.samplers import Sampler
 
 __all__ = [
+    "INTEGRAND",
     "Declaration",
     "Read",
     "Verb",
@@ -122,6 +123,14 @@ def option(
     further |= {"metavar": last, "action": Read, "read": read, "help": help}
     names = names or [further.pop("dest", last.lower())]
     return lambda parser: parser.add_argument(*names, **further)
+
+
+INTEGRAND = option(
+    "INTEGRAND",
+    "integrand spec, e.g. 'gaussian(width=0.25)', or a function in Python, module:function, with "
+    "--dims and --allow-code",
+)
+"""The integrand of a verb."""
 
 
 def out(help: str, **further: Any) -> Declaration:

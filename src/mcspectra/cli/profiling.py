@@ -192,8 +192,9 @@ store has the dims chain and draw, at its root or in the group posterior, as wri
     (
         option(
             "SUBJECT",
-            "integrand spec, e.g. 'gaussian(width=0.25)', a scene (.xml or a name), or files of "
-            "draws: .npy, .csv, .nc or .zarr",
+            "integrand spec, e.g. 'gaussian(width=0.25)', a function in Python, module:function, "
+            "with --dims and --allow-code, a scene (.xml or a name), or files of draws: .npy, "
+            ".csv, .nc or .zarr",
             dest="integrand",
             nargs="+",
         ),

@@ -12,6 +12,7 @@ from typing import Any
 
 import mcspectra as mcs
 from mcspectra.cli.common import (
+    INTEGRAND,
     VerbOutput,
     given_of,
     group,
@@ -203,7 +204,7 @@ def points_(options: argparse.Namespace) -> VerbOutput:
 
 
 @verb(
-    option("INTEGRAND", "integrand spec, e.g. 'gaussian(width=0.25)'"),
+    INTEGRAND,
     option("--budget B", "most evaluations of the integrand", whole(), required=True),
     option("-d, --dims D", "number of dims, if the spec does not fix it", whole()),
     option("--density SPEC", "importance density"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from mcspectra.core.checks import MAX_DIMS, as_integer
 from mcspectra.core.display import counted, needed, shown
-from mcspectra.core.errors import Parameter, ParameterError
+from mcspectra.core.errors import McspectraError, Parameter, ParameterError, reason_of
 from mcspectra.core.registry import Registry, classes_of
 from mcspectra.core.spec import Call, parse
 from mcspectra.core.trust import FUNCTION, loaded_function, process_trust
@@ -66,7 +66,13 @@ def integrand(spec: str, dims: int | None = None) -> Integrand:
             raise ParameterError(
                 Parameter("dims"), f" is missing; give the number of inputs of {spec}."
             )
-        return Integrand.from_function(function, dims=asked)
+        try:
+            return Integrand.from_function(function, dims=asked)
+        except McspectraError:
+            raise
+        except Exception as error:
+            reason = f"{type(error).__name__}: {reason_of(error, 200)}"
+            raise ParameterError(f"{spec} failed at its first points: {reason}.") from error
     found: Integrand = INTEGRANDS.build(parse(spec), asked)
     return found
 
