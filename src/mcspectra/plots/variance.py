@@ -323,12 +323,14 @@ def _known_curves(group: Group, styles: Styles, what: str, caption: str) -> Plot
             slope, limit, bend = (
                 float(each[v]) for v in ("predicted_rate", "limit_rate", "bend_n")
             )
-            notes[name] = f": {number(slope)}" + (
-                f" → {number(limit)}" if np.isfinite(limit) else ""
-            )
+            ends = f", tends to {number(limit)}" if np.isfinite(limit) else ""
+            notes[name] = f": rate {number(slope)}{ends}"
             if np.isfinite(bend):
+                label = f"the rate changes at n = {bend:.3g}"
                 marks.append(
-                    ReferenceLine(at=bend, axis="x", color=styles[name].color, dashes="--")
+                    ReferenceLine(
+                        at=bend, axis="x", color=styles[name].color, dashes="--", label=label
+                    )
                 )
         if "planned_n" in each and np.isfinite(each["planned_n"]):
             notes[name] = f": n = {int(each['planned_n'])}"
@@ -341,7 +343,12 @@ def _known_curves(group: Group, styles: Styles, what: str, caption: str) -> Plot
     wanted = [
         np.ravel(each["target_variance"]) for each in group.values() if "target_variance" in each
     ]
-    marks += [ReferenceLine(at=float(at), color=INK, dashes="--") for at in np.unique(wanted)]
+    marks += [
+        ReferenceLine(
+            at=float(at), color=INK, dashes="--", label=f"error², for the RMSE {number(at**0.5)}"
+        )
+        for at in np.unique(wanted)
+    ]
     values = np.concatenate([*(variance for _, variance in curves.values()), *wanted])
     # Use only counts that have values
     shown = np.concatenate([n for n, _ in curves.values()])
