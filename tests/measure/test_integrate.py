@@ -12,7 +12,7 @@ import mcspectra as mcs
 from mcspectra.cli.main import main
 from mcspectra.core.errors import DomainError, InfiniteVarianceWarning, ParameterError
 from mcspectra.estimators.tails import border_growth, tied_error
-from mcspectra.measure.integration import _Estimated, _with_profile
+from mcspectra.measure.integration import _Estimated, _Replicates, _with_profile
 
 E = np.e - 1.0
 
@@ -541,3 +541,32 @@ def test_an_estimate_without_an_interval_is_kept_within_that_of_the_profile():
         result = _with_profile(value, made.interval, made.note, found, made, None)
         assert result[:2] == (kept, (low, high))
         assert "that of the profile" in result[2]
+
+
+def wave(x):
+    return np.cos(2.0 * math.pi * 4096.0 * x[..., 0])
+
+
+def test_a_set_that_is_blind_to_the_waves_of_f_does_not_give_the_interval():
+    """A lattice of 4096 points sees a constant. Earlier versions: 2.7e-14 wide, error 0.57."""
+    found = mcs.profile(wave, dims=1, budget=4096, rng=7000)
+    assert found.interval[0] < 0.0 < found.interval[1]
+    for seed in range(100, 105):
+        result = mcs.integrate(wave, dims=1, budget=4096, profile=found, rng=seed)
+        assert tuple(result["interval"].values) == found.interval
+        assert "they miss its variation" in result.attrs["note"]
+
+
+def test_contradicting_intervals_are_both_contained_in_the_result():
+    found = mcs.profile(smooth, dims=2, budget=4096)
+    low, high = found.interval
+    values = np.linspace(-1.0, 1.0, 64).reshape(8, 8)
+    sets = _Replicates(np.zeros((8, 8, 2)), values, 1.0, 8)
+    for away, contained in ((1.5, False), (2.5, True)):
+        value = found.integral + away * (high - found.integral)
+        interval = value - 1e-12, value + 1e-12
+        made = _Estimated(value, interval, None, None, False, values)
+        mean, ends, note = _with_profile(value, interval, None, found, made, sets)
+        assert (ends[0] <= low and ends[1] >= interval[1]) == contained
+        assert ends[0] <= mean <= ends[1]
+        assert (note is not None and "contains both" in note) == contained

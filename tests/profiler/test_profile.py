@@ -726,6 +726,10 @@ def test_equal_values_mean_a_constant_or_a_missed_region():
     assert "either it is constant" in found.causes[0].sentence
     assert not found.answer.changes
     assert found.dataset["rmse"].isnull().all()
+    assert math.isnan(found.answer.rmse)
+    assert found.answer.rmse_ci == (0.0, math.inf)
+    assert math.isnan(found.variance)
+    assert json.loads(found.dataset.attrs["best"])["rmse"] is None
     known = mcs.Integrand.from_function(lambda x: 3.0 + 0.0 * x[..., 0], dims=2, integral=3.0)
     assert mcs.profile(known).causes[0].name == "none"
     assert (mcs.profile(known).dataset["rmse"] == 0.0).all()
@@ -1055,3 +1059,13 @@ def test_a_jump_that_no_line_crosses_is_seen_in_the_rate_of_nets():
     assert found.answer.best.name == "sobol | owen"
     assert [cause.name for cause in found.answer.causes] == ["few-realizations"]
     assert "may have missed a jump" in found.answer.causes[0].sentence
+
+
+def test_an_error_that_two_counts_do_not_give_is_not_shown():
+    """Two counts gave a folded lattice the rate −3.6 ± 7 and an RMSE of 1.94e-6; it is 5.4e-4."""
+    found = mcs.profile("formula(expression='exp(-x**2) * (x + y < 0.8)')", budget=1000)
+    name = "rank1-lattice | shift | mirror(mode='fold')"
+    assert name not in [row[0] for row in found._rows()]
+    assert f"not known  {name}" in found.text
+    assert math.isnan(float(found.dataset["rmse"].sel(sampler=name)))
+    assert "sobol | owen" in [row[0] for row in found._rows()]

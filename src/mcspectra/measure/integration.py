@@ -146,6 +146,15 @@ class IntegrationSettings:
     # Largest ratio between the numbers of calls of consecutive rounds.
     # The ratio of calls is limited because the first measured rates are uncertain.
     growth: float = 4.0
+    # If the advised points are blind to f, such as a lattice to waves of its own frequency,
+    # the values of f at the points hardly vary, and the replicates agree on a wrong value.
+    # Points are blind if the variance of f at them is below this share of that in the profile.
+    # At 4096 points that resolve f, the share is 1 up to a few percent.
+    seen: float = 0.01
+    # The estimates of the profile and of the new calls contradict each other if their distance
+    # exceeds this number of half widths of the 95 % interval of their difference.
+    # Two half widths are 4 standard errors; a normal error exceeds them with probability 6e-5.
+    apart: float = 2.0
 
 
 _SETTINGS = IntegrationSettings()
@@ -204,6 +213,7 @@ def integrate(
         Evaluations of the profile are reused, and are not counted in `budget`.
         The result combines the integral of the profile with the integral of the new calls.
         Each integral is weighted by the inverse square of the width of its interval.
+        If the two integrals contradict each other, the interval contains both of their intervals.
     rng
         Seed (SPEC 7).
 
@@ -584,8 +594,12 @@ def _with_profile(
     Therefore the errors of the estimates are uncorrelated with the errors of the profile.
     """
     low, high = profile.interval
+    blind = _is_blind(profile, found)
+    if blind:
+        interval = -math.inf, math.inf
+        note = "f varies far less than in the profile: they miss its variation"
     twice = 2.0 * low - profile.integral, 2.0 * high - profile.integral
-    if found.alike and twice[0] <= value <= twice[1] and high - low < math.inf:
+    if found.alike and not blind and twice[0] <= value <= twice[1] and high - low < math.inf:
         # f varied in the profile, but is constant at the points of the recommended sampler.
         # The value is within about four standard errors (two half widths) of the profile's mean
         away = math.sqrt(float(rounding_floor(np.array(value))))
@@ -600,6 +614,22 @@ def _with_profile(
         return value if low <= value <= high else profile.integral, (low, high), note
     if not (math.isfinite(sum(widths)) and min(widths) > 0.0):
         return value, interval, note
+    # If the estimates contradict each other, an interval misses ∫f, but which one is not known.
+    # The value with the wider interval is the more cautious one
+    reach = math.hypot(*(
+        (each[1] - own if own < other else own - each[0])
+        for own, other, each in (
+            (value, profile.integral, interval), (profile.integral, value, (low, high)),
+        )
+    ))  # fmt: skip
+    if abs(value - profile.integral) > _SETTINGS.apart * reach:
+        note = (
+            f"the new calls give {value:.6g} and the profile {profile.integral:.6g}, which their "
+            "intervals do not allow, so the interval contains both: give another sampler or a "
+            "larger budget without profile"
+        )
+        ends = min(low, interval[0]), max(high, interval[1])
+        return value if widths[0] > widths[1] else profile.integral, ends, note
     # The width from few replicates has a large error. Use the expected width if it is smaller
     best, n = profile.answer.best, found.values.size / sets.sets
     expected = 4.0 * best.rmse * (n / best.n) ** (0.5 * best.rate) * sets.sets**-0.5
@@ -610,6 +640,18 @@ def _with_profile(
     below = math.hypot(*(weight * (each - ends[0]) for weight, each, ends in parts))
     above = math.hypot(*(weight * (ends[1] - each) for weight, each, ends in parts))
     return mean, (mean - below, mean + above), note
+
+
+def _is_blind(profile: Any, found: _Estimated) -> bool:
+    """Return whether f hardly varies at the advised points, although it varied in the profile.
+
+    If the profile recommends another estimator, its g may vary far less for good reason.
+    """
+    best, given = profile.answer.best, profile.answer.given
+    curve = profile.samplers.get("random")
+    if curve is None or best.estimator is not given.estimator:
+        return False
+    return bool(found.values.var() < _SETTINGS.seen * curve.at(1)[0])
 
 
 def _filled(values: Array) -> Array:

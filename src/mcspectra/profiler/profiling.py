@@ -335,13 +335,13 @@ class Profile:
         # If the interval of an extrapolated RMSE begins at 0, only its upper end is reliable
         results = {result.name: result for result in self.answer.results}
         ends = {name: results[name].rmse_ci for name in self.samplers if name in results}
-        limits = {name: high for name, (low, high) in ends.items() if low == 0.0 < high}
+        limits = {name: high for name, (low, high) in ends.items() if low == 0.0 < high < math.inf}
         order = {
             name: limits.get(name, math.sqrt(curve.at(self.points)[0]))
             for name, curve in self.samplers.items()
         }
         random = self.samplers.get("random")
-        largest = math.inf if random is None else self._rmse(random)
+        largest = math.inf if random is None else self._rmse("random")
         rows = []
         for name in sorted(order, key=order.__getitem__):
             curve = self.samplers[name]
@@ -352,18 +352,36 @@ class Profile:
             )
             if math.isnan(curve.rate):
                 rate = "no error seen" if curve.vanishes <= self.points else "none"
-            if limits.get(name, 0.0) >= largest:
+            if limits.get(name, 0.0) >= largest or self._is_open(name):
                 continue  # random points have a smaller RMSE than this limit
-            rmse = self._rmse(curve)
+            rmse = self._rmse(name)
             shown = "not known" if math.isnan(rmse) else f"{rmse:.3g}"
             shown = f"< {limits[name]:.2g}" if name in limits else shown
             rows.append((name, shown, rate.replace("-", "−")))
         return rows
 
-    def _rmse(self, curve: Curve) -> float:
+    def _is_open(self, name: str) -> bool:
+        """Return whether a sampler's result has no RMSE, and its curve does not give one either.
+
+        The 95 % interval of the extrapolated curve reaches the RMSE of random points.
+        """
+        result = next((each for each in self.answer.results if each.name == name), None)
+        random, curve = self.samplers.get("random"), self.samplers[name]
+        if result is None or random is None or result.verdict == "given":
+            return False
+        value, error = curve.at(self.points)
+        if not (math.isnan(result.rmse) and value > 0.0 and math.isfinite(curve.rate)):
+            return False
+        away = min(CONFIDENCE_Z * error, _SETTINGS.most_log)
+        return value * math.exp(away) >= random.at(self.points)[0]
+
+    def _rmse(self, name: str) -> float:
         """Return the RMSE at the budget, from a curve of variance. An unknown RMSE is NaN."""
+        curve = self.samplers[name]
         if math.isinf(self.variance):
             return math.inf
+        if self._is_open(name):
+            return math.nan
         if math.isnan(curve.rate) and max(curve.counts, default=math.inf) < self.points:
             return 0.0 if self.points >= curve.vanishes else math.nan
         rmse = math.sqrt(curve.at(self.points)[0])
@@ -403,7 +421,7 @@ class Profile:
             {
                 "variance": (("sampler", "n"), variance),
                 "variance_ci": (("sampler", "n", "bound"), ends),
-                "rmse": (("sampler",), np.array([self._rmse(curve) for curve in curves])),
+                "rmse": (("sampler",), np.array([self._rmse(name) for name in self.samplers])),
                 "rate": (("sampler",), np.array([curve.rate for curve in curves])),
                 "rate_ci": (("sampler", "bound"), np.array([curve.rate_ci for curve in curves])),
                 "integral": ((), np.float64(self.integral)),
@@ -720,7 +738,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     curves |= measured
     smooth = _is_smooth(causes) and not as_slow_as_a_jump(curves[NETS], estimator.dims)
     curves |= {
-        name: _by_theory(name, curve, causes, estimator.dims, points, smooth)
+        name: _by_theory(name, curve, causes, estimator.dims, points, smooth, curves["random"])
         for name, curve in curves.items()
         if name not in rivals or rivals[name].kind == "sampler"
     }
@@ -793,6 +811,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         usable[reference], points, found, len(usable) - 1 + len(changed),
         infinite=infinite, known=known, noise=min(curve.noise for curve in usable.values()),
     )  # fmt: skip
+    variance = curve.at(points)[0]
     # Write the sentences that replace the advice or follow it
     changes = any(result.verdict == "better" for result in results)
     instead, why = "", _why(causes)
@@ -816,7 +835,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         interval=sets.interval if known else (-math.inf, math.inf),
         calls=calls,
         budget=budget,
-        variance=math.inf if infinite else curve.at(points)[0],
+        variance=math.inf if infinite else variance if variance or known else math.nan,
         rate=curve.rate,
         rate_ci=curve.rate_ci,
         answer=answer,
@@ -836,10 +855,17 @@ def _shown(value: float, low: float, high: float) -> str:
 
 
 def _by_theory(
-    name: str, curve: Curve, causes: Sequence[Cause], dims: int, points: int, smooth: bool
+    name: str,
+    curve: Curve,
+    causes: Sequence[Cause],
+    dims: int,
+    points: int,
+    smooth: bool,
+    random: Curve,
 ) -> Curve:
     """Return the curve with a weighted mean of its measured and its theoretical rate.
 
+    `random` is the curve of random points, which shows whether the measured sets resolve g.
     The curve is extrapolated to at most `points` points.
     Folded lattices get the rate for smooth g only if `smooth` is true.
     """
@@ -880,6 +906,13 @@ def _by_theory(
     third = 0.0 if strata else (dims - 1) / (3.0 * math.log(curve.counts[-1]))
     rate = -1.0 - _EXPONENTS[first] / (dims if strata else 1) + 2.0 * third
     if first == "axis-parallel-jump":
+        n = float(curve.counts[-1])
+        if random.at(n)[0] < CAUSE_SETTINGS.resolved * curve.at(n)[0]:
+            # The sets do not resolve g, such as the squares of a checkerboard. Up to which count
+            # the rate stays that of random points is not known: the 95 % interval has both rates
+            return replace(
+                curve, rate=0.5 * (rate - 1.0), rate_se=-0.5 * (rate + 1.0) / CONFIDENCE_Z
+            )
         # The log variance is a sawtooth about a line. Its level is the mean over the last counts
         error = math.hypot(curve.rate_se, _SETTINGS.teeth_error)
         teeth = np.log(curve.variance) - curve.rate * np.log(curve.counts / curve.counts[-1])
@@ -1179,6 +1212,8 @@ def _results(
         return rmse, (rmse / away, rmse * away)
 
     rmse, ends = (math.inf, (math.inf, math.inf)) if infinite else with_ends(at_budget)
+    if not known and rmse == 0.0:  # No point hit a place where g varies, if there is one
+        rmse, ends = math.nan, (0.0, math.inf)
     name = given.sampler.spec
     results = [
         CandidateResult(
