@@ -325,6 +325,19 @@ def test_a_map_of_a_subset_says_so_and_resumes(tmp_path, capsys):
     assert (tmp_path / "out" / "maps.exr").read_bytes() == before
 
 
+def test_the_estimated_storage_of_a_subset_counts_the_interpolated_pixels(tmp_path, capsys):
+    """Earlier versions counted only the measured pixels in the database."""
+    asked = [
+        "map", "penumbra(width=128, height=96)", "--integrator", "path(max_depth=2)",
+        "--counts", "4,16", "-m", "8", "--chains", "8", "--pixels", "1%",
+    ]  # fmt: skip
+    assert main([*asked, "--dry-run", "--json"]) == 0
+    estimated = json.loads(capsys.readouterr().out)["storage"]
+    assert main([*asked, "-o", str(tmp_path)]) == 0
+    stored = sum(file.stat().st_size for file in tmp_path.rglob("*") if file.is_file())
+    assert 1 / 1.2 < estimated / stored < 1.2
+
+
 @pytest.mark.usefixtures("undrawn")
 def test_a_map_writes_samples_that_render_reads(tmp_path, capsys, monkeypatch):
     scene = "penumbra(width=16, height=12)"

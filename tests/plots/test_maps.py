@@ -9,7 +9,7 @@ from mcspectra.core.errors import McspectraError, ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.plots.description import Heatmap, Pixels, Segments
 from mcspectra.plots.kinds import PLOT_KINDS, describe, kinds_of
-from mcspectra.plots.maps import incident_maps, located, rms_error, strategy_images
+from mcspectra.plots.maps import incident_maps, located, rms_error, strategy_images, worst_pixels
 from mcspectra.plots.text import number
 from mcspectra.rendering.files import encode_srgb
 
@@ -47,6 +47,16 @@ MAPS = [kind for kind in PLOT_KINDS if kind.startswith("map-")]
 
 def test_maps_have_a_plot_for_each_quantity():
     assert list(kinds_of(variance_map())) == MAPS
+
+
+def test_only_measured_pixels_are_marked_as_the_worst():
+    """Earlier versions drew five rings around one measured pixel."""
+    measured = np.zeros((3, 4))
+    measured[[0, 2], [1, 3]] = 1.0
+    data = variance_map(measured=(("y", "x"), measured))
+    assert {tuple(place) for place in worst_pixels(data)} == {(0, 1), (2, 3)}
+    assert "Rings: the 2 pixels" in describe("map-picture", data).caption
+    assert len(worst_pixels(variance_map())) == 5
 
 
 @pytest.mark.parametrize("kind", MAPS)

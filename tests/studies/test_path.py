@@ -97,6 +97,34 @@ def test_an_unsupported_count_is_refused_first():
         analyse_path(SCENE, X, Y, integrator=PATH, counts=(64,))
 
 
+def test_only_a_significant_change_is_recommended(tree):
+    """Earlier versions compared the headline with random numbers, and contradicted the table."""
+    found = tree["remedies"].to_dataset().copy(deep=True)
+    found["error_ratio_ci"].values[:] = (0.3, 250.0)
+    verdicts = np.where(found["remedy"].values == "as given", "given", "undecided")
+    undecided = tree.copy()
+    undecided["remedies"] = xr.DataTree(found.assign_coords(verdict=("remedy", verdicts)))
+    said = path_answer(undecided)
+    assert said.startswith(f"Keep sobol | owen: none of the {len(verdicts) - 1} tested changes")
+    assert "(95 %: 0.300 to 250)" in dict(path_sentences(undecided))["sampler"]
+    # The printed gain is that of the table
+    changed = path_answer(tree)
+    given = float(found["error"].sel(remedy="as given"))
+    assert f"instead of {given**0.5:.2g}" in changed
+    assert "random would need" not in changed
+
+
+def test_parts_are_interactions_if_no_decision_causes_variance_alone(tree):
+    parts = tree["anova/request"].to_dataset().copy(deep=True)
+    parts["anova_share"].values[:] = 0.0
+    parts["anova_share"].values[1] = 0.004
+    found = tree.copy()
+    found["anova/request"] = xr.DataTree(parts)
+    assert dict(path_sentences(found))["by decision"].startswith(
+        "Nearly all of the variance comes from interactions: no decision alone causes more than 0.4"
+    )
+
+
 def test_the_verb_prints_writes_and_refuses(tmp_path, capsys, tree, monkeypatch):
     monkeypatch.setattr("mcspectra.studies.path.analyse_path", lambda *_, **__: tree)
     asked = ["pixel", SCENE, str(X), str(Y), "--integrator", PATH]

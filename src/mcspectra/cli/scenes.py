@@ -611,7 +611,12 @@ def pixel_(options: argparse.Namespace) -> VerbOutput:
         # Compare samplers at pixels around this pixel
         crop = _around(options.scene, tree.attrs["x"], tree.attrs["y"])
         advice = profile_scene(options.scene, **_as_rendered(options, crop))
-        parts.insert(1, f"{crop[2]} × {crop[3]} pixels around this one: {advice.text}")
+        differs = textwrap.fill(
+            f"The next comparison differs: it renders the {crop[2]} × {crop[3]} pixels around this "
+            "one with the scene's filter and integrator, and changes only the sampler.",
+            _WIDTH,
+        )
+        parts.insert(1, f"{differs}\n{advice.text}")
         data["profile"] = advice.to_dict()
     if written is not None:
         data["report"] = written

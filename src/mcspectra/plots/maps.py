@@ -287,15 +287,22 @@ def _picture(group: Group, _: Styles, *, caption: str) -> Plot:
         image = np.atleast_3d(data["image"].transpose("y", "x", ...).values)
         return located(image, np.zeros((0, 2)), caption=caption)
     image = data["mean"].isel(strategy=-1).transpose("y", "x").values[..., None]
-    variance = data["variance"].isel(strategy=-1, n=-1).transpose("y", "x").values
-    rows, columns = worst_pixels(variance).T
+    rows, columns = worst_pixels(data).T
     if rows.size:
         caption += f" Rings: the {rows.size} pixels with the largest variance."
     return located(image, np.stack([columns, rows], axis=-1), caption=caption)
 
 
-def worst_pixels(variance: Array) -> Array:
-    """Return rows and columns (K, 2) of at most five pixels with the largest positive variance."""
+def worst_pixels(data: xr.Dataset) -> Array:
+    """Return rows and columns (K, 2) of at most five pixels with the largest positive variance.
+
+    The variances are those of the last strategy with the largest n.
+    In a map of a subset, only measured pixels count: around one of them, all interpolated pixels
+    have a large variance.
+    """
+    variance = data["variance"].isel(strategy=-1, n=-1).transpose("y", "x").values
+    if "measured" in data:
+        variance = np.where(data["measured"].transpose("y", "x").values == 1.0, variance, np.nan)
     order = np.argsort(np.nan_to_num(variance, nan=-1.0), axis=None, kind="stable")[::-1]
     places = np.stack(np.unravel_index(order[:_WORST], variance.shape), axis=-1)
     return np.asarray(places[variance[tuple(places.T)] > 0])

@@ -943,7 +943,8 @@ class _Work:
             logs = np.log(np.maximum(values.var(axis=0, ddof=1) / mean**2, floor))
         return np.asarray(logs - bias)
 
-    def _narrowed(self, values: Array, mean: Array) -> Array:
+    @classmethod
+    def _narrowed(cls, values: Array, mean: Array) -> Array:
         """Return logarithms of squared errors of pixels, moved toward their median.
 
         Noise of the measured errors makes the spread of their logarithms over the pixels too large.
@@ -951,14 +952,17 @@ class _Work:
         Both spreads are medians: a dark pixel with rare paths may have no variance in half of the
         renders, and a mean would then be far larger than the noise of other pixels.
         """
-        logs = self._logs(values, mean)
+        logs = cls._logs(values, mean)
         both = [values[k::2] for k in (0, 1)]
         known = np.all([half.max(axis=0) > half.min(axis=0) for half in both], axis=0)
         if not known.any():
             return logs
-        apart = np.subtract(*(self._logs(half[:, known], mean[known]) for half in both))
+        apart = np.subtract(*(cls._logs(half[:, known], mean[known]) for half in both))
         center = float(np.median(logs))
-        noise, total = _scale(apart) / 2.0, _scale(logs[known] - np.median(logs[known]))
+        # The noise of a log variance of few renders grows faster than as one over their number,
+        # so the difference of two halves is related to it by the noise of normal values
+        part = _noise_of_log(len(values)) / math.hypot(*(_noise_of_log(len(v)) for v in both))
+        noise, total = part * _scale(apart), _scale(logs[known] - np.median(logs[known]))
         keep = math.sqrt(max(1.0 - (noise / total) ** 2, 0.0)) if total > 0.0 else 1.0
         return np.asarray(center + keep * (logs - center))
 

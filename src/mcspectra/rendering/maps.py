@@ -98,11 +98,11 @@ _DIMS = {
 # Labels of two random streams: one chooses the measured pixels, the other the pixels of a trial
 _CHOICE, _TRIAL = 0x9C401, 0x7D1A1
 _TRIED = 4096  # maximum number of pixels that a trial measures
-# Seconds of the fits, and bytes in files and image layers, for each number in a result
-_PIXEL_SECONDS, _PIXEL_BYTES = 3e-7, 10
+# Seconds of the fits, and stored bytes, for each number in a result. Eight bytes are in the
+# database and eight in the file of results, also at interpolated pixels; image layers take 2 to 3
+_PIXEL_SECONDS, _PIXEL_BYTES = 3e-7, 18.5
 # Seconds to interpolate a pixel of the image between measured pixels, for all numbers of a result
 _SPREAD_SECONDS = 1.2e-5
-_STATE_BYTES = 8  # bytes for each measured number that is kept for a resumption
 
 _DIRECT_COUNTS, _PATH_COUNTS = (4, 9, 16, 36, 64), (4, 16, 64)
 _SHARES_OF_PATHS = tuple(
@@ -340,7 +340,7 @@ class Map(Analysis, frozen=True, kw_only=True):
             samples=samples * count,
             samples_per_second=samples / paced.each,
             seconds=loaded + paced.seconds + interpolation + _PIXEL_SECONDS * total * numbers,
-            storage=(_PIXEL_BYTES * total + _STATE_BYTES * count) * numbers,
+            storage=int(_PIXEL_BYTES * total * numbers),
         )
 
     def measurement(self, subject: Subject, stream: Stream) -> tuple[Measurement, _Window]:

@@ -324,7 +324,7 @@ def map_summary(result: xr.Dataset) -> dict[str, Any]:
             "variance": float(variance[row, column]),
             "share": part * float(variance[row, column]) / float(np.nansum(variance)),
         }
-        for row, column in worst_pixels(variance)
+        for row, column in worst_pixels(result)
     ]
     return found
 
@@ -358,8 +358,8 @@ def subset_note(summary: Mapping[str, Any]) -> str:
     told = (
         "the error of interpolation is unknown, because too few pixels have a variance."
         if not math.isfinite(factor)
-        else f"the variance of 95 % of these pixels is within a factor of {number(factor)} of the "
-        "interpolated one (median over pixels, measured by leaving pixels out)."
+        else f"the interpolated variance is typically off by at most a factor of {number(factor)} "
+        "(95 %, by leaving pixels out)."
     )
     return (
         f"A map of a subset: {measured} are measured, one at random in each stratum of the image. "

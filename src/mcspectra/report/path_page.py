@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +11,13 @@ import numpy as np
 import xarray as xr
 
 from mcspectra.core.display import between
+from mcspectra.improve.answers import Answer, CandidateResult
 from mcspectra.measure.anova import EFFECTIVE_SHARE
 from mcspectra.plots.kinds import describe
 from mcspectra.plots.text import interval, number, percent, rate, typeset
 from mcspectra.report import page as html
 from mcspectra.report.pixel_page import picture_of, remedies_blocks, remedies_summary
-from mcspectra.report.sentences import Size, answer, compared
+from mcspectra.report.sentences import answer
 
 __all__ = [
     "path_answer",
@@ -26,6 +28,7 @@ __all__ = [
 ]
 
 _TOGETHER = 0.3  # interactions with a smaller share of the variance are not reported
+_NEARLY_ALL = 0.95  # above this share, interactions are the only cause that is named
 _SHOWN = 0.005  # smallest share of the variance that is named
 _CHARGED = ("order", "roulette", "selection")  # kinds of changes that affect the cost of paths
 _ABOUT_CHARGED = (
@@ -123,39 +126,54 @@ def path_answer(tree: xr.DataTree) -> str:
     if "remedies" not in tree.children:
         measured = {str(s): curves.sel(sampler=s) for s in curves["sampler"].values}
         return typeset(str(answer(measured, why=why) or "Only one sampler was measured."))
-    _, other = _advised(tree)
-    found = tree["remedies"].to_dataset()
-    sizes = {}
-    for k in range(found.sizes["remedy"]):
-        row = found.isel(remedy=k)
-        # Recommend only changes whose gain is significant, as in the table of changes.
-        # The variable `error` excludes the cost of a pilot run. The verdict includes this cost
-        sure = row["verdict"].item() in ("better", "given")
-        if not sure and row["remedy"].item() != other["remedy"].item():
-            continue
-        low, high = row["error_ci"].values
-        sizes[_setup(tree, row)] = Size(float(row["error"]), low, high, float(row["rate"]))
-    return str(compared(sizes, _setup(tree, other), int(tree["remedies"].attrs["budget"]), why))
+    return typeset(str(_tabled(tree, why)))
 
 
-def _advised(tree: xr.DataTree, *kinds: str) -> tuple[xr.Dataset, xr.Dataset]:
-    """Return the recommended way to sample paths, and the way with which it is compared.
+def _tabled(tree: xr.DataTree, why: str) -> Answer:
+    """Return the answer whose gains and verdicts are those of the table of changes.
 
-    The best change is recommended if it helps significantly.
-    Otherwise the recommendation is to change nothing.
-    If `kinds` are given, only these kinds of changes are considered.
-    A recommendation is compared with random numbers if they were measured.
-    If random numbers were not measured, or if they are recommended themselves,
-    the recommendation is compared with the unchanged scene.
+    The variable `error` excludes the cost of a pilot run. The ratio and the verdict include it.
     """
     found = tree["remedies"].to_dataset()
-    given = found.sel(remedy="as given")
-    better = found["verdict"].values == "better"
-    if kinds:
-        better &= np.isin(found["kind"].values, kinds)
-    best = found.isel(remedy=int(np.argmax(better))) if better.any() else given
-    random = "random" in found["remedy"].values and best["remedy"].item() != "random"
-    return best, found.sel(remedy="random") if random else given
+    given, budget = found.sel(remedy="as given"), int(tree["remedies"].attrs["budget"])
+    rate, results = float(given["rate"]), list[CandidateResult]()
+
+    def needed(gain: float) -> float:
+        """Return how many evaluations the given set-up needs for the same variance."""
+        with np.errstate(over="ignore"):
+            return float(budget * np.power(gain, -1.0 / rate)) if rate < 0.0 < gain else math.nan
+
+    rows = [found.isel(remedy=k) for k in range(found.sizes["remedy"])]
+    for row in (given, *(row for row in rows if row["verdict"].item() != "given")):
+        verdict, name = row["verdict"].item(), _setup(tree, row)
+        low, high = np.sqrt(row["error_ci"].values).tolist()
+        least, gain, most = (
+            math.inf if ratio == 0.0 else 1.0 / ratio
+            for ratio in (
+                float(row["error_ratio_ci"][1]),
+                float(row["error_ratio"]),
+                float(row["error_ratio_ci"][0]),
+            )
+        )
+        results.append(
+            CandidateResult(
+                name,
+                f"use {name}",
+                ("", name),
+                budget,
+                math.sqrt(float(row["error"])),
+                (low, high),
+                gain=gain,
+                gain_ci=(least, most),
+                rate=float(row["rate"]),
+                needed=needed(gain),
+                needed_ci=(needed(least), needed(most)),
+                verdict=verdict,
+            )
+        )
+    named = why and not why.startswith("No ")
+    cause = f"Cause: {why[:1].lower()}{why[1:]}" if named else ""
+    return Answer.of(budget, results, why=cause)
 
 
 def _setup(tree: xr.DataTree, row: xr.Dataset) -> str:
@@ -184,11 +202,16 @@ def path_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
             if k == order[0] or shares[k] > _SHOWN
         ]
         text = f"The largest parts of the variance are {', '.join(parts)}."
-        if (together := 1.0 - float(shares.sum())) > _TOGETHER:
-            text += (
-                f" {percent(together)} are interactions: they fall only if the points are well "
-                "spread in these dimensions jointly."
+        together, most = 1.0 - float(shares.sum()), max(float(shares[order[0]]), 0.0)
+        if together > _NEARLY_ALL:
+            text = (
+                f"Nearly all of the variance comes from interactions: no {axes} alone causes more "
+                f"than {percent(most)}. They fall"
             )
+        elif together > _TOGETHER:
+            text += f" {percent(together)} are interactions: they fall"
+        if together > _TOGETHER:
+            text += " only if the points are well spread in these dimensions jointly."
         said.append((f"by {axes}", text))
     if "coordinate" in tree["anova"].children:
         found = _parts(tree, "coordinate")
@@ -202,17 +225,28 @@ def path_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
                 f"up to {name}, hold {percent(EFFECTIVE_SHARE)} of the variance of a path."
             )
             said.append(("effective dimension", text))
+    ratio = ""
     if "remedies" in tree.children:
-        best, other = _advised(tree, "sampler")
-        rows = {_setup(tree, each): float(each["error"]) for each in (best, other)}
-        name, n = _setup(tree, best), int(tree["remedies"].attrs["budget"])
+        tried = tree["remedies"].to_dataset()
+        better = (tried["verdict"].values == "better") & (tried["kind"].values == "sampler")
+        best = tried.isel(remedy=int(np.argmax(better))) if better.any() else None
+        row = tried.sel(remedy="as given") if best is None else best
+        name, n = _setup(tree, row), int(tree["remedies"].attrs["budget"])
+        size = float(row["error"])
+        if best is None and "random" in tried["remedy"].values:
+            # Ratios of the table relate to the given sampler, so another sampler has none
+            other = tried.sel(remedy="random")
+            around = between(*map(number, other["error_ratio_ci"].values.tolist()))
+            ratio = (
+                f"; random numbers have {number(float(other['error_ratio']))} times this variance "
+                f"(95 %: {around})"
+            )
     else:
         curves = tree["convergence"].to_dataset().isel(n=-1)
         rows = dict(zip(curves["sampler"].values, curves["variance"].values.tolist(), strict=True))
         name, n = min(rows, key=lambda each: rows[each]), int(curves["n"])
-    text = f"With {name} the variance at n = {n} is {number(rows[name])}"
-    if rows.get("random", 0.0) > rows[name] > 0.0:
-        text += f"; random numbers have {number(rows['random'] / rows[name])} times this variance"
+        size = rows[name]
+    text = f"With {name} the variance at n = {n} is {number(size)}{ratio}"
     said.append(("sampler", f"{text}."))
 
     # Describe the lights with most variance, and the best remedy
