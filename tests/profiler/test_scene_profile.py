@@ -350,16 +350,27 @@ def test_a_dry_run_prints_size_and_time(capsys):
     assert "nothing is stored" in capsys.readouterr().out
 
 
-def test_a_plan_counts_the_pixels_of_the_crop_and_the_samples_for_the_target():
+def test_a_plan_counts_the_pixels_of_the_crop():
     scene = "penumbra(width=32, height=24)"
-    asked = {"integrator": "direct", "seconds": 1.0, "crop": (4, 4, 8, 8)}
-    easy, hard = (plan_scene(scene, target=target, **asked) for target in (10.0, 1e-3))
-    assert easy.pixels == hard.pixels == 64
-    assert easy.samples < hard.samples
+    asked = {"integrator": "direct", "seconds": 1.0}
+    assert plan_scene(scene, crop=(4, 4, 8, 8), **asked).pixels == 64
     with pytest.raises(ParameterError, match="crop is"):
-        plan_scene(scene, integrator="direct", crop=(30, 0, 8, 8))
+        plan_scene(scene, crop=(30, 0, 8, 8), **asked)
     with pytest.raises(ParameterError, match="target"):
         plan_scene(scene, target=-1.0)
+
+
+def test_a_plan_counts_the_samples_for_the_target():
+    rendered = Rendered(np.ones((16, 16)), -1.0)
+    pixels = np.stack(np.meshgrid(np.arange(16), np.arange(16)), axis=-1).reshape(-1, 2)
+    values = rendered.estimates("", 64, pixels, 1, 16, Stream.from_rng(3))
+    work = _Work(rendered, Stream.from_rng(0), 30.0, 0.0)
+    # The error is 1/8 with 64 samples. Near each of two quantiles, 32 pixels are rendered 16 times
+    assert work._nearby(values, 0.125) == 0
+    few, more = (work._nearby(values, target) for target in (0.125 / 2, 0.125 / 4))
+    assert few == 2 * 32 * 16 * 256
+    assert more == 2 * 32 * 16 * 1024
+    assert work._nearby(0.0 * values, 0.125) == 0
 
 
 @pytest.mark.parametrize(

@@ -269,9 +269,10 @@ def design(
 
     # If the user interrupts before the first result, return a usual sampler with a warning
     usual = sampler_of("korobov | shift", goal.dims)
-    best, finished = Design(math.inf, 0.0, lambda _: usual), False
+    best, begun, finished = Design(math.inf, 0.0, lambda _: usual), False, False
     try:
         for found_design in KINDS[kind](goal, n, stream, settings):
+            begun = True
             report(f"design of {kind}, {n} points", found_design.done)
             if found_design.variance <= best.variance:
                 best = found_design
@@ -283,7 +284,7 @@ def design(
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         made, note = best.make(target.with_suffix(".npz")), ""
-        if math.isinf(best.variance):
+        if not begun:
             note = (
                 "The search was interrupted before its first result, so the sampler is "
                 f"{usual.spec}, not a design; let the search run longer."

@@ -165,8 +165,8 @@ class SearchSettings:
     # Number of rounds at the end that accept only exchanges which lower the error.
     cold_rounds: int = 4
     # Whether the search for sets of cells also starts from the cosets of a digital net.
-    # With 64 points in 4-D, a search from cosets ends with less variance than from random sets
-    # (tests/improve/test_design.py).
+    # With 64 points in 4-D, a short search from cosets ends with less variance than from random
+    # sets (tests/improve/test_design.py).
     cosets: bool = True
     # Number of shapes of strata that are compared, starting with the most even shapes.
     # For each shape, the variance is estimated from `shape_realizations` realizations.
