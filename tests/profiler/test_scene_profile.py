@@ -235,6 +235,10 @@ def test_a_better_sampler_is_found_and_confirmed(found):
     assert found.confirmed_ci[1] > 0.8
     assert "Use " in found.text
     assert "samples per pixel at half of the pixels" in found.text
+    name = found.answer.best.name
+    assert f"worst pixels at 64 samples per pixel with {name}" in found.text
+    assert "of the variance (random numbers, one path per pixel)" in found.text
+    assert " times the variance of those in the comparison" in found.text
 
 
 @pytest.mark.slow

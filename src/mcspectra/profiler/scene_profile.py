@@ -260,12 +260,12 @@ class SceneProfile:
         for k, cause in enumerate(self.causes[:2]):
             head = "causes" if k == 0 else ""
             lines.append(
-                f"{head:<11} {cause.decision}: {cause.share:.0%} of the variance of a random path "
-                f"{low_high(cause.share_ci)}"
+                f"{head:<11} {cause.decision}: {cause.share:.0%} {low_high(cause.share_ci)} of the "
+                "variance (random numbers, one path per pixel)"
             )
         lines.append(
-            f"confirmed   new renders with {best.name}: variance × {self.confirmed:.2f} "
-            f"({_ends(*self.confirmed_ci)}) of the compared one"
+            f"confirmed   new renders with {best.name} have {self.confirmed:.2f} "
+            f"({_ends(*self.confirmed_ci)}) times the variance of those in the comparison"
         )
         lines.append(
             "samplers    variance in relation to the scene's sampler: geometric mean over the "
@@ -276,7 +276,7 @@ class SceneProfile:
             most = 1.0 / low if low > 0.0 else math.inf
             ends = "" if result is self.answer.given else f"({_ends(1.0 / high, most)})"
             lines.append(f"  {result.name:<60} {1.0 / result.gain:.2f} {ends}".rstrip())
-        lines.append("worst pixels")
+        lines.append(f"worst pixels at {self.compared_spp} samples per pixel with {best.name}")
         for x, y, error in self.worst:
             lines.append(f"  σ / mean {error:<8.2g} {pixel_command(self, x, y)}")
         lines += self.notes

@@ -87,6 +87,8 @@ class SamplesPerPixel:
         Equal samples per pixel with which half and 95 % of the pixels reach the target.
     missing
         Share of the pixels that need more than `most` samples.
+    filtered
+        Whether the film of the scene has another filter than the box filter of the map.
     """
 
     spp: Array = field(repr=False)
@@ -99,6 +101,7 @@ class SamplesPerPixel:
     missing: float
     scene: str
     sampler: str
+    filtered: bool = False
 
     @property
     def mean(self) -> float:
@@ -111,20 +114,26 @@ class SamplesPerPixel:
         half, most = (math.ceil(each * (1.0 - 1e-9)) for each in self.uniform)
         ratio = self.mean / self.uniform[1]
         told = (
-            f"{ratio:.2f} of the samples of an image with equal samples"
+            f"The map takes {100.0 * ratio:.0f} % of the samples that equal samples per pixel would "
+            "need for the same 95 % of pixels"
             if ratio < 0.95
-            else "adaptive sampling takes no fewer samples than equal ones; its gain is a smaller "
+            else "Adaptive sampling takes no fewer samples than equal ones; its gain is a smaller "
             "error at the noisiest pixels"
         )
         text = (
             f"Samples per pixel for σ / mean = {self.target:.3g}: {self.spp.min()} to "
             f"{self.spp.max()}, mean {self.mean:.1f}. Equal samples reach the target at half of "
-            f"the pixels with {half}, and at 95 % with {most}: {told}."
+            f"the pixels with {half}, and at 95 % with {most}. {told}."
         )
         if self.missing > 0.0:
             text += (
                 f" {self.missing:.1%} of the pixels need more than {self.most} samples, and miss "
                 "the target."
+            )
+        if self.filtered:
+            text += (
+                " These numbers are for a box filter. The scene's filter averages neighboring "
+                "pixels and needs fewer samples; mcspectra profile counts the filter."
             )
         return text
 
@@ -253,6 +262,8 @@ def samples_per_pixel(
         missing=float((wanted > most).mean()),
         scene=str(data.attrs.get("scene", "")),
         sampler=name,
+        # A map of whole paths has such a note if the film's filter is not a box filter
+        filtered=bool(data.attrs.get("scene_note")),
     )
 
 
