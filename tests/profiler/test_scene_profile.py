@@ -373,6 +373,10 @@ def test_a_plan_counts_the_pixels_of_the_crop_and_the_samples_for_the_target():
         (["veach", "--target", "nan"], "--target"),
         (["gaussian", "--target", "0.1"], "--target is for scenes"),
         (["veach", "--integrator", "nosuch"], "nosuch"),
+        (["veach", "--integrator", ""], "--integrator is ''"),
+        (["veach", "--seconds", "nan"], "at least 1 and at most 86400"),
+        (["veach", "--pixels", "1e9"], "from 16 to 65536"),
+        (["veach", "--joint-dims", "99999999"], "from 2 to 64"),
         (["missing.xml"], "There is no scene file"),
     ],
 )

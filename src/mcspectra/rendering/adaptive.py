@@ -31,7 +31,14 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_integer, as_real, as_real_array
+from mcspectra.core.checks import (
+    TARGET_LIMITS,
+    Array,
+    as_integer,
+    as_joint_dims,
+    as_real,
+    as_real_array,
+)
 from mcspectra.core.confidence import CONFIDENCE_Z
 from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.core.progress import report
@@ -114,8 +121,8 @@ class SamplesPerPixel:
         half, most = (math.ceil(each * (1.0 - 1e-9)) for each in self.uniform)
         ratio = self.mean / self.uniform[1]
         told = (
-            f"The map takes {100.0 * ratio:.0f} % of the samples that equal samples per pixel would "
-            "need for the same 95 % of pixels"
+            f"The map takes {100.0 * ratio:.0f} % of the samples that equal samples per pixel "
+            "would need for the same 95 % of pixels"
             if ratio < 0.95
             else "Adaptive sampling takes no fewer samples than equal ones; its gain is a smaller "
             "error at the noisiest pixels"
@@ -204,7 +211,7 @@ def samples_per_pixel(
     Intervals include the errors of the variances, of interpolated pixels and of the rates.
     Smoothing does not narrow the intervals, because pixels of a map may share their points.
     """
-    goal = as_real("target", target, above=0.0, most=1e3)
+    goal = as_real("target", target, **TARGET_LIMITS)
     least = as_integer("least", least, least=1, most=MOST_SAMPLES)
     most = as_integer("most", most, least=least, most=MOST_SAMPLES)
     width = as_integer("smoothing", smoothing, least=1, most=31)
@@ -310,7 +317,7 @@ def render_adaptive(
     ParameterError
         If `spp` does not fit the film, or Mitsuba cannot trace the paths.
     """
-    request, spec = as_scene(scene), integrator or SCENE_INTEGRATOR
+    request, spec = as_scene(scene), SCENE_INTEGRATOR if integrator is None else integrator
     stream = Stream.from_rng(as_integer("seed", seed, least=0, most=2**32 - 1))
     points = default_spec(joint_dims=joint_dims) if sampler is None else sampler
     register_samplers()
@@ -322,7 +329,7 @@ def render_adaptive(
     levels = _levels(spp, width, height)
     plugin: dict[str, Any] = {"type": PLUGIN, "spec": points}
     if joint_dims is not None:
-        plugin["joint_dims"] = as_integer("joint_dims", joint_dims, least=0)
+        plugin["joint_dims"] = as_joint_dims("joint_dims", joint_dims)
     for count in np.unique(levels):
         # Check the sampler before Mitsuba does, so that the error has a message of this package
         padded_sets(points, int(count), joint_dims)
@@ -343,15 +350,17 @@ def _levels(spp: Any, width: int, height: int) -> Array:
     given = given[..., 0] if given.ndim == 3 and given.shape[2] == 1 else given
     if given.shape != (height, width):
         raise ParameterError(
-            f"spp has the shape {given.shape}; give one number for each pixel of the film, "
-            f"{(height, width)}."
+            Parameter("spp"),
+            f" has the shape {given.shape}; give one number for each pixel of the film, "
+            f"{(height, width)}.",
         )
     bad = ~((given >= 1) & (given <= MOST_SAMPLES) & (given == np.rint(given)))
     if bad.any():
         y, x = np.argwhere(bad)[0]
         raise ParameterError(
-            f"spp is {given[y, x]:.6g} at the pixel ({x}, {y}); give whole numbers from 1 to "
-            f"{MOST_SAMPLES}."
+            Parameter("spp"),
+            f" is {given[y, x]:.6g} at the pixel ({x}, {y}); give whole numbers from 1 to "
+            f"{MOST_SAMPLES}.",
         )
     levels: Array = 2 ** np.ceil(np.log2(given)).astype(np.int64)
     return levels
