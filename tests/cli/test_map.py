@@ -14,6 +14,7 @@ from mcspectra.cli.main import main
 from mcspectra.core.images import exr_attributes, read_image
 from mcspectra.plots.backend_matplotlib import draw
 from mcspectra.plots.kinds import describe, kinds_of
+from mcspectra.rendering.files import write_exr
 from mcspectra.report.map_page import map_layers, map_summary
 
 pytestmark = pytest.mark.render
@@ -137,6 +138,13 @@ def test_options_reach_the_map(tmp_path, capsys):
         (("veach", "--channel", "rgb"), "channel is 'rgb'"),
         (("veach", "--workers", "0"), "--workers is 0"),
         (("veach", "--seed", "-1"), "--seed"),
+        (("veach", "--resume"), "--resume finds no map in the folder"),
+        (("veach", "--integrator", ""), "--integrator is ''; give 'scene'"),
+        (("veach", "--pixels", ""), "--pixels is ''; give a number of pixels, or a share"),
+        (("veach", "--size", "9,8", "--pixels", "1e9"), "more than the 72 pixels of the image"),
+        (("veach", "--integrator", "path", "--joint-dims", "99999999"), "from 0 to 64"),
+        (("veach", "--integrator", "path", "--joint-dims", "1"), "from 2 to 64"),
+        (("veach", "--integrator", "path", "--target", "1e9"), "greater than 0 and at most 1000"),
     ],
 )
 def test_bad_input_is_one_sentence(options, sentence, tmp_path, capsys):
@@ -364,6 +372,10 @@ def test_a_map_writes_samples_that_render_reads(tmp_path, capsys, monkeypatch):
     assert main([*render, "-o", str(image)]) == 0
     assert "rounded up to powers of two" in capsys.readouterr().out
     assert read_image(image).shape == (12, 16, 3)
+    wrong = tmp_path / "wrong.exr"
+    write_exr(wrong, {"": np.ones((3, 4))})
+    assert main([*render[:-1], str(wrong), "-o", str(image)]) == 2
+    assert f"--spp-map '{wrong}' has the shape (3, 4)" in capsys.readouterr().err
     assert main([*render, "--spp", "4"]) == 2
     assert "--spp does not go with --spp-map" in capsys.readouterr().err
 

@@ -235,6 +235,10 @@ def test_a_better_sampler_is_found_and_confirmed(found):
     assert found.confirmed_ci[1] > 0.8
     assert "Use " in found.text
     assert "samples per pixel at half of the pixels" in found.text
+    name = found.answer.best.name
+    assert f"worst pixels at 64 samples per pixel with {name}" in found.text
+    assert "of the variance (random numbers, one path per pixel)" in found.text
+    assert " times the variance of those in the comparison" in found.text
 
 
 @pytest.mark.slow
@@ -380,6 +384,10 @@ def test_a_plan_counts_the_samples_for_the_target():
         (["veach", "--target", "nan"], "--target"),
         (["gaussian", "--target", "0.1"], "--target is for scenes"),
         (["veach", "--integrator", "nosuch"], "nosuch"),
+        (["veach", "--integrator", ""], "--integrator is ''"),
+        (["veach", "--seconds", "nan"], "at least 1 and at most 86400"),
+        (["veach", "--pixels", "1e9"], "from 16 to 65536"),
+        (["veach", "--joint-dims", "99999999"], "from 2 to 64"),
         (["missing.xml"], "There is no scene file"),
     ],
 )

@@ -72,6 +72,21 @@ def test_smoothing_spreads_a_noisy_pixel():
     assert smooth.spp[4, 6] == 4
 
 
+def test_the_sentence_names_the_share_of_equal_samples_and_the_filter():
+    variance = np.full((20, 20), 1e-4)
+    variance[:, :2] = 0.09
+    found = samples_per_pixel(made_up(variance), 0.05, smoothing=1)
+    assert found.mean / found.uniform[1] == pytest.approx(0.1, abs=0.01)
+    assert (
+        "The map takes 10 % of the samples that equal samples per pixel would need for the same "
+        "95 % of pixels."
+    ) in str(found)
+    assert "box filter" not in str(found)
+    note = "The film has a GaussianFilter, which averages over neighboring pixels."
+    filtered = samples_per_pixel(made_up(variance, scene_note=note), 0.05)
+    assert "These numbers are for a box filter." in str(filtered)
+
+
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [

@@ -377,7 +377,7 @@ def test_counts_that_cannot_be_made_name_the_nearest(files):
         ({"sample_count": 15, "spec": "jittered"}, "nearest counts are 9 and 16"),
         ({"sample_count": 2**30}, "give a whole number from 1 to 65536"),
         ({"sample_count": 0}, "give a whole number from 1"),
-        ({"joint_dims": 1}, "joint_dims is 1; give a whole number from 2"),
+        ({"joint_dims": 1}, "joint_dims is 1; give 0 for none, or a whole number from 2 to 64"),
         ({"joint_dims": 2.5}, "joint_dims is 2.5"),
         ({"samples_per_pass": 3}, "samples_per_pass is 3; give a divisor of sample_count, 4"),
         ({"samples_per_pass": -1}, "samples_per_pass is -1"),

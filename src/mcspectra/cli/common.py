@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, final
 
-from mcspectra.core.checks import as_integer, as_real
+from mcspectra.core.checks import as_integer, as_joint_dims, as_real
 from mcspectra.core.display import printable, shown
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.options import whole_number
@@ -30,6 +30,7 @@ __all__ = [
     "given_of",
     "group",
     "index_or_name",
+    "joint_dims",
     "one_sentence_warnings",
     "option",
     "out",
@@ -194,6 +195,11 @@ def real(**limits: float) -> Callable[[str, str], float]:
         return as_real(name, number, **limits)
 
     return read
+
+
+def joint_dims(name: str, text: str) -> int:
+    """Read a number of joint dims."""
+    return as_joint_dims(name, whole_number(text))
 
 
 def folder_name(name: str, text: str) -> str:

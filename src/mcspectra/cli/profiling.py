@@ -10,9 +10,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mcspectra.cli.analysis import analysis_verb
-from mcspectra.cli.common import Verb, VerbOutput, group, index_or_name, option, real, whole
+from mcspectra.cli.common import (
+    Verb,
+    VerbOutput,
+    group,
+    index_or_name,
+    joint_dims,
+    option,
+    real,
+    whole,
+)
 from mcspectra.cli.texts import data_of, table_of_anything
 from mcspectra.core.analysis import ANALYSES
+from mcspectra.core.checks import PROFILE_PIXELS, SECONDS_LIMITS, TARGET_LIMITS
 from mcspectra.core.decoding import check_decoded_size, check_zarr, opened, read_npy
 from mcspectra.core.display import printable, shown
 from mcspectra.core.errors import (
@@ -205,7 +215,7 @@ store has the dims chain and draw, at its root or in the group posterior, as wri
             option(
                 "--target E",
                 "relative error, σ / mean, that pixels should reach (default 0.05)",
-                real(above=0.0),
+                real(**TARGET_LIMITS),
             ),
             option("--integrator SPEC", "integrator of Mitsuba (default: the scene's own)"),
             option(
@@ -217,12 +227,16 @@ store has the dims chain and draw, at its root or in the group posterior, as wri
                 "--joint-dims K",
                 "first numbers of a path that are joint; the others are padded (default 4 for "
                 "randomized nets, else 0)",
-                whole(0),
+                joint_dims,
             ),
             option("--spp N", "samples per pixel now (default: the scene's own)", whole()),
             option("--channel CHANNEL", "luminance (default), 0, 1 or 2", index_or_name),
-            option("--pixels N", "most pixels that are rendered (default 1024)", whole(16)),
-            option("--seconds S", "time for renders (default 30)", real(above=0.0)),
+            option(
+                "--pixels N",
+                "most pixels that are rendered (default 1024)",
+                whole(**PROFILE_PIXELS),
+            ),
+            option("--seconds S", "time for renders (default 30)", real(**SECONDS_LIMITS)),
             option("--dry-run", "only print the size of the profile and the time it takes"),
         ),
     ),

@@ -17,6 +17,7 @@ from mcspectra.cli.common import (
     given_of,
     group,
     index_or_name,
+    joint_dims,
     option,
     out,
     page_table,
@@ -28,8 +29,9 @@ from mcspectra.cli.common import (
     wholes,
 )
 from mcspectra.cli.texts import remedies_table
+from mcspectra.core.checks import TARGET_LIMITS
 from mcspectra.core.display import counted, printable, shown
-from mcspectra.core.errors import ParameterError, writing
+from mcspectra.core.errors import Parameter, ParameterError, writing
 from mcspectra.core.images import ENCODED_EXTENSIONS, LINEAR_EXTENSIONS
 from mcspectra.core.registry import optional_package
 
@@ -121,7 +123,7 @@ _WHOLE = ("variant", "joint_dims", "sensor", "define", "spp_map")
             "--joint-dims K",
             "with --sampler: first numbers of a path that are joint; each later request has its "
             "own points (padded) (default 4 for randomized nets, else 0)",
-            whole(0),
+            joint_dims,
         ),
         option(
             "--spp-map FILE",
@@ -416,14 +418,21 @@ def _by_map(options: argparse.Namespace, scene: str, files: list[Path]) -> VerbO
             raise ParameterError(f"--{name} does not go with --spp-map; leave it out.")
     spp = read_image(options.spp_map, linear=True)
     start = time.perf_counter()
-    image = render_adaptive(
-        scene,
-        spp,
-        integrator=None if options.integrator == "scene" else options.integrator,
-        sampler=options.sampler,
-        joint_dims=options.joint_dims,
-        seed=options.seed or 0,
-    )
+    try:
+        image = render_adaptive(
+            scene,
+            spp,
+            integrator=None if options.integrator == "scene" else options.integrator,
+            sampler=options.sampler,
+            joint_dims=options.joint_dims,
+            seed=options.seed or 0,
+        )
+    except ParameterError as error:
+        if Parameter("spp") not in error.args:
+            raise
+        # The numbers come from the file, and --spp is another option
+        told = (part for part in error.args if part != Parameter("spp"))
+        raise ParameterError(f"--spp-map {shown(str(options.spp_map))}", *told) from None
     seconds = time.perf_counter() - start
     for file in files:
         if file.suffix.lower() == ".exr":
@@ -493,13 +502,13 @@ def _by_map(options: argparse.Namespace, scene: str, files: list[Path]) -> VerbO
         "with --integrator: first numbers of a path that are joint; each later request of the "
         "integrator has its own points (padded), as in rendered images (default 4 for scrambled "
         "nets, else 0)",
-        whole(0),
+        joint_dims,
     ),
     option(
         "--target E",
         "with --integrator: also compare samplers as they are rendered at the pixels around this "
         "one, and print the samples per pixel for this relative error, as mcspectra profile does",
-        real(above=0.0),
+        real(**TARGET_LIMITS),
     ),
     option("--no-remedies", "do not search for remedies"),
     group(
@@ -694,7 +703,7 @@ def _map_options(parser: argparse.ArgumentParser) -> None:
         "--target E",
         "with --integrator: also compare samplers as they are rendered, and print the samples per "
         "pixel for this relative error, as mcspectra profile does",
-        real(above=0.0),
+        real(**TARGET_LIMITS),
     ),
     _DRY_RUN,
     _map_options,
@@ -720,6 +729,7 @@ def map_(options: argparse.Namespace) -> VerbOutput:
     from mcspectra.report.page import check_page_packages
     from mcspectra.studies import StudyConfig, open_results, run_study
     from mcspectra.studies.files import SceneConfig
+    from mcspectra.studies.ledger import LEDGER_NAME
 
     # Reject invalid options before the folder is created
     check_page_packages("render,report")
@@ -736,6 +746,12 @@ def map_(options: argparse.Namespace) -> VerbOutput:
             f"{shown(str(files[0]))} would hold samples per pixel for an error; give --target."
         )
     files = [check_image_path(file, (".exr",)) for file in files]
+    folder = folders[0] if folders else "out/map"
+    if options.resume and not (Path(folder) / LEDGER_NAME).is_file():
+        raise ParameterError(
+            f"--resume finds no map in the folder {shown(str(folder))}; leave it out to begin a "
+            "map, or name the folder of a map with --out."
+        )
     analysis = checked(Map(**given_of(options, *(each.name for each in options_of(Map)))))
     samplers = options.sampler or [analysis.default_sampler]
     subjects = [Subject(None, read_sampler(each, analysis.points_dims)) for each in samplers]
@@ -751,7 +767,6 @@ def map_(options: argparse.Namespace) -> VerbOutput:
     study = StudyConfig(title=f"Map of {options.scene}", seed=options.seed or 0, scenes=entries)
     # The user gave the scene on the command line, so its files may be in any folder
     trust = process_trust().widened(folders=(Path(Path.cwd().anchor),))
-    folder = folders[0] if folders else "out/map"
     run_study(study, folder, resume=options.resume, workers=options.workers, trust=trust)
     tree = open_results(folder)
     found = [node.to_dataset() for node in tree.subtree if node.name == "map" and node.data_vars]

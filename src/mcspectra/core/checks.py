@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 from collections.abc import Sequence
@@ -18,12 +19,17 @@ __all__ = [
     "BELOW_ONE",
     "MAX_DIMS",
     "MAX_FREQUENCY",
+    "MOST_JOINT_DIMS",
+    "PROFILE_PIXELS",
+    "SECONDS_LIMITS",
+    "TARGET_LIMITS",
     "Array",
     "as_choice",
     "as_frequencies",
     "as_instance",
     "as_instances",
     "as_integer",
+    "as_joint_dims",
     "as_path",
     "as_real",
     "as_real_array",
@@ -41,6 +47,19 @@ BELOW_ONE = 1.0 - 2.0**-53
 
 MAX_DIMS = 1024
 """Largest number of dims, where no smaller limit applies."""
+
+MOST_JOINT_DIMS = 64
+"""Largest number of joint dims of a padded sampler."""
+
+# Limits of options that the command line reads and that functions check
+TARGET_LIMITS = {"above": 0.0, "most": 1e3}
+"""Limits of a target, the relative error σ / mean of a pixel."""
+
+SECONDS_LIMITS = {"least": 1.0, "most": 86_400.0}
+"""Limits of the time for the renders of a scene's profile."""
+
+PROFILE_PIXELS = {"least": 16, "most": 2**16}
+"""Limits of the number of pixels of a scene's profile."""
 
 _LONGEST_NAME, _LONGEST_PATH = 255, 4096
 
@@ -99,6 +118,18 @@ def as_integer(name: str, value: object, *, least: int, most: int | None = None)
     if most is not None:
         limit = f"a whole number from {least} to {most}" if least < most else str(most)
     raise ParameterError(Parameter(name), f" is {shown(value)}; give {limit}.")
+
+
+def as_joint_dims(name: str, value: object) -> int:
+    """Return a number of joint dims: 0 for none, or a whole number from 2 to the largest one."""
+    with contextlib.suppress(ParameterError):
+        number = as_integer(name, value, least=0, most=MOST_JOINT_DIMS)
+        if number != 1:
+            return number
+    raise ParameterError(
+        Parameter(name),
+        f" is {shown(value)}; give 0 for none, or a whole number from 2 to {MOST_JOINT_DIMS}.",
+    )
 
 
 def as_real(

@@ -38,6 +38,7 @@ __all__ = [
     "REALIZATIONS",
     "SETS",
     "SPACE",
+    "AnyText",
     "Counts",
     "Evaluations",
     "Option",
@@ -60,6 +61,7 @@ _SORTS: Mapping[type, Any] = {  # Python types that fit each type of option
 
 Positive = Annotated[int, Meta(ge=1, le=2**62)]
 Text = Annotated[str, Meta(min_length=1, max_length=20_000)]
+AnyText = Annotated[str, Meta(min_length=0, max_length=20_000)]  # a later check refuses ""
 Counts = Annotated[tuple[Positive, ...], Meta(min_length=1, max_length=10_000)]
 Window = Annotated[int, Meta(ge=2)] | Literal["auto"] | None
 
@@ -338,8 +340,8 @@ def _clean(label: str, kind: inspect.Type, value: Any, from_file: bool) -> Any:
             return bool(value)
         case inspect.LiteralType(values=allowed):
             return as_choice(label, value, tuple(map(str, allowed)))
-        case inspect.StrType(max_length=most):
-            if not isinstance(value, str) or not value:
+        case inspect.StrType(min_length=least, max_length=most):
+            if not isinstance(value, str) or not (value or least == 0):
                 raise ParameterError(Parameter(label), f" is {shown(value)}; give a text.")
             if most is not None and len(value) > most:
                 raise ParameterError(

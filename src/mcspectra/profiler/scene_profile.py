@@ -34,7 +34,15 @@ from typing import Any, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_integer, as_real
+from mcspectra.core.checks import (
+    PROFILE_PIXELS,
+    SECONDS_LIMITS,
+    TARGET_LIMITS,
+    Array,
+    as_integer,
+    as_joint_dims,
+    as_real,
+)
 from mcspectra.core.confidence import CONFIDENCE_Z
 from mcspectra.core.display import between, counted, escape_html
 from mcspectra.core.errors import Parameter, ParameterError
@@ -260,12 +268,12 @@ class SceneProfile:
         for k, cause in enumerate(self.causes[:2]):
             head = "causes" if k == 0 else ""
             lines.append(
-                f"{head:<11} {cause.decision}: {cause.share:.0%} of the variance of a random path "
-                f"{low_high(cause.share_ci)}"
+                f"{head:<11} {cause.decision}: {cause.share:.0%} {low_high(cause.share_ci)} of the "
+                "variance (random numbers, one path per pixel)"
             )
         lines.append(
-            f"confirmed   new renders with {best.name}: variance × {self.confirmed:.2f} "
-            f"({_ends(*self.confirmed_ci)}) of the compared one"
+            f"confirmed   new renders with {best.name} have {self.confirmed:.2f} "
+            f"({_ends(*self.confirmed_ci)}) times the variance of those in the comparison"
         )
         lines.append(
             "samplers    variance in relation to the scene's sampler: geometric mean over the "
@@ -276,7 +284,7 @@ class SceneProfile:
             most = 1.0 / low if low > 0.0 else math.inf
             ends = "" if result is self.answer.given else f"({_ends(1.0 / high, most)})"
             lines.append(f"  {result.name:<60} {1.0 / result.gain:.2f} {ends}".rstrip())
-        lines.append("worst pixels")
+        lines.append(f"worst pixels at {self.compared_spp} samples per pixel with {best.name}")
         for x, y, error in self.worst:
             lines.append(f"  σ / mean {error:<8.2g} {pixel_command(self, x, y)}")
         lines += self.notes
@@ -492,7 +500,7 @@ def plan_scene(
 
 
 def _goal(target: float | None) -> float:
-    return 0.05 if target is None else as_real("target", target, above=0.0, most=1e3)
+    return 0.05 if target is None else as_real("target", target, **TARGET_LIMITS)
 
 
 def _checked_crop(crop: Sequence[int] | None, film: Film) -> tuple[int, int, int, int] | None:
@@ -510,7 +518,7 @@ def _checked_crop(crop: Sequence[int] | None, film: Film) -> tuple[int, int, int
 
 
 def _most(pixels: int | None) -> int:
-    return as_integer("pixels", pixels or _SETTINGS.pixels, least=16, most=2**16)
+    return as_integer("pixels", _SETTINGS.pixels if pixels is None else pixels, **PROFILE_PIXELS)
 
 
 def _prepared(
@@ -526,9 +534,9 @@ def _prepared(
 
     Return the work to be done, all samplers, the scene's sampler, and its samples per pixel.
     """
-    limit = as_real("seconds", seconds, least=1.0, most=86_400.0)
+    limit = as_real("seconds", seconds, **SECONDS_LIMITS)
     check_channel(channel)
-    request, spec = as_scene(scene), integrator or SCENE_INTEGRATOR
+    request, spec = as_scene(scene), SCENE_INTEGRATOR if integrator is None else integrator
     begin = time.perf_counter()
     with LOCK:
         load_scene(request)
@@ -553,7 +561,9 @@ def _candidates(
     found |= {name: name for name in _MITSUBA if name not in found}
     for spec in dict.fromkeys((_OURS, *samplers)):
         own = as_sampler(spec, 2)
-        joint = joint_dims_of(own) if joint_dims is None else joint_dims
+        joint = (
+            joint_dims_of(own) if joint_dims is None else as_joint_dims("joint_dims", joint_dims)
+        )
         for k in dict.fromkeys((joint, 0)):
             name = f"{spec} ({f'joint_dims={k}' if k else 'padded'})"
             found.setdefault(name, {"type": PLUGIN, "spec": spec, "joint_dims": k})

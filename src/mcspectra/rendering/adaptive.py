@@ -31,7 +31,14 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_integer, as_real, as_real_array
+from mcspectra.core.checks import (
+    TARGET_LIMITS,
+    Array,
+    as_integer,
+    as_joint_dims,
+    as_real,
+    as_real_array,
+)
 from mcspectra.core.confidence import CONFIDENCE_Z
 from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.core.progress import report
@@ -87,6 +94,8 @@ class SamplesPerPixel:
         Equal samples per pixel with which half and 95 % of the pixels reach the target.
     missing
         Share of the pixels that need more than `most` samples.
+    filtered
+        Whether the film of the scene has another filter than the box filter of the map.
     """
 
     spp: Array = field(repr=False)
@@ -99,6 +108,7 @@ class SamplesPerPixel:
     missing: float
     scene: str
     sampler: str
+    filtered: bool = False
 
     @property
     def mean(self) -> float:
@@ -111,20 +121,26 @@ class SamplesPerPixel:
         half, most = (math.ceil(each * (1.0 - 1e-9)) for each in self.uniform)
         ratio = self.mean / self.uniform[1]
         told = (
-            f"{ratio:.2f} of the samples of an image with equal samples"
+            f"The map takes {100.0 * ratio:.0f} % of the samples that equal samples per pixel "
+            "would need for the same 95 % of pixels"
             if ratio < 0.95
-            else "adaptive sampling takes no fewer samples than equal ones; its gain is a smaller "
+            else "Adaptive sampling takes no fewer samples than equal ones; its gain is a smaller "
             "error at the noisiest pixels"
         )
         text = (
             f"Samples per pixel for σ / mean = {self.target:.3g}: {self.spp.min()} to "
             f"{self.spp.max()}, mean {self.mean:.1f}. Equal samples reach the target at half of "
-            f"the pixels with {half}, and at 95 % with {most}: {told}."
+            f"the pixels with {half}, and at 95 % with {most}. {told}."
         )
         if self.missing > 0.0:
             text += (
                 f" {self.missing:.1%} of the pixels need more than {self.most} samples, and miss "
                 "the target."
+            )
+        if self.filtered:
+            text += (
+                " These numbers are for a box filter. The scene's filter averages neighboring "
+                "pixels and needs fewer samples; mcspectra profile counts the filter."
             )
         return text
 
@@ -195,7 +211,7 @@ def samples_per_pixel(
     Intervals include the errors of the variances, of interpolated pixels and of the rates.
     Smoothing does not narrow the intervals, because pixels of a map may share their points.
     """
-    goal = as_real("target", target, above=0.0, most=1e3)
+    goal = as_real("target", target, **TARGET_LIMITS)
     least = as_integer("least", least, least=1, most=MOST_SAMPLES)
     most = as_integer("most", most, least=least, most=MOST_SAMPLES)
     width = as_integer("smoothing", smoothing, least=1, most=31)
@@ -253,6 +269,8 @@ def samples_per_pixel(
         missing=float((wanted > most).mean()),
         scene=str(data.attrs.get("scene", "")),
         sampler=name,
+        # A map of whole paths has such a note if the film's filter is not a box filter
+        filtered=bool(data.attrs.get("scene_note")),
     )
 
 
@@ -299,7 +317,7 @@ def render_adaptive(
     ParameterError
         If `spp` does not fit the film, or Mitsuba cannot trace the paths.
     """
-    request, spec = as_scene(scene), integrator or SCENE_INTEGRATOR
+    request, spec = as_scene(scene), SCENE_INTEGRATOR if integrator is None else integrator
     stream = Stream.from_rng(as_integer("seed", seed, least=0, most=2**32 - 1))
     points = default_spec(joint_dims=joint_dims) if sampler is None else sampler
     register_samplers()
@@ -311,7 +329,7 @@ def render_adaptive(
     levels = _levels(spp, width, height)
     plugin: dict[str, Any] = {"type": PLUGIN, "spec": points}
     if joint_dims is not None:
-        plugin["joint_dims"] = as_integer("joint_dims", joint_dims, least=0)
+        plugin["joint_dims"] = as_joint_dims("joint_dims", joint_dims)
     for count in np.unique(levels):
         # Check the sampler before Mitsuba does, so that the error has a message of this package
         padded_sets(points, int(count), joint_dims)
@@ -332,15 +350,17 @@ def _levels(spp: Any, width: int, height: int) -> Array:
     given = given[..., 0] if given.ndim == 3 and given.shape[2] == 1 else given
     if given.shape != (height, width):
         raise ParameterError(
-            f"spp has the shape {given.shape}; give one number for each pixel of the film, "
-            f"{(height, width)}."
+            Parameter("spp"),
+            f" has the shape {given.shape}; give one number for each pixel of the film, "
+            f"{(height, width)}.",
         )
     bad = ~((given >= 1) & (given <= MOST_SAMPLES) & (given == np.rint(given)))
     if bad.any():
         y, x = np.argwhere(bad)[0]
         raise ParameterError(
-            f"spp is {given[y, x]:.6g} at the pixel ({x}, {y}); give whole numbers from 1 to "
-            f"{MOST_SAMPLES}."
+            Parameter("spp"),
+            f" is {given[y, x]:.6g} at the pixel ({x}, {y}); give whole numbers from 1 to "
+            f"{MOST_SAMPLES}.",
         )
     levels: Array = 2 ** np.ceil(np.log2(given)).astype(np.int64)
     return levels

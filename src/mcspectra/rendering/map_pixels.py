@@ -30,7 +30,7 @@ import numpy as np
 
 from mcspectra.core.checks import Array
 from mcspectra.core.confidence import CONFIDENCE_Z
-from mcspectra.core.display import shown
+from mcspectra.core.display import counted, shown
 from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.rendering.rendered import Film, chosen_tiles
@@ -66,6 +66,12 @@ def number_of_pixels(asked: int | str, total: int) -> int:
         If the text is not a share, or the pixels are fewer than `FEWEST_PIXELS`.
     """
     count = asked
+    if not isinstance(count, str) and count > total:
+        raise ParameterError(
+            Parameter("pixels"),
+            f" is {count}, more than the {counted(total, 'pixel')} of the image or crop; give at "
+            f"most {total}, or leave it out to measure all.",
+        )
     if isinstance(count, str):
         share = _SHARE.fullmatch(count)
         if share is None or not 0.0 < float(share[1]) <= 100.0:
@@ -80,7 +86,7 @@ def number_of_pixels(asked: int | str, total: int) -> int:
             f" is {shown(asked)}, which is {count} of {total} pixels; give at least "
             f"{min(FEWEST_PIXELS, total)} pixels for an interpolation.",
         )
-    return min(count, total)
+    return count
 
 
 def chosen_pixels(window: tuple[int, int, int, int], count: int, stream: Stream) -> Array:

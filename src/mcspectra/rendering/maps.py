@@ -19,10 +19,10 @@ import numpy as np
 from msgspec import Meta, structs
 
 from mcspectra.core.analysis import Analysis, Need, Reduction, Subject, compute
-from mcspectra.core.checks import MAX_DIMS, Array, as_integer
+from mcspectra.core.checks import MAX_DIMS, MOST_JOINT_DIMS, Array, as_integer
 from mcspectra.core.errors import McspectraError, Parameter, ParameterError
 from mcspectra.core.memory import memory_of
-from mcspectra.core.options import COUNTS, REALIZATIONS, Counts, Text, checked
+from mcspectra.core.options import COUNTS, REALIZATIONS, AnyText, Counts, checked
 from mcspectra.core.registry import DEFAULT_DIMS
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
@@ -142,7 +142,7 @@ class Map(Analysis, frozen=True, kw_only=True):
              extra={"metavar": "X0,Y0,W,H"}),
     ] = None  # fmt: skip
     pixels: Annotated[
-        Annotated[int, Meta(ge=1)] | Text | None,
+        Annotated[int, Meta(ge=1)] | AnyText | None,
         Meta(
             description="Measure this number or share of the pixels, such as 1%, in strata of the "
             "image, and interpolate the others; by default all pixels are measured.",
@@ -175,14 +175,14 @@ class Map(Analysis, frozen=True, kw_only=True):
         ),
     ] = None
     integrator: Annotated[
-        Text | None,
+        AnyText | None,
         Meta(
             description="Render whole paths with this integrator; scene: with the scene's own.",
             extra={"metavar": "SPEC"},
         ),
     ] = None
     joint_dims: Annotated[
-        Annotated[int, Meta(ge=0, le=MAX_DIMS)] | None,
+        Annotated[int, Meta(ge=0, le=MOST_JOINT_DIMS)] | None,
         Meta(
             description="Whole paths: first numbers that are joint; each later request of the "
             "integrator has its own points (padded), as in rendered images. By default 4 for "
@@ -255,7 +255,8 @@ class Map(Analysis, frozen=True, kw_only=True):
         if self.size is not None:
             _, _, width, height = self._window(self.size)
         pixels = max(width, 1) * max(height, 1)
-        if self.pixels is not None:
+        # If the scene cannot be loaded, its own error follows, and not one about its pixels
+        if self.pixels is not None and (grid is not None or self.crop is not None):
             pixels = number_of_pixels(self.pixels, pixels)
         return Need(
             cost=float(pixels * sum(counts) * self.realizations * 4),

@@ -20,7 +20,7 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_integer
+from mcspectra.core.checks import Array, as_integer, as_joint_dims
 from mcspectra.core.errors import McspectraError
 from mcspectra.core.fields import settle
 from mcspectra.core.registry import DEFAULT_DIMS
@@ -72,7 +72,7 @@ def as_rendered(
     joint = None
     if joint_dims is not None:
         joint = as_integer("joint_dims", joint_dims, least=0)
-        joint = joint and as_integer("joint_dims", joint_dims, least=2)
+        joint = joint if joint >= dims > 1 else as_joint_dims("joint_dims", joint)
     try:
         pair = as_sampler(sampler if isinstance(sampler, str) else sampler.spec, 2)
     except McspectraError:

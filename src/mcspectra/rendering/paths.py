@@ -55,6 +55,7 @@ from mcspectra.rendering.scenes import (
     emitter_names,
     film_size,
     integrator_plugin,
+    integrator_text,
     load_scene,
     mitsuba_reason,
     scene_name,
@@ -240,7 +241,13 @@ def path_pixel(
     If `integrator` is None, the scene's own integrator is used.
     """
     given: Any = {"channel": channel, "dims": dims, "selection": selection}
-    return PathPixel(scene=scene, x=x, y=y, integrator=integrator or SCENE_INTEGRATOR, **given)
+    return PathPixel(
+        scene=scene,
+        x=x,
+        y=y,
+        integrator=SCENE_INTEGRATOR if integrator is None else integrator,
+        **given,
+    )
 
 
 def light_selection(scene: Scene) -> Array:
@@ -425,12 +432,7 @@ class Tracer:
 
 def find_integrator(scene: Scene, spec: object) -> Any:
     """Return the integrator of a spec, or the scene's own; it must trace single rays."""
-    if not isinstance(spec, str) or not spec.strip():
-        raise ParameterError(
-            Parameter("integrator"),
-            f" is {shown(spec)}; give 'scene', or a plugin of Mitsuba's such as "
-            "'path(max_depth=5)'.",
-        )
+    spec = integrator_text(spec)
     if spec == SCENE_INTEGRATOR:
         found, called = load_scene(scene).integrator(), f"The integrator of {scene_name(scene)}"
         if found is None:

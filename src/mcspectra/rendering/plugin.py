@@ -40,7 +40,7 @@ from typing import Any, final
 
 import numpy as np
 
-from mcspectra.core.checks import Array, as_choice, as_integer
+from mcspectra.core.checks import Array, as_choice, as_integer, as_joint_dims
 from mcspectra.core.errors import MissingDependency, ParameterError
 from mcspectra.core.fields import settle
 from mcspectra.core.jit import kernel
@@ -637,7 +637,7 @@ class PaddedSets:
         if self.joint is None:
             settle(self, joint=joint_dims_of(pair))
         if self.joint:
-            joint = joint_sampler(pair, as_integer("joint_dims", self.joint, least=2, most=64))
+            joint = joint_sampler(pair, as_joint_dims("joint_dims", self.joint))
             joint.check_count(count)
         try:
             single = as_sampler(self.spec, 1)

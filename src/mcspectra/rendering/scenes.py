@@ -59,6 +59,7 @@ __all__ = [
     "film_size",
     "find_emitter",
     "integrator_plugin",
+    "integrator_text",
     "load_scene",
     "mitsuba_reason",
     "named_pixels",
@@ -318,6 +319,17 @@ def _replace_samplers(
         nodes[k].props["sampler"] = reference(len(nodes) - 1)
 
 
+def integrator_text(spec: object) -> str:
+    """Check that the spec of an integrator is a text, and not an empty one."""
+    if not isinstance(spec, str) or not spec.strip():
+        raise ParameterError(
+            Parameter("integrator"),
+            f" is {shown(spec)}; give 'scene', or a plugin of Mitsuba's such as "
+            "'path(max_depth=5)'.",
+        )
+    return spec
+
+
 def integrator_plugin(spec: str) -> dict[str, Any]:
     """Return the dictionary of an integrator for `mitsuba.load_dict`: its name and properties.
 
@@ -327,7 +339,7 @@ def integrator_plugin(spec: str) -> dict[str, Any]:
         If the spec cannot be read.
     """
     # Names of Mitsuba's plugins may contain underscores, but names in our specs may not
-    plugin, bracket, rest = spec.strip().partition("(")
+    plugin, bracket, rest = integrator_text(spec).strip().partition("(")
     try:
         found = {"type": plugin, **parse(f"integrator{bracket}{rest}").arguments}
     except SpecError as error:

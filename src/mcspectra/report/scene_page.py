@@ -112,8 +112,8 @@ def write_scene_profile(found: SceneProfile, file: str | Path) -> Path:
     )
     again, (low, high) = found.confirmed, found.confirmed_ci
     confirmed = (
-        f"New renders with {answer.best.name} have {again:.2f} times the variance of the compared "
-        f"ones (95 %: {between(f'{low:.2f}', f'{high:.2f}')})."
+        f"New renders with {answer.best.name} have {again:.2f} times the variance of those in "
+        f"the comparison (95 %: {between(f'{low:.2f}', f'{high:.2f}')})."
     )
     plot = replace(describe("remedies", ratios), caption=about)
 

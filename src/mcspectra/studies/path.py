@@ -29,7 +29,7 @@ import numpy as np
 import xarray as xr
 
 from mcspectra.core.analysis import Subject
-from mcspectra.core.checks import Array, as_choice, as_integer
+from mcspectra.core.checks import Array, as_choice, as_integer, as_joint_dims
 from mcspectra.core.confidence import CONFIDENCE_Z
 from mcspectra.core.display import counted
 from mcspectra.core.errors import McspectraError, ParameterError
@@ -255,6 +255,8 @@ class _Work:
         """Check all arguments of `analyse_path`."""
         x, y = find_pixel(scene, x, y)
         check_channel(channel)
+        if joint_dims is not None:
+            joint_dims = as_joint_dims("joint_dims", joint_dims)
         usual, repeats, pairs, paths, predicted = _EFFORTS[
             as_choice("effort", effort, tuple(_EFFORTS))
         ]
