@@ -484,7 +484,7 @@ COMMAND = _rows(
     ("predict gaussian --sampler jittered --counts 16 --method routes", "--method is 'routes'"),
     ("predict gaussian --sampler jittered -n 17", "16 and 25"),
     ("predict gaussian --sampler jittered -n 16,", "--counts"),
-    ("predict gaussian --sampler jittered -n 0", "-n is 0; give a whole number of at least 1"),
+    ("predict gaussian --sampler jittered -n 0", "at least 1"),
     ("design density gaussian -n 64 --budget 100", "--budget is 100"),
     ("variance gaussian --split axis", "--split is 'axis'; it must be one of terms, techniques"),
     ("variance gaussian --sampler random -n 4 --order 1", "--order is for --split axes; give that"),

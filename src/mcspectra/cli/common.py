@@ -92,7 +92,7 @@ class Read(argparse.Action):
         """Parse and store the value, or exit with an error."""
         if values is None:  # an optional positional argument was not given
             return
-        value = values if self._read is None else self._read(option_string or self._label, values)
+        value = values if self._read is None else self._read(self._label, values)
         before = getattr(namespace, self.dest)
         if self._repeated == "once" and before is not None:
             parser.error(f"{option_string} is given twice; give it once")
