@@ -253,6 +253,19 @@ def test_remedies_refuse_before_or_stay_within(kind):
     assert done
 
 
+def test_remedies_try_a_change_or_refuse_with_the_given_limit():
+    """Earlier versions measured the given set-up and then tried no change."""
+    f, limit = Function(2), 400_000
+    with pytest.raises(BudgetError, match=f"max_evaluations is {limit}"):
+        mcs.remedies(f.integrand, "random", 1024, realizations=100, max_evaluations=limit)
+    assert f.calls == 0
+    found = mcs.remedies(
+        f.integrand, "random", 1024, realizations=100, max_evaluations=limit, kinds=["sampler"]
+    )
+    assert found.sizes["remedy"] > 1
+    assert f"share of max_evaluations = {limit}" in found.attrs["not_tried"]
+
+
 def test_searches_are_charged():
     f = Function(1)
     mcs.improve.smoothing_scan(f.integrand, JITTERED, N, [0.1, 0.2], realizations=R)

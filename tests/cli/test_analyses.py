@@ -30,7 +30,7 @@ def test_exact_variance_of_a_line(run, run_json):
     code, out, _ = run(*arguments)
     assert code == 0
     rows = [line.split() for line in out.splitlines()[3:5]]
-    assert [row[1:3] for row in rows] == [["0.00130208333", "-3.00"], ["0.000162760417", "-3.00"]]
+    assert [row[1:3] for row in rows] == [["0.00130208333", "−3.00"], ["0.000162760417", "−3.00"]]
     assert rows[0][-2:] == ["exact", "(quadrature)"]
 
 

@@ -256,7 +256,7 @@ def test_errors_say_what_to_do(tmp_path):
         ({"f": 3}, ParameterError, "a function of points"),
         ({"f": lambda x: 0.0 * x[:, 0]}, ParameterError, "f is 0 at all 256"),
         ({"f": lambda x: np.log(x[:, 0] - 0.5)}, ParameterError, "NaN or infinite"),
-        ({"f": lambda x: np.ones((len(x), 2))}, ParameterError, "must give"),
+        ({"f": lambda x: np.ones((len(x), 2))}, ParameterError, "one component at a time"),
         ({"f": never, "n": 2**14}, ParameterError, "give 131072 or more"),
         ({"f": never, "path": tmp_path / "no" / "x.json"}, FileFormatError, "cannot be written"),
         ({"f": never, "path": folder}, FileFormatError, "cannot be written"),

@@ -126,7 +126,7 @@ def test_what_cannot_be_is_refused(f, options, sentence):
 @pytest.mark.parametrize(
     ("f", "vectorized", "sentence"),
     [
-        (lambda x: x, True, r"it must give \(5,\)"),
+        (lambda x: x, True, r"give one component at a time, such as lambda x: f\(x\)\[\.\.\., 0\]"),
         (lambda x: x, False, "gave 2 values at one point"),
         (lambda x: np.nan, False, "is NaN or infinite"),
         (lambda x: 1j, False, "complex"),

@@ -115,7 +115,7 @@ def test_what_is_infinite_on_a_line_only_is_taken(text):
 
 def test_a_place_where_it_is_not_finite_is_named():
     f = Formula(expression="1/x")
-    with pytest.raises(ParameterError, match=r"NaN or infinite, for example \(0, 0.5\)"):
+    with pytest.raises(ParameterError, match=r"NaN or infinite, for example at \(0, 0.5\)"):
         f([[0.25, 0.5], [0.0, 0.5]])
 
 

@@ -412,14 +412,14 @@ def prediction(result: xr.Dataset) -> VerbOutput:
                 cells = (
                     _number(float(value), 9 if certain else 4),
                     "" if certain else _interval((low, high)),
-                    f"{slope:+.2f}" if np.isfinite(slope) else "–",
+                    f"{slope:+.2f}".replace("-", "−") if np.isfinite(slope) else "–",
                     f"{share:.4f}" if np.isfinite(share) else "–",
                 )
                 label = f"[{channel}]" if len(ends) > 1 else ""
                 rows.append([str(int(at["n"])), label, *cells, method_of(at, channel)])
         rates = "; ".join(
-            f"rate: {rate:+.3f}"
-            + (f", tends to {limit:+.3f}" if np.isfinite(limit) else "")
+            f"rate: {rate:+.3f}".replace("-", "−")
+            + (f", tends to {limit:+.3f}".replace("-", "−") if np.isfinite(limit) else "")
             + (f", bends at n = {bend:.3g}" if np.isfinite(bend) else "")
             for rate, limit, bend in _columns(one, "predicted_rate", "limit_rate", "bend_n")
             if np.isfinite(rate) and not several

@@ -164,7 +164,7 @@ def as_estimator(given: Any, dims: int | None = None) -> AbstractEstimator:
         if dims is not None and given.dims != as_integer("dims", dims, least=1):
             raise ParameterError(
                 f"dims is {dims}, but {given.spec} has {counted(given.dims, 'dim')}; leave dims "
-                "out, or give a spec without dims."
+                "out."
             )
         return given
     if is_function(given):

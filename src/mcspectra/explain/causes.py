@@ -17,6 +17,7 @@ from typing import Literal, TypeAlias, final
 import numpy as np
 
 from mcspectra.core.checks import Array
+from mcspectra.core.confidence import CONFIDENCE_Z
 from mcspectra.core.errors import BudgetError, DensityError, ParameterError, point_in_words
 from mcspectra.core.streams import Stream
 from mcspectra.densities.base import FunctionDensity
@@ -866,9 +867,10 @@ def _border_growth(seen: Evidence, *, slow: bool) -> Cause | None:
 
 def _high_frequency(seen: Evidence) -> Cause | None:
     known, share = seen.settings, seen.each("spread")
-    turns, waves = (
-        seen.each(name) @ share / max(share.sum(), 1e-300) for name in ("turns", "waves")
-    )
+    # At a jump, turns and the curvature that gives the number of waves do not show waves
+    smooth = share * ~np.concatenate([lines.jumps(seen.scale) for lines in seen.lines])
+    turns = seen.each("turns") @ smooth / max(share.sum(), 1e-300)
+    waves = seen.each("waves") @ smooth / max(smooth.sum(), 1e-300)
     varies = (seen.each("turns") > known.turns) & (share > known.coarse * share.max(initial=0.0))
     axes = len(np.unique(seen.each("axis")[varies & (seen.each("axis") >= 0)]))
     nets, random = seen.curves[NETS], seen.curves["random"]
@@ -880,10 +882,16 @@ def _high_frequency(seen: Evidence) -> Cause | None:
         return None
     if math.isinf(needed):
         needed = max((4.0 * waves) ** max(axes, 1), 2.0 * seen.sets.n)
+    # A part of g that does not oscillate may make nets better than random points
+    said, below = "are no better than random points", nets.counts[nets.counts < needed]
+    if len(below):
+        n, gain = float(below[-1]), gains[len(below) - 1]
+        if gain > math.exp(CONFIDENCE_Z * math.hypot(nets.at(n)[1], random.at(n)[1])):
+            said = f"gain little: {n:.0f} points have {_less_variance(gain)}"
     return Cause(
         "high-frequency",
         f"The integrand oscillates about {waves:.2g} times along a line: sets of fewer than about "
-        f"{needed:,.2g} points do not resolve that and are no better than random points.",
+        f"{needed:,.2g} points do not resolve that and {said}.",
         {"waves": float(waves), "resolved_by": float(needed)},
         ("sampler",),
     )
@@ -902,11 +910,16 @@ def _high_dimension(seen: Evidence) -> Cause | None:
     return Cause(
         "high-dimension",
         f"Interactions of about {mean:.1f} of its {d} dims dominate the integrand, and {n} points "
-        f"are too few for them: the best sets have {gain:.2g} times less variance than random "
-        "points.",
+        f"are too few for them: the best sets have {_less_variance(gain)}.",
         {"mean_dimension": mean, "gain": gain},
         ("order", "regression", "preintegrated"),
     )
+
+
+def _less_variance(gain: float) -> str:
+    """Return how many times less variance than random points sets have, in words."""
+    times = "no" if gain < 1.05 else f"{gain:.2g} times"
+    return f"{times} less variance than random points"
 
 
 def _limited(seen: Evidence, limit: float) -> str:

@@ -294,7 +294,7 @@ class Answer:
         elif not best.is_bounded and self.budget < best.needed < _SETTINGS.many:
             needed = f"{rounded(best.needed)}{_between(best.needed_ci)}"
             text += f"; {name} would need about {needed} evaluations for the same RMSE"
-        return f"{text}."
+        return f"{text}.{self._perhaps() if best.gain < _SETTINGS.may_gain else ''}"
 
     def _perhaps(self) -> str:
         """Mention an undecided change that may be better, if there is one."""

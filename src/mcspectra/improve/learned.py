@@ -89,6 +89,8 @@ class LearnSettings:
     # To choose between candidates, each candidate is evaluated with six sets of two points.
     # Another quarter of the 256 evaluations checks the result on fresh points.
     least_evaluations: int = 256
+    # Largest allowed number of evaluations. Their points in one dim take 2 GB.
+    most_evaluations: int = 2**28
     # Least number of evaluations by default.
     # The fit, the choice of a candidate and the check take `most_fitted` evaluations each.
     usual_evaluations: int = 3 * 2**13
@@ -151,6 +153,11 @@ class LearnSettings:
     # (`mcspectra.improve.improved.RegressionSettings`).
     # In 2-D and 3-D, 2 or 8 evaluations per weight give the same results.
     evaluations_per_gate: int = 4
+
+    def checked(self, name: str, value: object) -> int:
+        """Return a number of evaluations, which errors call `name`."""
+        least, most = self.least_evaluations, self.most_evaluations
+        return as_integer(name, value, least=least, most=most)
 
 
 _SETTINGS = LearnSettings()
@@ -477,7 +484,7 @@ def learned_density(
     n = source.check_count(n)
     usual = settings.evaluations_per_point * n + settings.most_fitted
     asked = max(settings.usual_evaluations, usual) if evaluations is None else evaluations
-    evaluations = as_integer("evaluations", asked, least=settings.least_evaluations, most=2**28)
+    evaluations = settings.checked("evaluations", asked)
     if source.fixed:
         raise ParameterError(
             f"{source.spec} is deterministic, so it has no variance; add owen or shift."

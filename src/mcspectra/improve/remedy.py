@@ -140,7 +140,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
         return Need(
             cost=float(self.budget * self.realizations * tries) * ratio / (ratio - 1),
             memory=memory_of(self.budget, subject.estimator.dims) + 16 * tries * self.realizations,
-            evaluations=self._evaluations(given),
+            evaluations=self._evaluations(given) + self._of_changes(given),
         )
 
     def _evaluations(self, given: Setup) -> int:
@@ -148,6 +148,16 @@ class Remedies(Counted, frozen=True, kw_only=True):
         measured = given.cost * sum(_affordable(given, self.budget).values())
         diagnosed = self.budget if given.is_black_box else 0
         return self.realizations * (measured + diagnosed)
+
+    def _of_changes(self, given: Setup) -> int:
+        """Return the evaluations for one change of each kind, if f is a user's.
+
+        Kinds have equal shares of `max_evaluations`. With smaller shares, no change could be tried.
+        """
+        if not given.is_black_box:
+            return 0
+        points = sum(_affordable(given, self.budget).values())
+        return self.realizations * given.cost * points * len(self._kinds)
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[_Trials]:
         """Measure the given set-up, then the changes, one kind after another."""
@@ -190,7 +200,14 @@ class Remedies(Counted, frozen=True, kw_only=True):
                         not_tried.append(f"{change.name}: {reason}")
                     except BudgetError as error:
                         name = change.name if isinstance(change, Candidate) else kinds[0]
-                        not_tried.append(f"{name}: {error}")
+                        said: object = error
+                        if index and tally.refused:
+                            said = (
+                                f"with it, changes of this kind take at least {tally.refused} "
+                                f"evaluations, and their share of max_evaluations = {limit} is "
+                                f"{share}; allow more, or give fewer kinds."
+                            )
+                        not_tried.append(f"{name}: {said}")
             if index:
                 return _Trials(tried, not_tried, None)
             own, most = stream.child(_SEARCH + 1), self.budget * self.realizations
@@ -290,7 +307,8 @@ def remedies(
         Number of threads; all processors by default. It has no effect on results.
     max_evaluations
         Maximum number of evaluations of the integrand.
-        If the given set-up and its diagnosis need more, an error is raised before any evaluation.
+        The given set-up, its diagnosis and one change of each kind take the least number.
+        If the maximum is below this number, an error is raised before any evaluation.
         All kinds of changes have equal shares of the remaining evaluations.
         If a change needs more evaluations than its kind may use, the change is not tried.
 

@@ -29,6 +29,7 @@ from mcspectra.core.checks import (
     as_reals,
     in_unit_cube,
 )
+from mcspectra.core.display import counted
 from mcspectra.core.errors import (
     DomainError,
     McspectraError,
@@ -561,6 +562,11 @@ class FunctionIntegrand(Integrand):
                 f"{self.spec} failed on points of shape {x.shape}: {type(error).__name__}: "
                 f"{reason_of(error, 500)}."
             ) from error
+        if values.ndim == x.ndim and values.shape[:-1] == shape and not self.channels:
+            raise ParameterError(
+                f"{self.spec} gave {counted(values.shape[-1], 'value')} at each point; "
+                "give one component at a time, such as lambda x: f(x)[..., 0]."
+            )
         if values.shape != shape:
             raise ParameterError(
                 f"{self.spec} gave values of shape {values.shape} at points of shape {x.shape}; "

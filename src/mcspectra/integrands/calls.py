@@ -296,8 +296,8 @@ class _OneByOne:
         sizes = {value.size for value in values}
         if sizes - {1}:
             raise ParameterError(
-                f"{self.__name__} gave {max(sizes - {1})} values at one point; it must give "
-                "a number."
+                f"{self.__name__} gave {max(sizes - {1})} values at one point; give one "
+                "component at a time, such as lambda x: f(x)[0]."
             )
         return np.array([value.reshape(()) for value in values])
 

@@ -119,7 +119,7 @@ class Formula(Integrand):
         if not finite.all():
             where = point_in_words(x[~finite][0])
             raise ParameterError(
-                f"{self.spec} is NaN or infinite, for example {where}; it must be finite "
+                f"{self.spec} is NaN or infinite, for example at {where}; it must be finite "
                 "wherever it is evaluated."
             )
         return values

@@ -399,7 +399,8 @@ def _sampled(
     if most is None:
         raise ParameterError(
             Parameter("budget"),
-            f" is {allowed}, too small for {least} replicates of {source.spec}; give more.",
+            f" is {allowed}, too small for {least} replicates of {source.spec}; give "
+            f"at least {least * source.nearest_count(1)}.",
         )
     # Measure the rate from prefixes of the first replicates
     first, rate = np.empty((few, 0)), math.nan

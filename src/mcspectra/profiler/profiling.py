@@ -29,7 +29,7 @@ from msgspec import Meta
 from mcspectra.core.analysis import Analysis, Need, Reduction, Subject, whole
 from mcspectra.core.checks import Array, as_integer, in_unit_cube
 from mcspectra.core.confidence import CONFIDENCE_Z, rounding_floor
-from mcspectra.core.display import between, escape_html
+from mcspectra.core.display import between, escape_html, shown
 from mcspectra.core.errors import (
     CountError,
     DomainError,
@@ -628,9 +628,11 @@ def _of_draws(draws: Any) -> Profile:
     """Profile draws of Markov chains. Dependence between draws is reported as a cause."""
     try:
         found = chain_error(draws)
+    except DomainError as error:  # The draws are numbers of a right shape, but cannot be used
+        raise DomainError(f"The {error}") from None
     except McspectraError as error:
         raise ParameterError(
-            f"{draws!r:.80} cannot be profiled; give a function, an integrand, an estimator, a "
+            f"{shown(draws)} cannot be profiled; give a function, an integrand, an estimator, a "
             f"spec, or draws as measure.chain_error takes them: {error}"
         ) from None
     if found["mean"].ndim:

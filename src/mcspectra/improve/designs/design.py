@@ -36,7 +36,7 @@ from mcspectra.core.streams import RngLike, Stream
 from mcspectra.densities import Density
 from mcspectra.improve.designs.objectives import Objective, as_objective
 from mcspectra.improve.designs.searches import KINDS, Design, SearchSettings, mean_variances
-from mcspectra.improve.learned import LEARNED, learned_density
+from mcspectra.improve.learned import LEARNED, LearnSettings, learned_density
 from mcspectra.samplers import Sampler
 from mcspectra.samplers import sampler as sampler_of
 from mcspectra.samplers.registry import as_sampler
@@ -236,7 +236,7 @@ def design(
             sampler or "sobol | owen",
             n,
             dims=dims,
-            evaluations=budget,
+            evaluations=None if budget is None else LearnSettings().checked("budget", budget),
             defensive=0.05 if defensive is None else defensive,
             rng=rng,
             path=path,
