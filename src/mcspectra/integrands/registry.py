@@ -59,7 +59,8 @@ def integrand(spec: str, dims: int | None = None) -> Integrand:
         If the spec names a function that is not allowed (`mcspectra.samplers.allow_code`).
     """
     asked = None if dims is None else as_integer("dims", dims, least=1, most=MAX_DIMS)
-    if isinstance(spec, str) and FUNCTION.fullmatch(spec):
+    given: object = spec
+    if isinstance(given, str) and FUNCTION.fullmatch(given):
         process_trust().check_code(Call("python", {"function": spec}))
         function = loaded_function(spec)
         if asked is None:
