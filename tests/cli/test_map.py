@@ -375,7 +375,7 @@ def test_a_map_writes_samples_that_render_reads(tmp_path, capsys, monkeypatch):
     wrong = tmp_path / "wrong.exr"
     write_exr(wrong, {"": np.ones((3, 4))})
     assert main([*render[:-1], str(wrong), "-o", str(image)]) == 2
-    assert f"--spp-map '{wrong}' has the shape (3, 4)" in capsys.readouterr().err
+    assert "wrong.exr' has the shape (3, 4)" in capsys.readouterr().err
     assert main([*render, "--spp", "4"]) == 2
     assert "--spp does not go with --spp-map" in capsys.readouterr().err
 

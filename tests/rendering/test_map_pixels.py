@@ -139,8 +139,10 @@ def test_bad_numbers_of_pixels_are_one_sentence(asked, sentence):
 def test_numbers_of_pixels():
     assert number_of_pixels("1%", 2_073_600) == 20_736
     assert number_of_pixels(".5 %", 20_000) == 100
-    assert number_of_pixels(10**9, 100) == 100
-    assert number_of_pixels(20, 12) == 12
+    assert number_of_pixels(100, 100) == 100
+    assert number_of_pixels("100%", 12) == 12
+    with pytest.raises(ParameterError, match="pixels is 20, more than the 12 pixels"):
+        number_of_pixels(20, 12)
 
 
 @pytest.mark.render

@@ -149,7 +149,8 @@ def test_maps_of_a_film_and_of_the_whole_crop_have_the_same_estimate(tmp_path):
     # Both times are measured, and other programs may slow one of them down.
     # The estimates of a version with this fault differed by a factor of 32
     assert 1 / 8 < whole.seconds / crop.seconds < 8
-    assert subset.storage < whole.storage
+    # The layers of a subset are interpolated, and stored at every pixel
+    assert subset.storage == whole.storage
     # Maps use all processors, so that several workers take as long as one
     cells = [whole, crop, subset]
     assert wall_time(cells, 4) == wall_time(cells, 1) == sum(each.seconds for each in cells)
