@@ -239,6 +239,8 @@ def test_functions_in_python_are_named_on_the_command_line(run_json, own_module)
     assert low < truth < high
     same = mcs.profile(lambda x: np.exp(-(x**2).sum(axis=-1)), dims=2, budget=1024)
     assert found["integral"] == same.integral
+    spec = f"python(function='{name}')"
+    assert run_json("profile", spec, *given[1:])["integral"] == same.integral
     low, high = run_json("integrate", *given)["interval"]
     assert low < truth < high
 

@@ -418,8 +418,8 @@ def prediction(result: xr.Dataset) -> VerbOutput:
                 label = f"[{channel}]" if len(ends) > 1 else ""
                 rows.append([str(int(at["n"])), label, *cells, method_of(at, channel)])
         rates = "; ".join(
-            f"rate: {rate:+.3f}".replace("-", "−")
-            + (f", tends to {limit:+.3f}".replace("-", "−") if np.isfinite(limit) else "")
+            f"rate: {rate:+.3f}"
+            + (f", tends to {limit:+.3f}" if np.isfinite(limit) else "")
             + (f", bends at n = {bend:.3g}" if np.isfinite(bend) else "")
             for rate, limit, bend in _columns(one, "predicted_rate", "limit_rate", "bend_n")
             if np.isfinite(rate) and not several
@@ -427,7 +427,7 @@ def prediction(result: xr.Dataset) -> VerbOutput:
         parts += [
             f"\n{sampler}" if "sampler" in result.dims else "",
             text_table(header, rows),
-            rates,
+            rates.replace("-", "−"),
             "no value from" if reasons else "",
             *(textwrap.fill(each, _WIDTH, initial_indent="  ", subsequent_indent="    ")
               for each in dict.fromkeys(reasons)),

@@ -42,8 +42,8 @@ def integrand(spec: str, dims: int | None = None) -> Integrand:
     ----------
     spec
         ``name`` or ``name(key=value, ...)``; see ``mcspectra list integrands``.
-        A function of points (..., d) in Python is named ``module:function``.
-        Modules are found on Python's path (PYTHONPATH).
+        A function of points (..., d) in Python is named ``module:function``, or as in studies
+        ``python(function='module:function')``. Modules are found on Python's path (PYTHONPATH).
     dims
         Number of dims. The default is the number in the spec, else the integrand's own, else 2.
         A function in Python has no default.
@@ -60,22 +60,30 @@ def integrand(spec: str, dims: int | None = None) -> Integrand:
     """
     asked = None if dims is None else as_integer("dims", dims, least=1, most=MAX_DIMS)
     given: object = spec
-    if isinstance(given, str) and FUNCTION.fullmatch(given):
-        process_trust().check_code(Call("python", {"function": spec}))
-        function = loaded_function(spec)
-        if asked is None:
-            raise ParameterError(
-                Parameter("dims"), f" is missing; give the number of inputs of {spec}."
-            )
-        try:
-            return Integrand.from_function(function, dims=asked)
-        except McspectraError:
-            raise
-        except Exception as error:
-            reason = f"{type(error).__name__}: {reason_of(error, 200)}"
-            raise ParameterError(f"{spec} failed at its first points: {reason}.") from error
-    found: Integrand = INTEGRANDS.build(parse(spec), asked)
+    named = isinstance(given, str) and FUNCTION.fullmatch(given)
+    call = Call("python", {"function": spec}) if named else parse(spec)
+    if call.name == "python" and set(call.arguments) == {"function"}:
+        return _of_python(call, asked)
+    found: Integrand = INTEGRANDS.build(call, asked)
     return found
+
+
+def _of_python(call: Call, dims: int | None) -> Integrand:
+    """Make an integrand of an allowed function in Python, by its name."""
+    process_trust().check_code(call)
+    name = call.arguments["function"]
+    function = loaded_function(name)
+    if dims is None:
+        raise ParameterError(
+            Parameter("dims"), f" is missing; give the number of inputs of {name}."
+        )
+    try:
+        return Integrand.from_function(function, dims=dims)
+    except McspectraError:
+        raise
+    except Exception as error:
+        reason = f"{type(error).__name__}: {reason_of(error, 200)}"
+        raise ParameterError(f"{name} failed at its first points: {reason}.") from error
 
 
 def as_integrand(given: object, dims: int | None = None) -> Integrand:

@@ -910,8 +910,9 @@ def _by_theory(
     if first == "axis-parallel-jump":
         n = float(curve.counts[-1])
         if random.at(n)[0] < CAUSE_SETTINGS.resolved * curve.at(n)[0]:
-            # The sets do not resolve g, such as the squares of a checkerboard. Up to which count
-            # the rate stays that of random points is not known: the 95 % interval has both rates
+            # The sets do not resolve g, for example the squares of a checkerboard.
+            # It is not known at which count the rate of random points ends: the 95 % interval of
+            # the rate reaches from this rate to the theoretical one
             return replace(
                 curve, rate=0.5 * (rate - 1.0), rate_se=-0.5 * (rate + 1.0) / CONFIDENCE_Z
             )

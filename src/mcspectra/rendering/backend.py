@@ -296,7 +296,7 @@ def _imported() -> Any:
 def compilations() -> Iterator[list[float]]:
     """List the seconds in which each kernel is compiled in the block, at the end of the block.
 
-    The list lacks kernels that Dr.Jit loads from its cache on disk.
+    Kernels in Dr.Jit's cache on disk are loaded, not compiled, so the list does not have them.
     """
     load_mitsuba()
     import drjit

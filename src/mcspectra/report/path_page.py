@@ -234,7 +234,7 @@ def path_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
         name, n = _setup(tree, row), int(tree["remedies"].attrs["budget"])
         size = float(row["error"])
         if best is None and "random" in tried["remedy"].values:
-            # Ratios of the table relate to the given sampler, so another sampler has none
+            # The table has ratios to the given sampler only
             other = tried.sel(remedy="random")
             around = between(*map(number, other["error_ratio_ci"].values.tolist()))
             ratio = (
